@@ -1,0 +1,97 @@
+# polypod: everything from a bare machine with Rust, Python >= 3.10, a C compiler and the package registries.
+# `make help` lists the targets. Stamps in .venv keep what is done from being done again.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV_VERSION := 0.13.8
+LOCK := requirements.lock
+
+# The machine's own index, where pip is told of one and uv is not, and its own certificates.
+ifndef UV_DEFAULT_INDEX
+PIP_INDEX := $(shell $(PYTHON) -m pip config get global.index-url 2>/dev/null)
+ifneq ($(PIP_INDEX),)
+export UV_DEFAULT_INDEX := $(PIP_INDEX)
+endif
+endif
+# uv, maturin and cargo must agree on where things go.
+unexport CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR CONDA_PREFIX
+export VIRTUAL_ENV := $(CURDIR)/$(VENV)
+
+RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -type f 2>/dev/null)
+
+# Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
+ARGS ?=
+
+.PHONY: help build train eval test bench lint format lock clean
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+
+build: $(VENV)/.extension target/release/polypod-sim ## Build the Python package (into .venv) and target/release/polypod-sim
+
+train: build ## Train one policy over all robots (ARGS="..." is passed on), then evaluate it
+	$(BIN)/polypod train --train-config quick $(ARGS)
+
+eval: build ## Evaluate a checkpoint: make eval ARGS="--checkpoint logs/.../model_300.pt"
+	$(BIN)/polypod eval $(ARGS)
+
+test: build ## Run the tests of Rust and of Python
+	cargo test --release --locked
+	$(BIN)/pytest
+
+bench: build ## Run the benchmarks
+	cargo bench --locked
+
+lint: $(VENV)/.dependencies ## Check formatting, lints and types
+	cargo fmt --check
+	cargo clippy --release --locked --all-targets -- -D warnings
+	cargo clippy --release --locked --lib --features python -- -D warnings
+	$(BIN)/ruff check python tests/python
+	$(BIN)/ruff format --check python tests/python
+	$(BIN)/mypy
+
+format: $(VENV)/.dependencies ## Format all code
+	cargo fmt
+	$(BIN)/ruff check --fix python tests/python
+	$(BIN)/ruff format python tests/python
+
+lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows
+	$(BIN)/uv pip compile pyproject.toml --extra train --extra bench --group dev --universal --python-version 3.10 \
+		--upgrade --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet -o $(LOCK)
+
+clean: ## Remove everything that is built; training runs in logs/ stay
+	rm -rf $(VENV) target dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find python -name '__pycache__' -prune -exec rm -rf {} +
+	rm -f python/polypod/_core*.so python/polypod/_core*.pyd
+
+# The environment. A torch that the base interpreter has already is used; it is the only large download.
+$(VENV)/.venv:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' \
+		|| { echo "polypod needs Python >= 3.10: make PYTHON=python3.12 build" >&2; exit 1; }
+	rm -rf $(VENV)
+	@if $(PYTHON) -c 'import torch; assert tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 6)' 2>/dev/null; then \
+		echo "using the torch of $(PYTHON)"; $(PYTHON) -m venv --system-site-packages $(VENV); touch $(VENV)/.base-torch; \
+	else $(PYTHON) -m venv $(VENV); fi
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
+	@touch $@
+
+# The lock is complete, so nothing is resolved: with the base's torch, torch and its GPU libraries are left out of it.
+$(VENV)/.dependencies: $(VENV)/.venv $(LOCK)
+	@if [ -e $(VENV)/.base-torch ]; then grep -vE '^(torch|triton|nvidia-|cuda-)' $(LOCK); else cat $(LOCK); fi \
+		> $(VENV)/requirements.txt
+	$(BIN)/uv pip install --python $(BIN)/python --no-deps --compile-bytecode --requirement $(VENV)/requirements.txt
+	@touch $@
+
+# The extension and the binary share target/ and the release profile, so that their dependencies are built once.
+$(VENV)/.extension: $(VENV)/.dependencies pyproject.toml $(RUST_SOURCES)
+	$(BIN)/maturin develop --release --locked --uv
+	@touch $@
+
+target/release/polypod-sim: $(VENV)/.extension
+	cargo build --release --locked --bin polypod-sim
+	@touch $@

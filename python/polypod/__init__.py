@@ -1,0 +1,41 @@
+"""polypod: thousands of different legged robots in one batch, on ordinary CPUs.
+
+>>> import polypod
+>>> env = polypod.make("Velocity-Flat-HeteroQuadruped-v0", num_envs=4096)
+>>> observations, infos = env.reset(seed=0)
+
+Importing polypod also registers its tasks with Gymnasium, as `polypod/<task>`. `polypod.rsl_rl` holds the adapter for
+rsl_rl; it needs the `train` extra, as does the command line (`polypod --help`).
+"""
+
+from polypod._core import (
+    ConfigError,
+    PolypodError,
+    RobotError,
+    UnknownNameError,
+    VecSim,
+    __version__,
+    info,
+    robot_urdf,
+    robots,
+    tasks,
+)
+from polypod.registration import register_tasks
+from polypod.vector_env import VectorEnv, make
+
+__all__ = [
+    "ConfigError",
+    "PolypodError",
+    "RobotError",
+    "UnknownNameError",
+    "VecSim",
+    "VectorEnv",
+    "__version__",
+    "info",
+    "make",
+    "robot_urdf",
+    "robots",
+    "tasks",
+]
+
+register_tasks()

@@ -1,0 +1,130 @@
+"""The adapter for rsl_rl: `polypod.rsl_rl.VecEnv` is an `rsl_rl.env.VecEnv`.
+
+>>> import polypod, polypod.rsl_rl
+>>> env = polypod.rsl_rl.VecEnv(polypod.make("Velocity-Flat-HeteroQuadruped-v0", num_envs=4096), device="cpu")
+
+The simulator runs on the CPU. With a CUDA device, observations, rewards and flags cross over through pinned memory.
+"""
+
+from typing import Any
+
+import numpy as np
+import rsl_rl.env
+import torch
+from gymnasium.vector import AutoresetMode
+from tensordict import TensorDict
+
+from polypod._core import ConfigError
+from polypod.vector_env import VectorEnv
+
+
+class VecEnv(rsl_rl.env.VecEnv):
+    """A polypod vector env as rsl_rl wants it.
+
+    rsl_rl stores the observation of step t after it has taken step t + 1, so the tensors handed out must survive one
+    further step: on the CPU they are views of the simulator's two alternating buffers, on a GPU they are fresh.
+    """
+
+    def __init__(self, env: VectorEnv, device: str | torch.device = "cpu", log_extras: bool = True) -> None:
+        """Wraps `env`.
+
+        Args:
+            env: with same-step autoreset.
+            device: where the learner lives.
+            log_extras: put the simulator's log into `extras["log"]` at each step that ends an episode. A learner which
+                reads `unwrapped.sim.log()` by itself switches it off.
+
+        Raises:
+            ConfigError: for an env with another autoreset mode, and for CUDA where there is none.
+        """
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ConfigError(
+                f"this env has {env.autoreset_mode}, but rsl_rl needs polypod.make(..., autoreset='same_step')"
+            )
+        self.device = torch.device(device)
+        if self.device.type == "cuda" and not torch.cuda.is_available():
+            raise ConfigError("device='cuda', but torch finds no CUDA device; use device='cpu'")
+        self.unwrapped = env
+        self._sim = env.sim
+        self._log_extras = log_extras
+        self.num_envs = env.num_envs
+        self.num_actions = self._sim.num_actions
+        self.max_episode_length = self._sim.max_episode_length
+        self.step_dt = self._sim.step_dt
+        self.cfg = {"task": self._sim.task_name, "robots": self._sim.robots, "seed": self._sim.seed}
+        self._actions = torch.zeros(
+            self.num_envs, self.num_actions, dtype=torch.float32, pin_memory=self.device.type == "cuda"
+        )
+        self._pinned: dict[str, torch.Tensor] = {}
+
+    @property
+    def episode_length_buf(self) -> torch.Tensor:
+        """int64 [num_envs], control steps of the current episodes. A copy: assign the whole tensor to change it."""
+        return torch.from_numpy(self._sim.episode_length).to(self.device)
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, value: torch.Tensor) -> None:
+        if value.shape != (self.num_envs,) or value.is_floating_point():
+            raise ValueError(
+                f"episode_length_buf must be an integer tensor of shape ({self.num_envs},), "
+                f"not {value.dtype} of shape {tuple(value.shape)}"
+            )
+        self._sim.set_episode_length(value.to(device="cpu", dtype=torch.int64).contiguous().numpy())
+
+    def get_observations(self) -> TensorDict:
+        """The current observations: `policy`, float32 [num_envs, num_obs]."""
+        policy = self._tensor("policy", self._sim.observation)
+        return TensorDict({"policy": policy}, batch_size=[self.num_envs], device=self.device)
+
+    def reset(self) -> tuple[TensorDict, dict[str, Any]]:
+        """Begins new episodes in every env."""
+        self._sim.reset()
+        return self.get_observations(), {}
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Advances every env by one control step.
+
+        Args:
+            actions: [num_envs, num_actions], on any device.
+
+        Returns:
+            Observations; rewards float32 [num_envs]; dones int64 [num_envs]; extras with `time_outs`, float32
+            [num_envs]: 1 where the episode was truncated and did not terminate, whose return is to be bootstrapped.
+
+        Raises:
+            ValueError: for another shape, and for a NaN or an infinity.
+        """
+        if actions.shape != self._actions.shape:
+            raise ValueError(f"actions have shape {tuple(actions.shape)}, expected {tuple(self._actions.shape)}")
+        sim = self._sim
+        self._actions.copy_(actions)
+        sim.step(self._actions.numpy())
+        time_outs = sim.truncated & ~sim.terminated
+        extras: dict[str, Any] = {"time_outs": self._tensor("time_outs", time_outs.astype(np.float32))}
+        if self._log_extras and sim.final_mask.any():
+            extras["log"] = sim.log()
+        return (
+            self.get_observations(),
+            self._tensor("reward", sim.reward),
+            self._tensor("done", (sim.terminated | sim.truncated).astype(np.int64)),
+            extras,
+        )
+
+    def close(self) -> None:
+        """Closes the wrapped env."""
+        self.unwrapped.close()
+
+    def _tensor(self, name: str, array: np.ndarray) -> torch.Tensor:
+        """`array` on the learner's device: a view on the CPU, else a fresh tensor filled through pinned memory.
+
+        The pinned buffer is free again when the next step begins, because the actions of that step came off the device
+        after this copy was queued.
+        """
+        host = torch.from_numpy(array)
+        if self.device.type == "cpu":
+            return host
+        pinned = self._pinned.get(name)
+        if pinned is None:
+            pinned = self._pinned[name] = torch.empty_like(host, pin_memory=True)
+        pinned.copy_(host)
+        return pinned.to(self.device, non_blocking=True)

@@ -1,0 +1,225 @@
+"""`configs/train/*.toml`: what is typed there, checked, and turned into rsl_rl's configuration."""
+
+import dataclasses
+import difflib
+import sys
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from polypod import _core
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+OBSERVATION_GROUP = "policy"
+"""Name of the observation group that actor and critic read."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+    """`[run]`: how much to simulate."""
+
+    task: str
+    num_envs: int
+    max_iterations: int
+    num_steps_per_env: int
+    save_interval: int
+
+
+@dataclasses.dataclass(frozen=True)
+class AlgorithmConfig:
+    """`[algorithm]`: PPO, in rsl_rl's words."""
+
+    num_learning_epochs: int
+    num_mini_batches: int
+    learning_rate: float
+    schedule: str
+    desired_kl: float
+    gamma: float
+    lam: float
+    clip_param: float
+    use_clipped_value_loss: bool
+    value_loss_coef: float
+    entropy_coef: float
+    max_grad_norm: float
+    normalize_advantage_per_mini_batch: bool
+    mixed_precision: str
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticConfig:
+    """`[critic]`: a multi-layer perceptron."""
+
+    hidden_dims: list[int]
+    activation: str
+    obs_normalization: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class ActorConfig(CriticConfig):
+    """`[actor]`: a multi-layer perceptron whose output is the mean of a Gaussian with a learned deviation."""
+
+    init_std: float
+
+    def model_cfg(self) -> dict[str, Any]:
+        """The actor's constructor arguments, with the class names that rsl_rl resolves."""
+        network = {key: value for key, value in dataclasses.asdict(self).items() if key != "init_std"}
+        distribution = {"class_name": "GaussianDistribution", "init_std": self.init_std}
+        return {"class_name": "MLPModel", **network, "distribution_cfg": distribution}
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """One train config, complete."""
+
+    run: RunConfig
+    algorithm: AlgorithmConfig
+    actor: ActorConfig
+    critic: CriticConfig
+
+    def as_dict(self) -> dict[str, Any]:
+        """The config as it would stand in its file."""
+        return dataclasses.asdict(self)
+
+    def with_run(self, **values: Any) -> "TrainConfig":
+        """The config with other values in `[run]`; None leaves a value alone."""
+        given = {key: value for key, value in values.items() if value is not None}
+        return parse({**self.as_dict(), "run": {**dataclasses.asdict(self.run), **given}}, "the command line")
+
+    def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
+        """The config with "auto" decided for this machine, so that a resumed run computes in the same way."""
+        if self.algorithm.mixed_precision != "auto":
+            return self
+        mode = "on" if _computes_in_bfloat16(device_type) else "off"
+        return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
+
+    def rsl_rl_cfg(self) -> dict[str, Any]:
+        """The configuration that rsl_rl's runner reads."""
+        algorithm = dataclasses.asdict(self.algorithm)
+        algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
+        return {
+            "num_steps_per_env": self.run.num_steps_per_env,
+            "save_interval": self.run.save_interval,
+            "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
+            "algorithm": {"class_name": "PPO", **algorithm},
+            "actor": self.actor.model_cfg(),
+            "critic": {"class_name": "MLPModel", **dataclasses.asdict(self.critic)},
+            "check_for_nan": True,
+        }
+
+
+def load(name: str) -> TrainConfig:
+    """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
+
+    Raises:
+        ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
+    """
+    return parse(_load_tables(name, ()), name)
+
+
+def parse(tables: dict[str, Any], source: str) -> TrainConfig:
+    """Checks `tables` and builds the config; `source` names them in errors. Raises ConfigError."""
+    sections = {field.name: field.type for field in dataclasses.fields(TrainConfig)}
+    _check_keys(tables, sections, f"{source}: top level")
+    config = TrainConfig(
+        **{key: _parse_section(type_, tables[key], f"{source}: [{key}]") for key, type_ in sections.items()}
+    )
+    _check_ranges(config, source)
+    return config
+
+
+def _load_tables(name: str, seen: tuple[str, ...]) -> dict[str, Any]:
+    if name in seen:
+        raise _core.ConfigError(f"train config {name!r} extends itself ({' -> '.join((*seen, name))})")
+    try:
+        text = Path(name).read_text(encoding="utf-8") if name.endswith(".toml") else _core.train_config(name)
+    except OSError as error:
+        raise _core.ConfigError(f"cannot read train config {name}: {error.strerror}") from error
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _core.ConfigError(f"train config {name} is not valid TOML: {error}") from error
+    parent = tables.pop("extends", None)
+    if parent is None:
+        return tables
+    return _merged(_load_tables(str(parent), (*seen, name)), tables)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        inner = merged.get(key)
+        merged[key] = _merged(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _parse_section(type_: Any, table: Any, where: str) -> Any:
+    if not isinstance(table, dict):
+        raise _core.ConfigError(f"{where} must be a table")
+    expected = {field.name: field.type for field in dataclasses.fields(type_)}
+    _check_keys(table, expected, where)
+    return type_(**{key: _checked(table[key], expected[key], f"{where} {key}") for key in expected})
+
+
+def _check_keys(table: dict[str, Any], expected: dict[str, Any], where: str) -> None:
+    for key in table:
+        if key not in expected:
+            nearest = difflib.get_close_matches(key, expected, n=1, cutoff=0.0)[0]
+            raise _core.ConfigError(f"{where}: unknown key {key!r}; did you mean {nearest!r}?")
+    missing = [key for key in expected if key not in table]
+    if missing:
+        raise _core.ConfigError(
+            f'{where}: {", ".join(missing)} missing; set it, or start the file with extends = "flat"'
+        )
+
+
+def _checked(value: Any, expected: Any, where: str) -> Any:
+    if get_origin(expected) is list:
+        (item,) = get_args(expected)
+        if isinstance(value, list):
+            return [_checked(element, item, f"{where}[{i}]") for i, element in enumerate(value)]
+    elif expected is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    elif type(value) is expected:
+        return value
+    raise _core.ConfigError(f"{where} = {value!r} must be of type {getattr(expected, '__name__', expected)}")
+
+
+def _check_ranges(config: TrainConfig, source: str) -> None:
+    run, algorithm = config.run, config.algorithm
+    positive = {
+        "[run] num_envs": run.num_envs,
+        "[run] num_steps_per_env": run.num_steps_per_env,
+        "[run] save_interval": run.save_interval,
+        "[algorithm] num_learning_epochs": algorithm.num_learning_epochs,
+        "[algorithm] num_mini_batches": algorithm.num_mini_batches,
+        "[algorithm] learning_rate": algorithm.learning_rate,
+        "[actor] init_std": config.actor.init_std,
+    }
+    for name, value in positive.items():
+        if not value > 0:
+            raise _core.ConfigError(f"{source}: {name} = {value} must be greater than 0")
+    if run.max_iterations < 0:
+        raise _core.ConfigError(f"{source}: [run] max_iterations = {run.max_iterations} must not be negative")
+    if run.num_envs * run.num_steps_per_env < algorithm.num_mini_batches:
+        raise _core.ConfigError(
+            f"{source}: {run.num_envs} envs x {run.num_steps_per_env} steps do not fill "
+            f"{algorithm.num_mini_batches} mini-batches; raise num_envs"
+        )
+    choices = {"schedule": ("adaptive", "fixed"), "mixed_precision": ("off", "on", "auto")}
+    for key, allowed in choices.items():
+        value = getattr(algorithm, key)
+        if value not in allowed:
+            raise _core.ConfigError(f"{source}: [algorithm] {key} = {value!r} is not one of {', '.join(allowed)}")
+
+
+def _computes_in_bfloat16(device_type: str) -> bool:
+    """Whether bfloat16 is faster than float32 here, rather than emulated."""
+    import torch
+
+    if device_type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    supported = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
+    return supported is not None and bool(supported())

@@ -1,0 +1,114 @@
+"""What a training run records: rsl_rl's scalars, written once per iteration and never printed."""
+
+from typing import Any, Protocol
+
+import torch
+from rsl_rl.utils.logger import Logger
+
+
+class ScalarWriter(Protocol):
+    """The part of TensorBoard's writer that is used here."""
+
+    def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
+        """Records one number."""
+
+    def close(self) -> None:
+        """Writes what is still buffered."""
+
+
+class NoWriter:
+    """Records nothing: `--logger none`."""
+
+    def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
+        """Does nothing."""
+
+    def close(self) -> None:
+        """Does nothing."""
+
+
+class TrainingLogger(Logger):
+    """rsl_rl's bookkeeping of rewards and episode lengths, with another output.
+
+    rsl_rl's own logger prints some 150 lines per iteration, stores the diffs of foreign repositories, and averages the
+    env's log over steps; here the simulator averages it over the episodes that ended in the iteration.
+    """
+
+    def open(self, kind: str, purge_step: int) -> None:
+        """Begins to record.
+
+        Args:
+            kind: "tensorboard" or "none".
+            purge_step: records of this and later iterations, left by a run that went on after its last checkpoint, are
+                dropped.
+        """
+        self.writer: ScalarWriter | None
+        if kind == "tensorboard":
+            from torch.utils.tensorboard import SummaryWriter
+
+            self.writer = SummaryWriter(log_dir=self.log_dir, purge_step=purge_step or None, flush_secs=10)
+        else:
+            self.writer = NoWriter()
+
+    def record(self, iteration: int, collect_time: float, learn_time: float, scalars: dict[str, float]) -> float:
+        """Records one iteration and returns its env-steps per second."""
+        env_steps = self.cfg["num_steps_per_env"] * self.num_envs
+        self.tot_timesteps += env_steps
+        self.tot_time += collect_time + learn_time
+        steps_per_second = env_steps / (collect_time + learn_time)
+        scalars = {
+            **scalars,
+            "Perf/total_fps": steps_per_second,
+            "Perf/collection_time": collect_time,
+            "Perf/learning_time": learn_time,
+        }
+        if self.rewbuffer:
+            scalars["Train/mean_reward"] = self.mean_reward
+            scalars["Train/mean_episode_length"] = self.mean_episode_length
+        if self.writer is not None:
+            for tag, value in scalars.items():
+                self.writer.add_scalar(tag, value, iteration)
+        return steps_per_second
+
+    @property
+    def mean_reward(self) -> float:
+        """Mean return of the last 100 episodes; NaN before the first one."""
+        return sum(self.rewbuffer) / len(self.rewbuffer) if self.rewbuffer else float("nan")
+
+    @property
+    def mean_episode_length(self) -> float:
+        """Mean length of the last 100 episodes in control steps; NaN before the first one."""
+        return sum(self.lenbuffer) / len(self.lenbuffer) if self.lenbuffer else float("nan")
+
+    def close(self) -> None:
+        """Writes what is still buffered."""
+        if self.writer is not None:
+            self.writer.close()
+
+    def state(self) -> dict[str, Any]:
+        """What a resumed run needs to go on with the same curves."""
+        return {
+            "rewards": list(self.rewbuffer),
+            "lengths": list(self.lenbuffer),
+            "reward_sum": self.cur_reward_sum.cpu(),
+            "episode_length": self.cur_episode_length.cpu(),
+            "timesteps": self.tot_timesteps,
+            "time": self.tot_time,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes over a `state`."""
+        self.rewbuffer.extend(state["rewards"])
+        self.lenbuffer.extend(state["lengths"])
+        self.cur_reward_sum = state["reward_sum"].to(self.device)
+        self.cur_episode_length = state["episode_length"].to(self.device)
+        self.tot_timesteps = state["timesteps"]
+        self.tot_time = state["time"]
+
+
+def scalars_of(loss: dict[str, float], learning_rate: float, action_std: torch.Tensor) -> dict[str, float]:
+    """The learner's scalars under rsl_rl's tags."""
+    return {
+        **{f"Loss/{key}": value for key, value in loss.items()},
+        "Loss/learning_rate": learning_rate,
+        "Policy/mean_std": action_std.mean().item(),
+    }

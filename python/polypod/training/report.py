@@ -1,0 +1,116 @@
+"""What a user sees: a live progress line or plain lines, and tables per robot."""
+
+import contextlib
+import dataclasses
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from datetime import timedelta
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from polypod.evaluation import Evaluation
+
+_PLAIN_INTERVAL_S = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Iteration:
+    """One iteration's figures. Rewards and lengths (control steps) are means over the last 100 episodes."""
+
+    done: int
+    total: int
+    reward: float
+    episode_length: float
+    steps_per_second: float
+
+
+class Reporter:
+    """Writes to standard output: live on a terminal, line by line elsewhere."""
+
+    def __init__(self) -> None:
+        """Looks at standard output."""
+        self.console = Console(width=None if sys.stdout.isatty() else 120, soft_wrap=False, highlight=False)
+        self._progress: Progress | None = None
+        self._task = TaskID(0)
+        self._start = 0
+        self._started = self._printed = time.monotonic()
+
+    def message(self, text: str) -> None:
+        """Prints one line."""
+        self.console.print(text, markup=False)
+
+    @contextlib.contextmanager
+    def training(self, start: int, stop: int) -> Iterator[None]:
+        """Shows progress from iteration `start` to `stop` while the context lasts."""
+        self._start = start
+        self._started = self._printed = time.monotonic()
+        if not self.console.is_terminal:
+            yield
+            return
+        columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+        with Progress(*columns, console=self.console) as self._progress:
+            self._task = self._progress.add_task("", total=stop, completed=start)
+            yield
+        self._progress = None
+
+    def iteration(self, figures: Iteration) -> None:
+        """Shows one finished iteration; elsewhere than on a terminal, the first, the last and one each 10 s."""
+        now = time.monotonic()
+        done = figures.done - self._start
+        left = timedelta(seconds=round((now - self._started) / done * (figures.total - figures.done)))
+        summary = (
+            f"reward {figures.reward:.2f}  length {figures.episode_length:.0f}  "
+            f"{figures.steps_per_second:,.0f} steps/s  ETA {left}"
+        )
+        if self._progress is not None:
+            self._progress.update(self._task, completed=figures.done, description=summary)
+        elif done == 1 or figures.done == figures.total or now - self._printed >= _PLAIN_INTERVAL_S:
+            self._printed = now
+            elapsed = timedelta(seconds=round(now - self._started))
+            self.message(f"iteration {figures.done}/{figures.total}  {summary}  elapsed {elapsed}")
+
+    def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:
+        """Prints one line per robot about the episodes that ended lately."""
+        table = _table("robot", "reward/s", "falls", "err xy", "err yaw", "length", "episodes")
+        for robot, values in stats.items():
+            table.add_row(
+                robot,
+                f"{values['reward_per_s']:.2f}",
+                f"{values['fall_rate']:.1%}",
+                f"{values['error_vel_xy']:.3f}",
+                f"{values['error_vel_yaw']:.3f}",
+                f"{values['episode_length_s']:.1f} s",
+                f"{values['episodes']:.0f}",
+            )
+        self.console.print(table)
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """Prints the figures of the deterministic policy per robot."""
+        self.message(
+            f"deterministic policy, {evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s "
+            "(errors in m/s and rad/s; still: of a robot that does not move)"
+        )
+        table = _table("robot", "reward/s", "err xy", "still", "err yaw", "still", "falls", "length")
+        for robot, result in evaluation.robots.items():
+            table.add_row(
+                robot,
+                f"{result.reward_per_s:.2f}",
+                f"{result.error_vel_xy:.3f}",
+                f"{result.still_error_vel_xy:.3f}",
+                f"{result.error_vel_yaw:.3f}",
+                f"{result.still_error_vel_yaw:.3f}",
+                f"{result.fall_rate:.1%}",
+                f"{result.episode_length_s:.1f} s",
+            )
+        self.console.print(table)
+
+
+def _table(name: str, *figures: str) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(name, no_wrap=True)
+    for figure in figures:
+        table.add_column(figure, justify="right", no_wrap=True)
+    return table

@@ -1,0 +1,205 @@
+"""Run directories: where they lie, what is in them, how they are found again.
+
+<log dir>/rsl_rl/<experiment>/<YYYY-mm-dd_HH-MM-SS>[_<run name>]/
+    manifest.json        what a policy of this run needs to be used elsewhere
+    params/env.toml      the resolved task and robots
+    params/agent.toml    the resolved train config
+    model_<n>.pt         the training's state after n iterations
+    events.out.tfevents* TensorBoard's scalars
+"""
+
+import contextlib
+import json
+import os
+import platform
+import re
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import tomli_w
+import torch
+
+from polypod import _core
+from polypod.training.config import TrainConfig
+
+MANIFEST = "manifest.json"
+_CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+
+
+def create(log_dir: Path, experiment: str, run_name: str | None) -> Path:
+    """Makes the directory of a new run. Raises ConfigError where it cannot be written."""
+    stem = datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + (f"_{run_name}" if run_name else "")
+    parent = log_dir / "rsl_rl" / experiment
+    for suffix in ("", *(f"-{n}" for n in range(2, 100))):
+        run = parent / (stem + suffix)
+        try:
+            run.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise _core.ConfigError(f"cannot create {run}: {error.strerror}; choose another --log-dir") from error
+        return run
+    raise _core.ConfigError(f"{parent / stem} exists already; choose another --run-name")
+
+
+def find_checkpoint(log_dir: Path, run: str) -> Path:
+    """The checkpoint that `run` names: "latest", a run's directory or its name, or a checkpoint file.
+
+    Raises ConfigError when there is none.
+    """
+    path = Path(run)
+    if path.is_file():
+        return path
+    if path.is_dir():
+        return latest_checkpoint(path)
+    runs = sorted(
+        (manifest.parent for manifest in log_dir.glob(f"rsl_rl/*/*/{MANIFEST}") if _checkpoints(manifest.parent)),
+        key=lambda directory: (directory.name, directory.stat().st_mtime),
+    )
+    if run == "latest":
+        if not runs:
+            raise _core.ConfigError(f"no run with a checkpoint under {log_dir / 'rsl_rl'}; train one, or set --log-dir")
+        return latest_checkpoint(runs[-1])
+    matching = [directory for directory in runs if directory.name == run]
+    if not matching:
+        raise _core.ConfigError(
+            f"{run!r} is neither a checkpoint nor a run under {log_dir / 'rsl_rl'}; "
+            'pass a path, the name of a run, or "latest"'
+        )
+    return latest_checkpoint(matching[-1])
+
+
+def latest_checkpoint(run: Path) -> Path:
+    """The checkpoint of `run` with the most iterations. Raises ConfigError when there is none."""
+    checkpoints = _checkpoints(run)
+    if not checkpoints:
+        raise _core.ConfigError(f"{run} holds no checkpoint (model_<n>.pt)")
+    return checkpoints[-1]
+
+
+def checkpoint_path(run: Path, iterations: int) -> Path:
+    """Where the checkpoint after `iterations` iterations lies."""
+    return run / f"model_{iterations}.pt"
+
+
+def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dict[str, Any]:
+    """Reads a checkpoint; nothing in the file is executed. Raises ConfigError for a file that is none."""
+    try:
+        state = torch.load(path, map_location=map_location, weights_only=True)
+    except OSError as error:
+        raise _core.ConfigError(f"cannot read {path}: {error.strerror}") from error
+    except Exception as error:  # torch has no common class for the ways in which a file can be broken
+        raise _core.ConfigError(f"{path} is not a checkpoint: {str(error).splitlines()[0]}") from error
+    if not isinstance(state, dict) or "actor_state_dict" not in state:
+        raise _core.ConfigError(f"{path} is not a checkpoint of polypod: it holds no 'actor_state_dict'")
+    return state
+
+
+def read_manifest(checkpoint: Path) -> dict[str, Any]:
+    """The manifest beside a checkpoint. Raises ConfigError when it is missing or broken."""
+    path = checkpoint.parent / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise _core.ConfigError(
+            f"cannot read {path}: {error.strerror}; keep a checkpoint beside its manifest"
+        ) from error
+    except json.JSONDecodeError as error:
+        raise _core.ConfigError(f"{path} is not valid JSON: {error}") from error
+    if not isinstance(manifest, dict) or "task" not in manifest or "policy" not in manifest:
+        raise _core.ConfigError(f"{path} is not a manifest of polypod: it names no task or no policy")
+    return manifest
+
+
+def write_params(run: Path, sim: _core.VecSim, config: TrainConfig, overrides: list[str]) -> None:
+    """Writes the manifest and `params/`."""
+    write_text(run / "params" / "env.toml", sim.resolved_config())
+    write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
+    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, overrides), indent=2) + "\n")
+
+
+def manifest_of(sim: _core.VecSim, config: TrainConfig, overrides: list[str]) -> dict[str, Any]:
+    """What a policy of this run needs to be used elsewhere, and what made it."""
+    return {
+        "format": 1,
+        "task": sim.task_name,
+        "experiment": sim.experiment_name,
+        "overrides": overrides,
+        "seed": sim.seed,
+        "num_envs": sim.num_envs,
+        "step_dt": sim.step_dt,
+        "config_hash": sim.config_hash(),
+        "canonical_joint_names": sim.canonical_joint_names,
+        "observation_layout": [{"term": term, "size": size} for term, size in sim.observation_layout],
+        "policy": {"num_obs": sim.num_obs, "num_actions": sim.num_actions, **config.actor.model_cfg()},
+        "robots": sim.robots,
+        "robot_info": json.loads(sim.robot_info()),
+        "joint_maps": {
+            robot: [{"joint": joint, "index": index} for joint, index in sim.joint_map(robot)] for robot in sim.robots
+        },
+        "train_config": config.as_dict(),
+        "versions": {
+            "polypod": _core.__version__,
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "rsl_rl": version("rsl-rl-lib"),
+            "numpy": np.__version__,
+        },
+        "git": _git_state(),
+    }
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file whole or not at all."""
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def write_atomically(path: Path, write: Callable[[BinaryIO], Any]) -> None:
+    """Lets `write` fill a temporary file beside `path`, then puts it in its place."""
+    with _temporary(path) as temporary:
+        with temporary.open("wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+
+
+@contextlib.contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        temporary.chmod(0o644)
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _checkpoints(run: Path) -> list[Path]:
+    numbered = [(int(match[1]), path) for path in run.iterdir() if (match := _CHECKPOINT.fullmatch(path.name))]
+    return [path for _, path in sorted(numbered)]
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Commit and cleanness of the source tree polypod is imported from; None for an installed package."""
+    package = Path(_core.__file__ or __file__).parent
+
+    def git(*arguments: str) -> str | None:
+        try:
+            done = subprocess.run(["git", "-C", str(package), *arguments], capture_output=True, text=True, timeout=10)
+        except (OSError, subprocess.SubprocessError):
+            return None
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    if not git("ls-files", "__init__.py"):
+        return None
+    commit, changes = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
+    return None if commit is None or changes is None else {"commit": commit, "dirty": bool(changes)}

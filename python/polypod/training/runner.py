@@ -1,0 +1,160 @@
+"""rsl_rl's on-policy runner, made exactly resumable."""
+
+import contextlib
+import io
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+from rsl_rl.runners import OnPolicyRunner
+from rsl_rl.utils import check_nan
+from tensordict import TensorDict
+
+from polypod import _core
+from polypod.rsl_rl import VecEnv
+from polypod.training import run_dir
+from polypod.training.logger import TrainingLogger, scalars_of
+from polypod.training.report import Iteration, Reporter
+
+STATS_INTERVAL = 25
+"""Iterations between the per-robot tables."""
+
+
+class Runner(OnPolicyRunner):
+    """Collects, learns, records and saves.
+
+    `current_learning_iteration` counts finished iterations, and so does the number in a checkpoint's name. A checkpoint
+    is taken between iterations and holds the policy, the optimiser, torch's random streams and the simulator; training
+    that goes on from it computes what it would have computed without the interruption, bit for bit.
+    """
+
+    env: VecEnv
+    logger: TrainingLogger
+
+    def __init__(self, env: VecEnv, cfg: dict[str, Any], run: Path, device: str, reporter: Reporter) -> None:
+        """Builds networks and storage; `cfg` is rsl_rl's configuration."""
+        with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its networks
+            super().__init__(env, cfg, log_dir=str(run), device=device)
+        self.logger = TrainingLogger(
+            log_dir=str(run),
+            cfg=cfg,
+            env_cfg=env.cfg,
+            num_envs=env.num_envs,
+            is_distributed=False,
+            gpu_world_size=1,
+            gpu_global_rank=0,
+            device=device,
+        )
+        self.run = run
+        self.reporter = reporter
+        self.interrupted = False
+
+    def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
+        """Runs `num_learning_iterations` more iterations, or fewer after Ctrl-C, which sets `interrupted`.
+
+        Args:
+            num_learning_iterations: how many.
+            init_at_random_ep_len: start the envs at random points of their episodes, so that time-outs are spread.
+        """
+        if init_at_random_ep_len:
+            lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
+            self.env.episode_length_buf = lengths
+        self.alg.train_mode()
+        observations = self.env.get_observations()
+        start = self.current_learning_iteration
+        stop = start + num_learning_iterations
+        with self._stop_on_interrupt(), self.reporter.training(start, stop):
+            for iteration in range(start, stop):
+                observations = self._iterate(iteration, stop, observations)
+                last = iteration + 1 == stop or self.interrupted
+                if last or (iteration + 1) % self.cfg["save_interval"] == 0:
+                    self.save(str(run_dir.checkpoint_path(self.run, iteration + 1)))
+                if self.interrupted:
+                    break
+
+    def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
+        started = time.perf_counter()
+        with torch.inference_mode():
+            observations = self._collect(observations)
+            collected = time.perf_counter()
+            self.alg.compute_returns(observations)
+        loss = self.alg.update()
+        learned = time.perf_counter()
+        self.current_learning_iteration = iteration + 1
+
+        sim = self.env.unwrapped.sim
+        scalars = scalars_of(loss, self.alg.learning_rate, self.alg.get_policy().output_std) | sim.log()
+        steps_per_second = self.logger.record(iteration, collected - started, learned - collected, scalars)
+        self.reporter.iteration(
+            Iteration(iteration + 1, stop, self.logger.mean_reward, self.logger.mean_episode_length, steps_per_second)
+        )
+        if (iteration + 1) % STATS_INTERVAL == 0:
+            self.reporter.robots(sim.episode_stats(clear=True))
+        return observations
+
+    def _collect(self, observations: TensorDict) -> TensorDict:
+        for _ in range(self.cfg["num_steps_per_env"]):
+            actions = self.alg.act(observations)
+            observations, rewards, dones, extras = self.env.step(actions)
+            check_nan(observations, rewards, dones)
+            self.alg.process_env_step(observations, rewards, dones, extras)
+            self.logger.process_env_step(rewards, dones, extras)
+        return observations
+
+    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+        """Writes a checkpoint, whole or not at all."""
+        state = self.alg.save()
+        state["iter"] = self.current_learning_iteration
+        state["infos"] = {
+            **(infos or {}),
+            "sim": torch.from_numpy(np.frombuffer(self.env.unwrapped.sim.snapshot(), dtype=np.uint8).copy()),
+            "rng": torch.get_rng_state(),
+            "cuda_rng": torch.cuda.get_rng_state_all() if torch.device(self.device).type == "cuda" else [],
+            "logger": self.logger.state(),
+        }
+        run_dir.write_atomically(Path(path), lambda file: torch.save(state, file))
+
+    def load(
+        self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
+    ) -> dict[str, Any]:
+        """Takes over a checkpoint. Raises ConfigError for a file that is none or that fits another run."""
+        state = run_dir.load_checkpoint(Path(path), map_location or self.device)
+        try:
+            self.alg.load(state, load_cfg, strict)
+        except (RuntimeError, KeyError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise _core.ConfigError(f"{path} does not fit this run's networks: {reason}") from error
+        infos = state["infos"]
+        self.env.unwrapped.sim.restore(infos["sim"].cpu().numpy().tobytes())
+        torch.set_rng_state(infos["rng"].cpu())
+        if infos["cuda_rng"] and torch.device(self.device).type == "cuda":
+            torch.cuda.set_rng_state_all([stream.cpu() for stream in infos["cuda_rng"]])
+        self.logger.restore(infos["logger"])
+        self.current_learning_iteration = state["iter"]
+        return infos
+
+    @contextlib.contextmanager
+    def _stop_on_interrupt(self) -> Iterator[None]:
+        """Lets Ctrl-C end the training after the iteration under way; a second one ends it at once."""
+
+        def interrupt(signum: int, frame: FrameType | None) -> None:
+            if self.interrupted:
+                raise KeyboardInterrupt
+            self.interrupted = True
+            self.reporter.message("stopping after this iteration (Ctrl-C again: at once, without a checkpoint)")
+
+        previous: Callable[[int, FrameType | None], Any] | int | None
+        try:
+            previous = signal.signal(signal.SIGINT, interrupt)
+        except ValueError:  # not in the main thread, where no signals arrive
+            yield
+            return
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, previous)

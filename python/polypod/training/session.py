@@ -1,0 +1,156 @@
+"""One training from its options to its final table: a new run, or one that goes on."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import polypod
+from polypod import _core
+from polypod.evaluation import evaluate_checkpoint
+from polypod.rsl_rl import VecEnv
+from polypod.training import config, run_dir
+from polypod.training.report import Reporter
+from polypod.training.runner import Runner
+
+DEFAULT_SEED = 42
+DEFAULT_TRAIN_CONFIG = "flat"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """The command line of `polypod train`; None: not given."""
+
+    task: str | None = None
+    num_envs: int | None = None
+    robots: list[str] | None = None
+    max_iterations: int | None = None
+    seed: int | None = None
+    train_config: str | None = None
+    logger: str = "tensorboard"
+    resume: str | None = None
+    run_name: str | None = None
+    log_dir: Path = Path("logs")
+    device: str = "auto"
+    threads: int | None = None
+    overrides: list[str] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Plan:
+    """What to train, all questions settled."""
+
+    config: config.TrainConfig
+    robots: list[str] | None
+    seed: int
+    overrides: list[str]
+    checkpoint: Path | None
+
+
+def train(options: Options) -> int:
+    """Trains, saves, evaluates; returns the exit code: 0, or 130 after Ctrl-C.
+
+    Raises:
+        ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
+    """
+    device = _device(options.device)
+    plan = _new_plan(options, device) if options.resume is None else _resumed_plan(options)
+    if options.threads is not None:
+        torch.set_num_threads(options.threads)
+    torch.manual_seed(plan.seed)
+    run_config = plan.config.run
+    env = polypod.make(
+        run_config.task,
+        run_config.num_envs,
+        robots=plan.robots,
+        seed=plan.seed,
+        threads=options.threads,
+        overrides=plan.overrides,
+    )
+    reporter = Reporter()
+    if plan.checkpoint is None:
+        run = run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
+        run_dir.write_params(run, env.sim, plan.config, plan.overrides)
+    else:
+        run = plan.checkpoint.parent
+    runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(), run, device, reporter)
+    if plan.checkpoint is not None:
+        runner.load(str(plan.checkpoint))
+    iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
+    reporter.message(
+        f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
+        f"simulator {env.sim.threads} threads, learner on {_learner(device)}; {run}"
+    )
+    runner.logger.open(options.logger, purge_step=runner.current_learning_iteration)
+    try:
+        runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
+    finally:
+        runner.logger.close()
+    env.close()
+    checkpoint = run_dir.checkpoint_path(run, runner.current_learning_iteration)
+    reporter.message(f"checkpoint {checkpoint}")
+    if runner.interrupted:
+        return 130
+    reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads))
+    return 0
+
+
+def _new_plan(options: Options, device: str) -> _Plan:
+    train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
+    train_config = train_config.with_run(
+        task=options.task, num_envs=options.num_envs, max_iterations=options.max_iterations
+    ).with_mixed_precision_resolved(device)
+    if train_config.run.max_iterations < 1:
+        raise _core.ConfigError("--max-iterations must be at least 1")
+    seed = DEFAULT_SEED if options.seed is None else options.seed
+    if seed < 0:
+        raise _core.ConfigError(f"--seed {seed} is negative; pass zero or a positive number")
+    if options.run_name is not None and Path(options.run_name).name != options.run_name:
+        raise _core.ConfigError(f"--run-name {options.run_name!r} is part of a directory's name; leave out slashes")
+    return _Plan(train_config, options.robots, seed, options.overrides, checkpoint=None)
+
+
+def _resumed_plan(options: Options) -> _Plan:
+    """The plan of the run that is resumed; it goes on as it was begun, so nothing in it may be given anew."""
+    checkpoint = run_dir.find_checkpoint(options.log_dir, str(options.resume))
+    fixed: dict[str, Any] = {
+        "--task": options.task,
+        "--num-envs": options.num_envs,
+        "--robots": options.robots,
+        "--seed": options.seed,
+        "--train-config": options.train_config,
+        "--run-name": options.run_name,
+        "--set": options.overrides or None,
+    }
+    given = [flag for flag, value in fixed.items() if value is not None]
+    if given:
+        raise _core.ConfigError(
+            f"a resumed run goes on as it was begun: leave out {', '.join(given)}, or train anew without --resume"
+        )
+    manifest = run_dir.read_manifest(checkpoint)
+    train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
+    return _Plan(train_config, manifest["robots"], manifest["seed"], manifest["overrides"], checkpoint)
+
+
+def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
+    if options.resume is None:
+        return run_config.max_iterations
+    count = run_config.max_iterations - done if options.max_iterations is None else options.max_iterations
+    if count < 1:
+        raise _core.ConfigError(
+            f"this run has finished its {run_config.max_iterations} iterations; set --max-iterations to how many more"
+        )
+    return count
+
+
+def _device(name: str) -> str:
+    if name == "cpu" or (name == "auto" and not torch.cuda.is_available()):
+        return "cpu"
+    if not torch.cuda.is_available():
+        raise _core.ConfigError("--device cuda, but torch finds no CUDA device; use --device cpu or auto")
+    return "cuda:0"
+
+
+def _learner(device: str) -> str:
+    return f"{torch.get_num_threads()} CPU threads" if device == "cpu" else torch.cuda.get_device_name(device)

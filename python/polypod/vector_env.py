@@ -1,0 +1,261 @@
+"""The batch as a `gymnasium.vector.VectorEnv`."""
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from polypod import _core
+from polypod.registration import task_of
+
+FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+
+_AUTORESET_MODES = {
+    "same_step": AutoresetMode.SAME_STEP,
+    "next_step": AutoresetMode.NEXT_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
+
+
+def make(
+    task_id: str,
+    num_envs: int = 1,
+    robots: Sequence[str] | None = None,
+    seed: int | None = None,
+    autoreset: str | AutoresetMode = "same_step",
+    threads: int | None = None,
+    copy: bool = False,
+    overrides: Sequence[str] = (),
+) -> "VectorEnv":
+    """Builds a vector env.
+
+    Args:
+        task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
+        num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share.
+        robots: names of the robots (see `polypod.robots`); None: those of the task.
+        seed: of every random stream; None: drawn from the operating system.
+        autoreset: "same_step" (the default), "next_step" or "disabled", as Gymnasium defines them.
+        threads: worker threads; None: one per core.
+        copy: hand out fresh arrays rather than the simulator's own, see `VectorEnv`.
+        overrides: `key=value` pairs for the task's configuration, e.g. `"sim.episode_length_s=10.0"`.
+
+    Raises:
+        ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
+    """
+    return VectorEnv(task_id, num_envs, robots, seed, autoreset, threads, copy, overrides)
+
+
+class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[Any]]):
+    """Many legged robots that track velocity commands.
+
+    Without `copy` the arrays are the simulator's own and cost nothing: an observation stays valid until the step after
+    the next one (two buffers alternate), rewards and flags until the next step. With `copy` they are yours to keep.
+
+    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action float32 [num_envs, 12], one
+    number per canonical joint: the target is `default_pose + action_scale * action`.
+    """
+
+    def __init__(
+        self,
+        task_id: str,
+        num_envs: int = 1,
+        robots: Sequence[str] | None = None,
+        seed: int | None = None,
+        autoreset: str | AutoresetMode = "same_step",
+        threads: int | None = None,
+        copy: bool = False,
+        overrides: Sequence[str] = (),
+    ) -> None:
+        """Builds the envs; `make` documents the arguments."""
+        mode = _autoreset_mode(autoreset)
+        if isinstance(robots, str):
+            raise _core.ConfigError(f"robots={robots!r} is one string; pass a list of names, e.g. [{robots!r}]")
+        self._sim: _core.VecSim | None = _core.VecSim(
+            task_of(task_id),
+            _index(num_envs, "num_envs"),
+            robots=None if robots is None else list(robots),
+            seed=_fresh_seed() if seed is None else _index(seed, "seed"),
+            threads=threads,
+            overrides=list(overrides),
+            autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
+        )
+        self.copy = copy
+        self.autoreset_mode = mode
+        self.metadata = {"autoreset_mode": mode, "render_modes": []}
+        self.num_envs = self._sim.num_envs
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._sim.num_obs,), np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._sim.num_actions,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._needs_reset = np.zeros(self.num_envs, dtype=np.bool_)
+
+    @property
+    def sim(self) -> _core.VecSim:
+        """The simulator underneath. Raises ClosedEnvironmentError after `close`."""
+        if self._sim is None:
+            raise ClosedEnvironmentError("this env is closed; build a new one with polypod.make")
+        return self._sim
+
+    @property
+    def robots(self) -> list[str]:
+        """Names of the robots, in the order of their blocks of envs."""
+        return self.sim.robots
+
+    @property
+    def canonical_joint_names(self) -> list[str]:
+        """Names of the action's slots."""
+        return self.sim.canonical_joint_names
+
+    @property
+    def observation_layout(self) -> list[tuple[str, int]]:
+        """(term, size) of an observation, in order."""
+        return self.sim.observation_layout
+
+    @property
+    def step_dt(self) -> float:
+        """Seconds between control steps."""
+        return self.sim.step_dt
+
+    @property
+    def max_episode_length(self) -> int:
+        """Control steps until an episode is truncated."""
+        return self.sim.max_episode_length
+
+    def env_ids(self, robot: str) -> npt.NDArray[np.int64]:
+        """The rows that hold `robot`. Raises UnknownNameError."""
+        return np.arange(*self.sim.env_ids(robot), dtype=np.int64)
+
+    def joint_map(self, robot: str) -> list[tuple[str, int]]:
+        """Per canonical joint: the robot's own joint name and its index in the robot's own joint order."""
+        return self.sim.joint_map(robot)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Begins new episodes.
+
+        Args:
+            seed: restarts every random stream; None: they go on.
+            options: `reset_mask`, bool [num_envs]: the envs to reset; without it all are.
+
+        Raises:
+            ConfigError: for an option that does not exist, and for a mask of another shape or without a single True.
+            TypeError: for a mask that is not a NumPy array of bools, and for a seed that is not one int.
+        """
+        sim = self.sim
+        if seed is not None:
+            seed = _index(seed, "seed")
+            super().reset(seed=seed)
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise _core.ConfigError(f"unknown reset option {next(iter(options))!r}; the only one is 'reset_mask'")
+        if mask is None:
+            sim.reset(seed)
+            self._needs_reset[:] = False
+        else:
+            self._check_mask(mask)
+            sim.reset(seed, mask)
+            self._needs_reset[mask] = False
+        return self._handed_out(sim.observation), {}
+
+    def step(self, actions: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Advances every env by one control step of `step_dt`.
+
+        Args:
+            actions: float32 [num_envs, 12], in the order of `canonical_joint_names`.
+
+        Returns:
+            Observations, rewards, terminated, truncated and infos. In same-step mode the infos hold `final_obs`, an
+            object array with the last observation of each episode that ended, its mask `_final_obs`, and `final_info`.
+
+        Raises:
+            TypeError: for actions that are not float32.
+            ValueError: for another shape, and for a NaN or an infinity.
+            ResetNeeded: with autoreset disabled, when an env whose episode has ended was not reset.
+        """
+        sim = self.sim
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._needs_reset.any():
+            rows = np.flatnonzero(self._needs_reset)
+            raise ResetNeeded(
+                f"the episodes of envs {rows[:8].tolist()} ({rows.size} in all) have ended; "
+                "call reset(options={'reset_mask': terminated | truncated}) before the next step"
+            )
+        sim.step(np.ascontiguousarray(actions))
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            np.logical_or(sim.terminated, sim.truncated, out=self._needs_reset)
+        return (
+            self._handed_out(sim.observation),
+            self._handed_out(sim.reward),
+            self._handed_out(sim.terminated),
+            self._handed_out(sim.truncated),
+            self._final_infos(sim) if self.autoreset_mode is AutoresetMode.SAME_STEP else {},
+        )
+
+    def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
+        """Per robot, over the episodes that ended since the statistics were last cleared.
+
+        Keys: episodes, falls, fall_rate, episode_length_s, error_vel_xy (m/s), error_vel_yaw (rad/s), command_xy,
+        command_yaw (the same errors, had the robot stood still) and reward_per_s.
+        """
+        return self.sim.episode_stats(clear)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Lets go of the simulator; arrays that were handed out stay readable."""
+        self._sim = None
+
+    def _handed_out(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return array.copy() if self.copy else array
+
+    def _final_infos(self, sim: _core.VecSim) -> dict[str, Any]:
+        rows = np.flatnonzero(sim.final_mask)
+        if rows.size == 0:
+            return {}
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for row, observation in zip(rows, sim.final_obs[rows], strict=True):
+            final_obs[row] = observation
+        mask = sim.final_mask.copy()
+        return {"final_obs": final_obs, "_final_obs": mask, "final_info": {}, "_final_info": mask}
+
+    def _check_mask(self, mask: Any) -> None:
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            found = f"a {mask.dtype} array" if isinstance(mask, np.ndarray) else type(mask).__name__
+            raise TypeError(
+                f"options['reset_mask'] is {found}; pass a NumPy array of bools, e.g. terminated | truncated"
+            )
+        if mask.shape != (self.num_envs,):
+            raise _core.ConfigError(f"options['reset_mask'] has shape {mask.shape}; it must be ({self.num_envs},)")
+        if not mask.any():
+            raise _core.ConfigError("options['reset_mask'] selects no env; leave the call out or set at least one True")
+
+
+def _autoreset_mode(autoreset: str | AutoresetMode) -> AutoresetMode:
+    if isinstance(autoreset, AutoresetMode):
+        return autoreset
+    if autoreset not in _AUTORESET_MODES:
+        raise _core.ConfigError(f"autoreset={autoreset!r} is not one of {', '.join(_AUTORESET_MODES)}")
+    return _AUTORESET_MODES[autoreset]
+
+
+def _index(value: Any, name: str) -> int:
+    """`value` as a non-negative int; NumPy's ints count as ints, floats and bools do not."""
+    if isinstance(value, bool):
+        raise TypeError(f"{name} must be one int, not a bool")
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} must be one int, not {type(value).__name__}") from None
+    if number < 0:
+        raise _core.ConfigError(f"{name}={number} is negative; pass zero or a positive number")
+    return number
+
+
+def _fresh_seed() -> int:
+    return int(np.random.SeedSequence().generate_state(1)[0])

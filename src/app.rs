@@ -1,0 +1,459 @@
+//! Assembles the Bevy app from a task and its robots, spawns envs, robots and sensors, and steps them.
+
+use std::path::PathBuf;
+
+use bevy_app::App;
+use bevy_ecs::prelude::*;
+use smallvec::smallvec;
+
+use crate::batch::Batch;
+use crate::components::{
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, Env,
+    EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets, Morphology,
+    MountedOn, PerJoint, Robot,
+};
+use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::dynamics::Simd;
+use crate::dynamics::lanes::SimdError;
+use crate::morphology::{Morphologies, MorphologyError, MorphologyModel};
+use crate::robot::CANONICAL_JOINT_NAMES;
+use crate::rows::Workers;
+use crate::systems::{
+    Autoreset, CompiledTask, ControlStep, Logs, PhysicsEngine, PipelinePlugin, Registry, ResetEnvs, ResetRequest,
+    TermError, history_length, randomise_at_startup,
+};
+use crate::world::{WorldError, WorldPlugin};
+
+/// A simulation could not be made or stepped.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// A task's or robot's config.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A robot's URDF or config.
+    #[error(transparent)]
+    Morphology(#[from] MorphologyError),
+    /// A term of the task.
+    #[error(transparent)]
+    Term(#[from] TermError),
+    /// The instruction set asked for.
+    #[error(transparent)]
+    Simd(#[from] SimdError),
+    /// The world that the robots stand in.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// An argument.
+    #[error("{element}: {problem}; {remedy}")]
+    Argument {
+        /// Which one.
+        element: &'static str,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A snapshot.
+    #[error("snapshot: {0}")]
+    Snapshot(String),
+}
+
+fn argument(element: &'static str, problem: impl Into<String>, remedy: impl Into<String>) -> SimError {
+    SimError::Argument { element, problem: problem.into(), remedy: remedy.into() }
+}
+
+/// What a simulation is made of.
+#[derive(Clone, Debug)]
+pub struct SimOptions {
+    /// Name, alias or path of the task.
+    pub task: String,
+    /// Names or paths of the robots; the task's own list when absent.
+    pub robots: Option<Vec<String>>,
+    /// Number of envs, shared out among the robots.
+    pub num_envs: usize,
+    /// Seed of all random streams.
+    pub seed: u64,
+    /// Threads; all cores when absent.
+    pub threads: Option<usize>,
+    /// `key=value` changes to the task.
+    pub overrides: Vec<String>,
+    /// Who resets ended episodes.
+    pub autoreset: Autoreset,
+    /// Directories laid out like the project in which configs and assets are looked for first.
+    pub roots: Vec<PathBuf>,
+}
+
+impl SimOptions {
+    /// Defaults for a task: its robots, seed 0, all cores.
+    pub fn new(task: impl Into<String>, num_envs: usize) -> Self {
+        Self {
+            task: task.into(),
+            robots: None,
+            num_envs,
+            seed: 0,
+            threads: None,
+            overrides: Vec::new(),
+            autoreset: Autoreset::SameStep,
+            roots: Vec::new(),
+        }
+    }
+}
+
+/// Envs per robot: equal shares, the remainder to the first ones, in contiguous blocks.
+pub fn distribute(num_envs: usize, robots: usize) -> Vec<usize> {
+    (0..robots).map(|r| num_envs / robots + usize::from(r < num_envs % robots)).collect()
+}
+
+/// A headless Bevy app of many envs, ready to step.
+///
+/// What it was made from and the schedules are in its world; plugins may have added more.
+pub struct Sim {
+    world: World,
+    task: LoadedTask,
+    robots: Vec<LoadedRobot>,
+    counts: Vec<usize>,
+    seed: u64,
+    simd: Simd,
+}
+
+impl Sim {
+    /// Loads the task and its robots, spawns everything and resets all envs.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the options, the configs or the URDFs.
+    pub fn new(options: &SimOptions) -> Result<Self, SimError> {
+        Self::with_registry(options, &Registry::builtin())
+    }
+
+    /// The same with terms of one's own.
+    ///
+    /// # Errors
+    /// As [`Sim::new`].
+    pub fn with_registry(options: &SimOptions, registry: &Registry) -> Result<Self, SimError> {
+        let library = Library::new(options.roots.clone());
+        let task = library.task(&options.task, &options.overrides)?;
+        let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
+        check_arguments(&names, options.num_envs, options.threads)?;
+        if task.config.physics.engine == EngineKind::Avian {
+            return Err(argument(
+                "physics.engine",
+                "this version has no `avian` engine for robots",
+                "use \"articulated\"",
+            ));
+        }
+        let robots = names.iter().map(|name| library.robot(name)).collect::<Result<Vec<_>, _>>()?;
+        let morphologies = robots.iter().map(MorphologyModel::new).collect::<Result<Vec<_>, _>>()?;
+        for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
+            tracing::warn!("{warning}");
+        }
+        let morphologies = Morphologies(morphologies);
+        let compiled = CompiledTask::new(&task.config, &morphologies, registry)?;
+        let counts = distribute(options.num_envs, robots.len());
+        let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
+        let simd = Simd::choose()?;
+
+        let mut app = App::empty();
+        app.add_plugins((WorldPlugin::new(&task.config), PipelinePlugin));
+        app.finish();
+        app.cleanup();
+        let world = app.world_mut();
+        let ground = crate::world::bake_ground(world)?;
+        let workers = Workers::new(threads);
+        world.insert_resource(PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers));
+        world.insert_resource(workers);
+        world.insert_resource(Batch::new(options.num_envs, compiled.num_obs(), CANONICAL_JOINT_NAMES.len()));
+        world.insert_resource(Logs::new(&compiled));
+        world.insert_resource(options.autoreset);
+        spawn(world, &morphologies, &compiled, &counts);
+        world.insert_resource(morphologies);
+        world.insert_resource(compiled);
+        world.insert_resource(ground);
+        let world = std::mem::take(app.world_mut());
+        let mut sim = Self { world, task, robots, counts, seed: options.seed, simd };
+        sim.reset(Some(options.seed), None)?;
+        Ok(sim)
+    }
+
+    /// One control step of all envs with these actions, row-major `[num_envs, 12]`, canonical order.
+    ///
+    /// # Errors
+    /// The wrong number of actions, or a non-finite one.
+    pub fn step(&mut self, actions: &[f32]) -> Result<(), SimError> {
+        let mut batch = self.world.resource_mut::<Batch>();
+        if actions.len() != batch.actions.len() {
+            return Err(argument(
+                "actions",
+                format!("{} numbers for {} envs of {} actions", actions.len(), batch.num_envs, batch.num_actions),
+                "pass one row of canonical actions per env",
+            ));
+        }
+        if let Some(at) = actions.iter().position(|a| !a.is_finite()) {
+            let (env, joint) = (at / batch.num_actions, CANONICAL_JOINT_NAMES[at % batch.num_actions]);
+            return Err(argument(
+                "actions",
+                format!("the action of env {env} for {joint} is {}", actions[at]),
+                "pass finite numbers; a policy that gives others has diverged",
+            ));
+        }
+        batch.actions.copy_from_slice(actions);
+        self.world.resource_mut::<ResetRequest>().0 = false;
+        self.world.run_schedule(ControlStep);
+        Ok(())
+    }
+
+    /// Begins new episodes: in the envs of the mask, or in all.
+    ///
+    /// With a seed everything is as if the simulation had been made anew with it: random streams, and what is randomised
+    /// at startup.
+    ///
+    /// # Errors
+    /// A mask of the wrong length, or a seed together with a mask.
+    pub fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> Result<(), SimError> {
+        let num_envs = self.num_envs();
+        if let Some(mask) = mask {
+            if mask.len() != num_envs {
+                let problem = format!("{} entries for {num_envs} envs", mask.len());
+                return Err(argument("mask", problem, "pass one entry per env"));
+            }
+            if seed.is_some() {
+                return Err(argument("seed", "given together with a mask", "seed all envs at once, or reset some"));
+            }
+        }
+        if let Some(seed) = seed {
+            self.seed = seed;
+            self.start_anew();
+        }
+        for (env, mut episode) in self.world.query::<(&EnvId, &mut Episode)>().iter_mut(&mut self.world) {
+            episode.needs_reset = mask.is_none_or(|mask| mask[env.0 as usize]);
+        }
+        self.world.resource_mut::<ResetRequest>().0 = true;
+        self.world.run_schedule(ResetEnvs);
+        Ok(())
+    }
+
+    fn start_anew(&mut self) {
+        let seed = self.seed;
+        for (env, mut rng) in self.world.query::<(&EnvId, &mut EnvRng)>().iter_mut(&mut self.world) {
+            *rng = EnvRng::new(seed, env.0);
+        }
+        let nominal: Vec<_> = self.world.resource::<Morphologies>().0.iter().map(|m| m.nominal.clone()).collect();
+        for (tag, mut body) in self.world.query::<(&Morphology, &mut Body)>().iter_mut(&mut self.world) {
+            *body.0 = nominal[usize::from(tag.0)].clone();
+        }
+        for mut command in self.world.query::<&mut Command>().iter_mut(&mut self.world) {
+            *command = Command::default();
+        }
+        // running a system once only fails when its parameters are missing, and all are inserted in `with_registry`
+        if let Err(error) = self.world.run_system_cached(randomise_at_startup) {
+            tracing::error!("startup randomisation did not run: {error}");
+        }
+    }
+
+    /// The dense arrays.
+    pub fn batch(&self) -> &Batch {
+        self.world.resource::<Batch>()
+    }
+
+    /// The task as it runs.
+    pub fn task(&self) -> &CompiledTask {
+        self.world.resource::<CompiledTask>()
+    }
+
+    /// The task as it was loaded.
+    pub fn loaded_task(&self) -> &LoadedTask {
+        &self.task
+    }
+
+    /// The robots as they were loaded, in the order of their blocks.
+    pub fn loaded_robots(&self) -> &[LoadedRobot] {
+        &self.robots
+    }
+
+    /// Task and robots after layers, overrides and defaults, as TOML.
+    pub fn resolved_config(&self) -> String {
+        let robots = self.robots.iter().map(|r| (r.config.name.clone(), r.resolved.clone().into())).collect();
+        let mut all = toml::Table::new();
+        all.insert("task".into(), self.task.resolved.clone().into());
+        all.insert("robots".into(), toml::Value::Table(robots));
+        all.to_string()
+    }
+
+    /// A hash of [`resolved_config`](Self::resolved_config) and the robots' URDFs: of all that decides what the
+    /// simulation does, but for the seed and the number of envs.
+    pub fn config_hash(&self) -> u64 {
+        let urdfs = self.robots.iter().map(|robot| robot.urdf_text.as_str());
+        let text: String = std::iter::once(self.resolved_config().as_str()).chain(urdfs).collect();
+        crate::config::fnv1a(text.as_bytes())
+    }
+
+    /// The robots' models, in the order of their blocks.
+    pub fn morphologies(&self) -> &[MorphologyModel] {
+        &self.world.resource::<Morphologies>().0
+    }
+
+    /// The ECS world, for queries and for plugins of one's own.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The ECS world.
+    ///
+    /// Adding components to some entities of a kind but not to others would split their rows: add them to all or to new
+    /// entities.
+    pub fn world_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    /// Number of envs.
+    pub fn num_envs(&self) -> usize {
+        self.counts.iter().sum()
+    }
+
+    /// The envs of the robot at place `index`, `start..end`.
+    pub fn env_ids(&self, index: usize) -> std::ops::Range<usize> {
+        let start = self.counts.iter().take(index).sum();
+        start..start + self.counts.get(index).copied().unwrap_or(0)
+    }
+
+    /// Place of an env in its robot's block.
+    pub fn index_in_block(&self, env: usize) -> usize {
+        let mut start = 0;
+        for &count in &self.counts {
+            if env < start + count {
+                return env - start;
+            }
+            start += count;
+        }
+        env - start
+    }
+
+    /// Threads at work.
+    pub fn threads(&self) -> usize {
+        self.world.resource::<Workers>().threads()
+    }
+
+    /// Seed of the random streams.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// For a restored snapshot.
+    pub(crate) fn set_seed(&mut self, seed: u64) {
+        self.seed = seed;
+    }
+
+    /// Instruction set of the physics.
+    pub fn simd(&self) -> Simd {
+        self.simd
+    }
+
+    /// Changes episode lengths, control steps, `[num_envs]`: a learner spreads the resets that way.
+    ///
+    /// # Errors
+    /// The wrong number of entries, or one beyond a full episode.
+    pub fn set_episode_lengths(&mut self, lengths: &[i64]) -> Result<(), SimError> {
+        let most = i64::from(self.task().max_episode_length);
+        if lengths.len() != self.num_envs() || lengths.iter().any(|l| !(0..=most).contains(l)) {
+            let problem = format!("not {} numbers between 0 and {most}", self.num_envs());
+            return Err(argument("episode_length", problem, "pass one length per env, in control steps"));
+        }
+        for (env, mut episode) in self.world.query::<(&EnvId, &mut Episode)>().iter_mut(&mut self.world) {
+            episode.length = lengths[env.0 as usize] as u32;
+        }
+        Ok(())
+    }
+
+    /// Pins the commands to these, row-major `[num_envs, 3]`, or releases them.
+    ///
+    /// # Errors
+    /// The wrong number of numbers, or a non-finite one.
+    pub fn set_commands(&mut self, commands: Option<&[f32]>) -> Result<(), SimError> {
+        if let Some(c) = commands
+            && (c.len() != 3 * self.num_envs() || c.iter().any(|x| !x.is_finite()))
+        {
+            let problem = format!("not {} finite rows of vx, vy, yaw rate", self.num_envs());
+            return Err(argument("command", problem, "pass one row per env"));
+        }
+        for (env, mut command) in self.world.query::<(&EnvId, &mut Command)>().iter_mut(&mut self.world) {
+            command.pinned = commands.is_some();
+            if let Some(c) = commands {
+                let at = 3 * env.0 as usize;
+                command.velocity = [c[at], c[at + 1], c[at + 2]];
+                command.standing = command.velocity == [0.0; 3];
+                command.holds_heading = false;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -> Result<(), SimError> {
+    if robots.is_empty() {
+        return Err(argument("robots", "the list is empty", "name at least one robot"));
+    }
+    if let Some((i, name)) = robots.iter().enumerate().find(|(i, name)| robots[..*i].contains(name)) {
+        return Err(argument("robots", format!("`{name}` is listed twice, last at place {i}"), "name each robot once"));
+    }
+    if robots.len() > num_envs {
+        return Err(argument(
+            "num_envs",
+            format!("{num_envs} envs for {} robots", robots.len()),
+            format!("ask for at least {} envs, or for fewer robots", robots.len()),
+        ));
+    }
+    if threads == Some(0) {
+        return Err(argument("threads", "0 threads", "ask for at least one, or leave it out for all cores"));
+    }
+    Ok(())
+}
+
+/// Spawns envs, robots and sensors, each kind in the order of env ids and in one table.
+fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, counts: &[usize]) {
+    let ids = counts.iter().enumerate().flat_map(|(m, &n)| std::iter::repeat_n(m, n)).enumerate();
+    let tags: Vec<_> = ids.map(|(env, m)| (EnvId(env as u32), Morphology(m as u16))).collect();
+    world.spawn_batch(tags.iter().map(|&(id, tag)| {
+        (
+            (id, tag, Env, EnvRng::new(0, id.0), Episode::default(), Command::default()),
+            EventTimers(smallvec![0.0; task.num_interval_events()]),
+            EpisodeSums { terms: smallvec![0.0; task.rewards[usize::from(tag.0)].len()], ..EpisodeSums::default() },
+        )
+    }));
+    let decimation = task.config.sim.decimation as usize;
+    let robots: Vec<Entity> = tags
+        .iter()
+        .map(|&(id, tag)| world.spawn((id, tag, Robot, robot_components(morphologies.get(tag), decimation))).id())
+        .collect();
+    let mounted: Vec<_> = tags.iter().zip(&robots).map(|(&(id, tag), &robot)| (id, tag, MountedOn(robot))).collect();
+    world.spawn_batch(mounted.iter().map(|&(id, tag, robot)| {
+        let model = morphologies.get(tag);
+        let feet = smallvec![0.0; model.feet.len()];
+        let sensor = ContactSensor {
+            peak_force: smallvec![0.0; model.topology.num_bodies],
+            contact_time: feet.clone(),
+            air_time: feet.clone(),
+            last_contact_time: feet.clone(),
+            last_air_time: feet,
+        };
+        (id, tag, robot, sensor)
+    }));
+    world.spawn_batch(mounted.into_iter().map(|(id, tag, robot)| (id, tag, robot, Imu::default())));
+}
+
+fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
+    let zeros: PerJoint = smallvec![0.0; model.topology.num_joints()];
+    let slots: PerJoint = smallvec![0.0; CANONICAL_JOINT_NAMES.len()];
+    let bodies = model.topology.num_bodies;
+    let ages = history_length(model.max_delay(), decimation);
+    (
+        BasePose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] },
+        BaseVelocity::default(),
+        JointState { position: zeros.clone(), velocity: zeros.clone() },
+        Action { current: slots.clone(), previous: slots },
+        JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
+        ActuatorDelay(zeros.clone()),
+        JointEffort { applied: zeros.clone(), acceleration: zeros },
+        ContactImpulses(vec![[0.0; 3]; model.topology.contacts.len()].into()),
+        ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
+        Feet { position: smallvec![[0.0; 3]; model.feet.len()], velocity: smallvec![[0.0; 3]; model.feet.len()] },
+        Body(Box::new(model.nominal.clone())),
+    )
+}

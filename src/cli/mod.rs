@@ -1,0 +1,51 @@
+//! The command line of `polypod-sim`.
+
+mod inspect;
+mod rollout;
+
+use clap::{Parser, Subcommand};
+use polypod::SimError;
+use polypod::config::Library;
+
+/// Headless simulator of many different legged robots.
+///
+/// Exit codes: 0 success, 2 bad input, 1 anything else.
+#[derive(Parser)]
+#[command(version, about, long_about = None)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Steps a task with random or zero actions and reports speed and statistics per robot.
+    Rollout(rollout::Rollout),
+    /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
+    Inspect(inspect::Inspect),
+    /// Lists tasks and robots.
+    List,
+}
+
+impl Cli {
+    pub(crate) fn run(self) -> anyhow::Result<()> {
+        match self.command {
+            Command::Rollout(rollout) => rollout.run(),
+            Command::Inspect(inspect) => inspect.run(),
+            Command::List => list(),
+        }
+    }
+}
+
+fn list() -> anyhow::Result<()> {
+    let library = Library::new(Vec::new());
+    println!("robots");
+    for robot in library.robots().map_err(SimError::from)? {
+        println!("  {:<14} {}", robot.name, robot.title);
+    }
+    println!("tasks");
+    for task in library.tasks().map_err(SimError::from)? {
+        println!("  {:<44} {}", task.name, task.aliases.join(", "));
+    }
+    Ok(())
+}

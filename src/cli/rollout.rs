@@ -1,0 +1,117 @@
+//! `polypod-sim rollout`
+
+use std::io::IsTerminal;
+use std::time::Instant;
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use polypod::components::EnvRng;
+use polypod::morphology::Morphologies;
+use polypod::systems::{CompiledTask, Logs};
+use polypod::{Sim, SimOptions};
+
+/// Arguments of `rollout`.
+#[derive(Args)]
+pub(super) struct Rollout {
+    /// Name, alias or path of the task.
+    #[arg(long, default_value = "velocity_flat")]
+    task: String,
+    /// Robots, separated by commas; the task's own list by default.
+    #[arg(long, value_delimiter = ',')]
+    robots: Option<Vec<String>>,
+    /// Number of envs.
+    #[arg(long, default_value_t = 4096)]
+    num_envs: usize,
+    /// Control steps.
+    #[arg(long, default_value_t = 1000)]
+    steps: usize,
+    /// Seed of all random streams.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Threads; all cores by default.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// What the robots do.
+    #[arg(long, value_enum, default_value_t = Actions::Random)]
+    actions: Actions,
+    /// Changes to the task, such as `sim.decimation=2`; may be given several times.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Actions {
+    /// Uniform in [-1, 1], drawn anew every control step.
+    Random,
+    /// Hold the default pose.
+    Zero,
+}
+
+impl Rollout {
+    pub(super) fn run(self) -> anyhow::Result<()> {
+        let options = SimOptions {
+            robots: self.robots,
+            seed: self.seed,
+            threads: self.threads,
+            overrides: self.overrides,
+            ..SimOptions::new(self.task, self.num_envs)
+        };
+        let began = Instant::now();
+        let mut sim = Sim::new(&options)?;
+        println!(
+            "{}: {} envs of {} robots, {} threads, {}, started in {:.2} s",
+            sim.task().config.name,
+            sim.num_envs(),
+            sim.morphologies().len(),
+            sim.threads(),
+            sim.simd().name(),
+            began.elapsed().as_secs_f64()
+        );
+        let progress = if std::io::stderr().is_terminal() {
+            let style = ProgressStyle::with_template("{bar:40} {pos}/{len} steps, {eta} left")?;
+            ProgressBar::new(self.steps as u64).with_style(style)
+        } else {
+            ProgressBar::hidden()
+        };
+        let mut rng = EnvRng::new(self.seed, u32::MAX);
+        let mut actions = vec![0.0; sim.batch().actions.len()];
+        let mut seconds = 0.0;
+        for _ in 0..self.steps {
+            if matches!(self.actions, Actions::Random) {
+                actions.fill_with(|| rng.uniform([-1.0, 1.0]));
+            }
+            let began = Instant::now();
+            sim.step(&actions)?;
+            seconds += began.elapsed().as_secs_f64();
+            progress.inc(1);
+        }
+        progress.finish_and_clear();
+        report(&mut sim, self.steps, seconds);
+        Ok(())
+    }
+}
+
+fn report(sim: &mut Sim, steps: usize, seconds: f64) {
+    let rate = (sim.num_envs() * steps) as f64 / seconds;
+    let decimation = f64::from(sim.task().config.sim.decimation);
+    println!("{steps} control steps in {seconds:.2} s: {rate:.0} env-steps/s ({:.0} env-physics-steps/s)", rate * decimation);
+    println!("finished episodes per robot:");
+    println!(
+        "  {:<14} {:>6} {:>9} {:>10} {:>12} {:>15} {:>17}",
+        "robot", "envs", "episodes", "fall rate", "length (s)", "error xy (m/s)", "error yaw (rad/s)"
+    );
+    let stats = sim.world_mut().resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
+        logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), false)
+    });
+    for (i, (robot, s)) in stats.iter().enumerate() {
+        let falls = if s.episodes == 0 { "-".into() } else { format!("{:.3}", s.falls as f64 / s.episodes as f64) };
+        println!(
+            "  {robot:<14} {:>6} {:>9} {falls:>10} {:>12.2} {:>15.3} {:>17.3}",
+            sim.env_ids(i).len(),
+            s.episodes,
+            s.episode_length_s,
+            s.error_vel_xy,
+            s.error_vel_yaw
+        );
+    }
+}

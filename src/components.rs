@@ -1,0 +1,257 @@
+//! Every component and tag of the simulated world.
+//!
+//! One env is three kinds of entities, all tagged with [`EnvId`] and [`Morphology`]: the env itself ([`Env`]), its robot
+//! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`]). Entities of a kind are spawned in the order of
+//! their env ids, so that systems read each component as one slice, row `i` belonging to env `i`.
+
+use bevy_ecs::prelude::*;
+use rand_pcg::Pcg32;
+use rand_pcg::rand_core::Rng;
+use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
+
+use crate::dynamics::Parameters;
+
+/// One number per joint of a robot, in physical order; in place for up to 12 joints.
+pub type PerJoint = SmallVec<[f32; 12]>;
+/// One number per contact body of a robot; in place for up to 20.
+pub type PerBody = SmallVec<[f32; 20]>;
+
+/// Which independent world an entity belongs to, `0..num_envs`.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct EnvId(pub u32);
+
+/// What kind of robot an entity belongs to: an index into [`Morphologies`](crate::morphology::Morphologies).
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Morphology(pub u16);
+
+/// Marks env entities.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct Env;
+
+/// Marks robot entities.
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct Robot;
+
+// ---------------------------------------------------------------------------------------------------------------- envs
+
+/// The env's only source of randomness. Its draws depend on the seed and the env id alone.
+#[derive(Component, Clone, Debug, Serialize, Deserialize)]
+pub struct EnvRng(Pcg32);
+
+impl EnvRng {
+    /// The stream of env `env` under `seed`.
+    pub fn new(seed: u64, env: u32) -> Self {
+        // splitmix64's finaliser spreads neighbouring seeds and ids
+        let mix = |mut x: u64| {
+            x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            x ^ (x >> 31)
+        };
+        let state = mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
+        Self(Pcg32::new(mix(state ^ u64::from(env)), u64::from(env)))
+    }
+
+    /// Uniform in `[0, 1)`.
+    pub fn unit(&mut self) -> f32 {
+        (self.0.next_u32() >> 8) as f32 * (1.0 / 16_777_216.0)
+    }
+
+    /// Uniform between two numbers.
+    pub fn uniform(&mut self, [low, high]: [f32; 2]) -> f32 {
+        (high - low).mul_add(self.unit(), low)
+    }
+
+    /// Uniform integer in `low..=high`.
+    pub fn integer(&mut self, [low, high]: [u32; 2]) -> u32 {
+        let span = u64::from(high - low) + 1;
+        low + ((u64::from(self.0.next_u32()) * span) >> 32) as u32
+    }
+}
+
+/// How far the episode is and how the last one ended.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Episode {
+    /// Control steps since the last reset.
+    pub length: u32,
+    /// The episode ended in a state that counts as failure, in the present control step.
+    pub terminated: bool,
+    /// The episode ran out of time, in the present control step.
+    pub truncated: bool,
+    /// Terms that ended it, as bits in the order of the task's terminations.
+    pub causes: u32,
+    /// The env is to be reset before it goes on.
+    pub needs_reset: bool,
+    /// The state became non-finite or ran away; nothing of it may be used.
+    pub invalid: bool,
+    /// The logs have counted the episode.
+    pub logged: bool,
+}
+
+impl Episode {
+    /// Whether the episode ended in the present control step.
+    pub fn done(&self) -> bool {
+        self.terminated || self.truncated
+    }
+}
+
+/// The velocity command and what it is made from.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Command {
+    /// Forward and left velocity (m/s) and yaw rate (rad/s), in the base frame.
+    pub velocity: [f32; 3],
+    /// Heading to hold, rad.
+    pub heading: f32,
+    /// Whether the yaw rate follows the heading.
+    pub holds_heading: bool,
+    /// Whether the robot is to stand still.
+    pub standing: bool,
+    /// Seconds until the next draw.
+    pub time_left: f32,
+    /// Set from outside: neither drawn anew nor changed by the heading.
+    pub pinned: bool,
+}
+
+/// Seconds until each interval event of the task happens next.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct EventTimers(pub SmallVec<[f32; 4]>);
+
+/// Sums over the running episode, for the logs.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct EpisodeSums {
+    /// Weighted value of each reward term of the robot's set, times the step's length.
+    pub terms: SmallVec<[f32; 16]>,
+    /// Total reward.
+    pub reward: f32,
+    /// Planar velocity error, m/s, summed over steps.
+    pub error_vel_xy: f32,
+    /// Yaw-rate error, rad/s, summed over steps.
+    pub error_vel_yaw: f32,
+    /// Planar speed that was commanded, m/s, summed over steps: the error of standing still.
+    pub command_xy: f32,
+    /// Yaw rate that was commanded, rad/s, summed over steps.
+    pub command_yaw: f32,
+    /// Control steps that were summed.
+    pub steps: u32,
+}
+
+// -------------------------------------------------------------------------------------------------------------- robots
+
+/// Pose of the base link.
+#[derive(Component, Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct BasePose {
+    /// m, relative to the env's origin.
+    pub position: [f32; 3],
+    /// Unit quaternion w, x, y, z.
+    pub rotation: [f32; 4],
+}
+
+/// Velocity of the base link.
+#[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct BaseVelocity {
+    /// Of the link's origin, world axes, m/s.
+    pub linear: [f32; 3],
+    /// Base axes, rad/s.
+    pub angular: [f32; 3],
+}
+
+/// Joint positions (rad) and velocities (rad/s), physical order.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct JointState {
+    /// rad.
+    pub position: PerJoint,
+    /// rad/s.
+    pub velocity: PerJoint,
+}
+
+/// What the policy asked for, raw, in canonical order.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Action {
+    /// The present one.
+    pub current: PerJoint,
+    /// The one before.
+    pub previous: PerJoint,
+}
+
+/// Joint position targets, rad, physical order.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct JointTargets {
+    /// `history[age]`, age in control steps; 0 is the present one.
+    pub history: SmallVec<[PerJoint; 2]>,
+    /// No action has been taken since the reset: the first one fills the whole history.
+    pub fresh: bool,
+}
+
+/// Delay of each joint's target, physics steps, drawn at reset.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ActuatorDelay(pub PerJoint);
+
+/// What the joints did in the last physics step, physical order.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct JointEffort {
+    /// Effort that the actuators applied, N m.
+    pub applied: PerJoint,
+    /// rad/s^2.
+    pub acceleration: PerJoint,
+}
+
+/// Contact impulses (normal, two tangents) in N s per contact candidate; the contact solver's warm start.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ContactImpulses(pub Box<[[f32; 3]]>);
+
+/// Contact forces of the last control step.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ContactForces {
+    /// Net force on each contact body in the last physics step, world axes, N.
+    pub net: SmallVec<[[f32; 3]; 20]>,
+    /// Norm of the net normal force on each contact body, N, in each physics step of the control step:
+    /// `normal[physics step * bodies + body]`.
+    pub normal: Box<[f32]>,
+}
+
+/// Where the feet are and how they move; order of the morphology's feet.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Feet {
+    /// Centres of the foot spheres, m, relative to the env's origin.
+    pub position: SmallVec<[[f32; 3]; 4]>,
+    /// World axes, m/s.
+    pub velocity: SmallVec<[[f32; 3]; 4]>,
+}
+
+/// The robot's own numbers: masses, lengths, gains, friction. They start as its morphology's and may be randomised.
+#[derive(Component, Clone, Debug, Serialize, Deserialize)]
+pub struct Body(pub Box<Parameters<f32>>);
+
+// ------------------------------------------------------------------------------------------------------------- sensors
+
+/// Which robot a sensor is mounted on.
+#[derive(Component, Clone, Copy, Debug)]
+pub struct MountedOn(pub Entity);
+
+/// Contact sensor over all contact bodies of a robot.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ContactSensor {
+    /// Largest norm of the net normal force over the last three physics steps, N, `[bodies]`.
+    pub peak_force: PerBody,
+    /// How long each foot has been in contact, s.
+    pub contact_time: SmallVec<[f32; 4]>,
+    /// How long each foot has been in the air, s.
+    pub air_time: SmallVec<[f32; 4]>,
+    /// How long each foot's last contact lasted, s.
+    pub last_contact_time: SmallVec<[f32; 4]>,
+    /// How long each foot's last flight lasted, s.
+    pub last_air_time: SmallVec<[f32; 4]>,
+}
+
+/// Inertial sensor on the base.
+#[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Imu {
+    /// Velocity of the base's centre of mass, base axes, m/s.
+    pub linear_velocity: [f32; 3],
+    /// Base axes, rad/s.
+    pub angular_velocity: [f32; 3],
+    /// Unit vector of gravity, base axes.
+    pub projected_gravity: [f32; 3],
+    /// Heading of the base's x axis in the world, rad.
+    pub heading: f32,
+}

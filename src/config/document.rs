@@ -1,0 +1,135 @@
+//! Config files: on disk in folders laid out like this repository, and those compiled in.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use include_dir::{Dir, include_dir};
+
+use super::error::{ConfigError, ConfigErrorKind};
+
+static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
+
+/// A config file, read but not parsed.
+#[derive(Clone, Debug)]
+pub(super) struct Document {
+    /// Path as shown to people; a built-in file's path within the repository.
+    pub file: String,
+    pub text: String,
+    /// Tells the file from all others, however its path is written.
+    pub id: PathBuf,
+    pub stem: String,
+    /// The folder of a file on disk and the root it lies under, if it does.
+    pub dir: Option<PathBuf>,
+    pub root: Option<PathBuf>,
+}
+
+/// The sorts of config.
+#[derive(Clone, Copy)]
+pub(super) enum Kind {
+    Robot,
+    Task,
+    Train,
+}
+
+impl Kind {
+    pub(super) fn noun(self) -> &'static str {
+        match self {
+            Self::Robot => "robot",
+            Self::Task => "task",
+            Self::Train => "training config",
+        }
+    }
+
+    /// Folder below `configs/`.
+    pub(super) fn folder(self) -> &'static str {
+        match self {
+            Self::Robot => "robots",
+            Self::Task => "tasks",
+            Self::Train => "train",
+        }
+    }
+}
+
+impl Document {
+    /// Reads a file; its root is the given one, or the folder above its `configs`.
+    pub(super) fn read(path: &Path, root: Option<&Path>) -> Result<Self, ConfigError> {
+        let file = path.display().to_string();
+        let text =
+            std::fs::read_to_string(path).map_err(|error| unreadable(&file, format!("cannot be read: {error}")))?;
+        let dir = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+        let above_configs = || {
+            let configs = path.ancestors().find(|p| p.file_name() == Some(OsStr::new("configs")))?;
+            configs.parent().map(Path::to_path_buf)
+        };
+        let root = root.map(Path::to_path_buf).or_else(above_configs);
+        Ok(Self {
+            id: path.canonicalize().unwrap_or_else(|_| path.to_path_buf()),
+            file,
+            text,
+            stem: stem_of(path),
+            dir: Some(dir),
+            root,
+        })
+    }
+}
+
+/// All configs of a kind: root by root, the built-in ones last; by file name within each.
+///
+/// # Errors
+/// A root that is no folder, an unreadable folder or file.
+pub(super) fn documents(kind: Kind, roots: &[PathBuf]) -> Result<Vec<Document>, ConfigError> {
+    let mut documents = Vec::new();
+    for root in roots {
+        for file in toml_files(root, kind)? {
+            documents.push(Document::read(&file, Some(root))?);
+        }
+    }
+    let built_in = CONFIGS.get_dir(kind.folder()).into_iter().flat_map(Dir::files);
+    for file in built_in.filter(|file| is_toml(file.path())) {
+        let shown = format!("configs/{}", file.path().display());
+        let text = file.contents_utf8().ok_or_else(|| unreadable(&shown, "not UTF-8".into()))?;
+        documents.push(Document {
+            id: PathBuf::from(&shown),
+            file: shown,
+            text: text.to_owned(),
+            stem: stem_of(file.path()),
+            dir: None,
+            root: None,
+        });
+    }
+    Ok(documents)
+}
+
+/// The configs of a kind in one root, which may have none.
+fn toml_files(root: &Path, kind: Kind) -> Result<Vec<PathBuf>, ConfigError> {
+    if !root.is_dir() {
+        return Err(unreadable(&root.display().to_string(), "there is no such folder".into()));
+    }
+    let folder = root.join("configs").join(kind.folder());
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let failed =
+        |error: std::io::Error| unreadable(&folder.display().to_string(), format!("cannot be listed: {error}"));
+    let mut files = Vec::new();
+    for file in folder.read_dir().map_err(failed)? {
+        files.push(file.map_err(failed)?.path());
+    }
+    files.retain(|file| is_toml(file));
+    files.sort();
+    Ok(files)
+}
+
+/// Whether a path, or a name given for a config, is that of a TOML file.
+pub(super) fn is_toml(path: &Path) -> bool {
+    path.extension() == Some(OsStr::new("toml"))
+}
+
+pub(super) fn unreadable(file: &str, problem: String) -> ConfigError {
+    ConfigError::invalid(file, "file", problem, "check the path and its permissions")
+        .of_kind(ConfigErrorKind::Unreadable)
+}
+
+fn stem_of(path: &Path) -> String {
+    path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+}

@@ -1,0 +1,175 @@
+//! Layers: a config file on top of the files that it `extends`.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use toml::{Table, Value};
+
+use super::document::Document;
+use super::error::{ConfigError, ConfigErrorKind};
+use super::overrides;
+use super::parse::{parse_params, segments};
+
+/// The key that names the config below.
+pub(super) const EXTENDS: &str = "extends";
+
+/// Keys that tell one config from another and are therefore never inherited.
+const IDENTITY: [&str; 3] = ["name", "aliases", "title"];
+
+/// A config's files, the one that extends no other first.
+pub(super) struct Layers(pub Vec<Layer>);
+
+/// One file, parsed, or a few keys put on top of it.
+pub(super) struct Layer {
+    pub document: Document,
+    pub table: Table,
+}
+
+impl Layers {
+    /// All layers in one table: tables are merged, everything else is replaced by the layer above.
+    pub(super) fn merged(&self) -> Table {
+        let mut merged = Table::new();
+        for layer in &self.0 {
+            IDENTITY.iter().for_each(|key| drop(merged.remove(*key)));
+            merge(&mut merged, layer.table.clone());
+        }
+        merged.remove(EXTENDS);
+        merged
+    }
+
+    /// Layers and `overrides` as a checked `T`, and the same as a table with all defaults spelled out.
+    ///
+    /// # Errors
+    /// What the type, `validate` or an override objects to, blamed on the file that holds it.
+    pub(super) fn typed<T: DeserializeOwned + Serialize>(
+        &self,
+        overrides: &[String],
+        validate: impl Fn(&T) -> Result<(), ConfigError>,
+    ) -> Result<(T, Table), ConfigError> {
+        let mut config: T = parse_params("", "", &self.merged()).map_err(|error| self.locate(error, &[]))?;
+        let mut resolved = self.table_of(&config)?;
+        let mut overridden = Vec::new();
+        for text in overrides {
+            overridden.push(overrides::apply(&mut resolved, text)?);
+        }
+        if !overrides.is_empty() {
+            config = parse_params("", "", &resolved).map_err(|error| self.locate(error, &overridden))?;
+            resolved = self.table_of(&config)?;
+        }
+        validate(&config).map_err(|error| self.locate(error, &overridden))?;
+        Ok((config, resolved))
+    }
+
+    /// `config` as TOML, with all its defaults.
+    fn table_of<T: Serialize>(&self, config: &T) -> Result<Table, ConfigError> {
+        Table::try_from(config).map_err(|error| {
+            let problem = format!("cannot be written as TOML: {}", error.to_string().trim());
+            let error = ConfigError::invalid("", "top level", problem, "correct the value");
+            self.locate(error, &[])
+        })
+    }
+
+    /// The same error, blamed on the override or on the uppermost file that says anything about its element.
+    pub(super) fn locate(&self, error: ConfigError, overridden: &[String]) -> ConfigError {
+        if overridden.iter().any(|path| is_within(&error.element, path)) {
+            return error.in_file(OVERRIDE);
+        }
+        let depth = |layer: &Layer| known_depth(&layer.table, &error.element);
+        // max_by_key returns the last of equals, which is the uppermost layer.
+        let culprit = self.0.iter().max_by_key(|layer| depth(layer));
+        match culprit {
+            Some(layer) => error.in_file(layer.document.file.clone()),
+            None => error,
+        }
+    }
+}
+
+/// What stands for the file in errors about overrides.
+pub(super) const OVERRIDE: &str = "--set";
+
+/// Puts `above` on top of `below`.
+pub(super) fn merge(below: &mut Table, above: Table) {
+    for (key, value) in above {
+        match (below.get_mut(&key), value) {
+            (Some(Value::Table(old)), Value::Table(new)) => merge(old, new),
+            (_, value) => {
+                below.insert(key, value);
+            }
+        }
+    }
+}
+
+/// The TOML of `document`.
+///
+/// # Errors
+/// A syntax error, with line and column.
+pub(super) fn parse(document: &Document) -> Result<Table, ConfigError> {
+    let text = document.text.as_str();
+    text.parse::<Table>().map_err(|error| {
+        let start = error.span().map_or(0, |span| span.start);
+        let before = text.get(..start).unwrap_or(text);
+        let line = before.matches('\n').count() + 1;
+        let column = before.rsplit('\n').next().map_or(0, |rest| rest.chars().count()) + 1;
+        ConfigError::invalid(
+            document.file.clone(),
+            format!("line {line}, column {column}"),
+            format!("not valid TOML: {}", error.message().trim()),
+            "correct the syntax there (https://toml.io)",
+        )
+        .of_kind(ConfigErrorKind::Syntax)
+    })
+}
+
+/// The value of a string key at the top of `table`, if it is there.
+///
+/// # Errors
+/// The value is not a string.
+pub(super) fn string_key<'a>(document: &Document, table: &'a Table, key: &str) -> Result<Option<&'a str>, ConfigError> {
+    match table.get(key) {
+        None => Ok(None),
+        Some(Value::String(text)) => Ok(Some(text)),
+        Some(other) => Err(ConfigError::invalid(
+            document.file.clone(),
+            key,
+            format!("found {} where a string is expected", other.type_str()),
+            "write a string in quotes",
+        )),
+    }
+}
+
+/// How many segments of `path` lead to something in `table`.
+fn known_depth(table: &Table, path: &str) -> usize {
+    let mut at: Option<&Value> = None;
+    let mut depth = 0;
+    for segment in segments(path) {
+        let next = match at {
+            None => table.get(segment),
+            Some(Value::Table(inner)) => inner.get(segment),
+            Some(Value::Array(inner)) => segment.parse().ok().and_then(|i: usize| inner.get(i)),
+            Some(_) => None,
+        };
+        if next.is_none() {
+            break;
+        }
+        at = next;
+        depth += 1;
+    }
+    depth
+}
+
+/// Whether one of two paths lies within the other.
+fn is_within(element: &str, path: &str) -> bool {
+    segments(element).zip(segments(path)).all(|(a, b)| a == b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_merge_and_arrays_are_replaced() {
+        let mut below: Table = toml::from_str("a = [1, 2]\n[t]\nx = 1\ny = 2").unwrap();
+        merge(&mut below, toml::from_str("a = [3]\n[t]\ny = 3\nz = 4").unwrap());
+        let expected: Table = toml::from_str("a = [3]\n[t]\nx = 1\ny = 3\nz = 4").unwrap();
+        assert_eq!(below, expected);
+    }
+}

@@ -1,0 +1,316 @@
+//! Finding robots, tasks and training configs: in folders laid out like this repository, then among those compiled in.
+
+use std::path::{Path, PathBuf};
+
+use include_dir::{Dir, include_dir};
+use toml::{Table, Value};
+
+use super::document::{Document, Kind, documents, is_toml, unreadable};
+use super::error::{ConfigError, ConfigErrorKind};
+use super::layer::{EXTENDS, Layer, Layers, parse, string_key};
+use super::names::{RobotEntry, TaskEntry, entry, single_robot_name, unknown_name};
+use super::robot::RobotConfig;
+use super::task::TaskConfig;
+
+/// Environment variable with further roots, separated as in `PATH`.
+pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
+
+static ROBOT_ASSETS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/assets/robots");
+
+/// All configs that can be named.
+#[derive(Clone, Debug, Default)]
+pub struct Library {
+    roots: Vec<PathBuf>,
+}
+
+/// A robot's config with the URDF it names.
+#[derive(Clone, Debug)]
+pub struct LoadedRobot {
+    /// The config, checked.
+    pub config: RobotConfig,
+    /// The text of the URDF.
+    pub urdf_text: String,
+    /// Where the URDF came from; for a built-in robot its path within the repository.
+    pub urdf_path: PathBuf,
+    /// The config with all layers and defaults spelled out.
+    pub resolved: Table,
+}
+
+/// A task's config.
+#[derive(Clone, Debug)]
+pub struct LoadedTask {
+    /// The config, checked.
+    pub config: TaskConfig,
+    /// The config with all layers, overrides and defaults spelled out.
+    pub resolved: Table,
+    /// FNV-1a of `resolved` as text: the same config has the same hash on every machine.
+    pub hash: u64,
+}
+
+impl Library {
+    /// A library of the roots `extra`, then those of the environment variable [`PATH_VARIABLE`], then what is built in.
+    /// What comes first wins. A root is laid out like this repository: `configs/robots`, `configs/tasks`, `assets/robots`.
+    #[must_use]
+    pub fn new(extra: Vec<PathBuf>) -> Self {
+        let from_env = std::env::var_os(PATH_VARIABLE).unwrap_or_default();
+        let from_env = std::env::split_paths(&from_env).filter(|root| !root.as_os_str().is_empty());
+        Self { roots: extra.into_iter().chain(from_env).collect() }
+    }
+
+    /// The robot of that name, or of that path to a `.toml`.
+    ///
+    /// # Errors
+    /// Unknown name, unreadable file, any mistake in the config, no URDF.
+    pub fn robot(&self, name_or_path: &str) -> Result<LoadedRobot, ConfigError> {
+        let top = self.find(Kind::Robot, name_or_path, None, &[])?;
+        let mut layers = self.layers(Kind::Robot, top)?;
+        layers.0.iter_mut().for_each(make_package_dirs_absolute);
+        let (config, resolved) = layers.typed(&[], RobotConfig::validate)?;
+        let stem = layers.0.last().map_or("", |layer| layer.document.stem.as_str());
+        if config.name != stem {
+            let error = ConfigError::invalid(
+                "",
+                "name",
+                format!("the name `{}` is not the file's", config.name),
+                format!("write name = \"{stem}\", or rename the file"),
+            );
+            return Err(layers.locate(error, &[]));
+        }
+        let (urdf_path, urdf_text) = self.urdf(&layers, &config.urdf)?;
+        Ok(LoadedRobot { config, urdf_text, urdf_path, resolved })
+    }
+
+    /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`, in order.
+    ///
+    /// # Errors
+    /// Unknown name, unreadable file, any mistake in the config or in an override.
+    pub fn task(&self, name: &str, overrides: &[String]) -> Result<LoadedTask, ConfigError> {
+        let layers = match self.find(Kind::Task, name, None, &[]) {
+            Ok(top) => self.layers(Kind::Task, top)?,
+            Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error)?,
+            Err(error) => return Err(error),
+        };
+        let (config, resolved) = layers.typed(overrides, TaskConfig::validate)?;
+        let hash = fnv1a(resolved.to_string().as_bytes());
+        Ok(LoadedTask { config, resolved, hash })
+    }
+
+    /// The text of `configs/train/<name>.toml`, or of that path to a `.toml`.
+    ///
+    /// # Errors
+    /// Unknown name or unreadable file.
+    pub fn train(&self, name: &str) -> Result<String, ConfigError> {
+        self.find(Kind::Train, name, None, &[]).map(|document| document.text)
+    }
+
+    /// All robots, by name.
+    ///
+    /// # Errors
+    /// An unreadable folder or file, or one that is not TOML.
+    pub fn robots(&self) -> Result<Vec<RobotEntry>, ConfigError> {
+        let mut robots = Vec::new();
+        for document in self.listed(Kind::Robot)? {
+            let table = parse(&document)?;
+            let title = string_key(&document, &table, "title")?.unwrap_or(&document.stem).to_owned();
+            robots.push(RobotEntry { name: document.stem, title, file: document.file });
+        }
+        robots.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(robots)
+    }
+
+    /// All tasks: those with a file, then those made for one robot.
+    ///
+    /// # Errors
+    /// An unreadable folder or file, or one that is not TOML.
+    pub fn tasks(&self) -> Result<Vec<TaskEntry>, ConfigError> {
+        let mut tasks = Vec::new();
+        for document in self.listed(Kind::Task)? {
+            tasks.push(entry(&document)?);
+        }
+        tasks.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut single = Vec::new();
+        for robot in self.robots()? {
+            single.extend(tasks.iter().filter_map(|task| {
+                let name = single_robot_name(&task.name, &robot.name)?;
+                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone() })
+            }));
+        }
+        single.retain(|made| tasks.iter().all(|task| task.name != made.name));
+        tasks.extend(single);
+        Ok(tasks)
+    }
+
+    /// The layers of the task `name`, if it is one made for one robot.
+    fn single_robot_layers(&self, name: &str) -> Result<Option<Layers>, ConfigError> {
+        let robots = self.robots()?;
+        for base in self.listed(Kind::Task)? {
+            let base_name = entry(&base)?.name;
+            let of_robot =
+                |robot: &&RobotEntry| single_robot_name(&base_name, &robot.name).is_some_and(|made| made == name);
+            let Some(robot) = robots.iter().find(of_robot) else {
+                continue;
+            };
+            let document = base.clone();
+            let mut layers = self.layers(Kind::Task, base)?;
+            let mut table = Table::new();
+            table.insert("name".into(), name.into());
+            table.insert("robots".into(), Value::Array(vec![robot.name.clone().into()]));
+            if let Some(Value::String(experiment)) = layers.merged().get("experiment_name") {
+                let experiment = format!("{experiment}_{}", robot.name);
+                table.insert("experiment_name".into(), experiment.into());
+            }
+            layers.0.push(Layer { document, table });
+            return Ok(Some(layers));
+        }
+        Ok(None)
+    }
+
+    /// `top` and all that it extends.
+    fn layers(&self, kind: Kind, top: Document) -> Result<Layers, ConfigError> {
+        let mut layers = Vec::new();
+        let mut visited = Vec::new();
+        let mut next = Some(top);
+        while let Some(document) = next {
+            let table = parse(&document)?;
+            visited.push((document.id.clone(), document.file.clone()));
+            next =
+                match string_key(&document, &table, EXTENDS)? {
+                    None => None,
+                    Some(base) => Some(self.find(kind, base, document.dir.as_deref(), &visited).map_err(|error| {
+                        ConfigError { file: document.file.clone(), element: EXTENDS.into(), ..error }
+                    })?),
+                };
+            layers.push(Layer { document, table });
+        }
+        layers.reverse();
+        Ok(Layers(layers))
+    }
+
+    /// The first config called `name` that is not among the files `visited`, so that a root may extend what it hides.
+    /// A name that ends in `.toml` is a path, relative to `dir` or else to the working directory.
+    fn find(
+        &self,
+        kind: Kind,
+        name: &str,
+        dir: Option<&Path>,
+        visited: &[(PathBuf, String)],
+    ) -> Result<Document, ConfigError> {
+        let cycle = || {
+            let files: Vec<&str> = visited.iter().map(|(_, file)| file.as_str()).collect();
+            ConfigError::invalid(
+                name,
+                EXTENDS,
+                format!("`{name}` extends itself: {}", files.join(" -> ")),
+                "break the circle",
+            )
+        };
+        let is_free = |document: &Document| visited.iter().all(|(id, _)| *id != document.id);
+        if is_toml(Path::new(name)) {
+            let document = Document::read(&dir.unwrap_or(Path::new("")).join(name), None)?;
+            return if is_free(&document) { Ok(document) } else { Err(cycle()) };
+        }
+        let documents = documents(kind, &self.roots)?;
+        let mut matching: Vec<&Document> = documents.iter().filter(|d| d.stem == name).collect();
+        let mut known: Vec<String> = documents.iter().map(|d| d.stem.clone()).collect();
+        // Other files are parsed only if no stem decides, so that a broken one does not stand in the way.
+        if matches!(kind, Kind::Task) && !matching.iter().any(|document| is_free(document)) {
+            for document in &documents {
+                let TaskEntry { name: full, aliases, .. } = entry(document)?;
+                if full == name || aliases.iter().any(|alias| alias == name) {
+                    matching.push(document);
+                }
+                known.push(full);
+                known.extend(aliases);
+            }
+        }
+        if let Some(document) = matching.iter().find(|document| is_free(document)) {
+            return Ok((*document).clone());
+        }
+        if !matching.is_empty() {
+            return Err(cycle());
+        }
+        known.sort();
+        known.dedup();
+        let made = match kind {
+            Kind::Task => self.tasks()?.into_iter().map(|task| task.name).collect(),
+            Kind::Robot | Kind::Train => Vec::new(),
+        };
+        Err(unknown_name(kind, name, &known, &made))
+    }
+
+    /// The configs of a kind that a name can reach: of those with the same stem only the first.
+    fn listed(&self, kind: Kind) -> Result<Vec<Document>, ConfigError> {
+        let mut listed: Vec<Document> = Vec::new();
+        for document in documents(kind, &self.roots)? {
+            if listed.iter().all(|earlier| earlier.stem != document.stem) {
+                listed.push(document);
+            }
+        }
+        Ok(listed)
+    }
+
+    /// Path and text of a URDF: beside the configs, in their roots, in the library's roots, among the built-in assets.
+    fn urdf(&self, layers: &Layers, urdf: &Path) -> Result<(PathBuf, String), ConfigError> {
+        let beside = layers
+            .0
+            .iter()
+            .rev()
+            .flat_map(|layer| [layer.document.dir.as_ref(), layer.document.root.as_ref()].into_iter().flatten());
+        let mut tried = Vec::new();
+        for folder in beside.chain(&self.roots) {
+            let path = folder.join(urdf);
+            if path.is_file() {
+                let text = std::fs::read_to_string(&path)
+                    .map_err(|error| unreadable(&path.display().to_string(), format!("cannot be read: {error}")))?;
+                return Ok((path, text));
+            }
+            let path = path.display().to_string();
+            if !tried.contains(&path) {
+                tried.push(path);
+            }
+        }
+        let built_in =
+            urdf.strip_prefix("assets/robots").ok().and_then(|path| ROBOT_ASSETS.get_file(path)?.contents_utf8());
+        if let Some(text) = built_in {
+            return Ok((urdf.to_owned(), text.to_owned()));
+        }
+        tried.push(format!("{} (built in)", urdf.display()));
+        let error = ConfigError::invalid(
+            "",
+            "urdf",
+            format!("there is no such file; tried {}", tried.join(", ")),
+            "write a path relative to this file or to the root that holds configs/ and assets/",
+        );
+        Err(layers.locate(error.of_kind(ConfigErrorKind::Unreadable), &[]))
+    }
+}
+
+/// Relative package folders are meant from the folder of the file that names them.
+fn make_package_dirs_absolute(layer: &mut Layer) {
+    let Some(dir) = &layer.document.dir else {
+        return;
+    };
+    if let Some(Value::Table(packages)) = layer.table.get_mut("package_dirs") {
+        for (_, folder) in packages.iter_mut() {
+            if let Value::String(path) = folder {
+                *path = dir.join(&*path).display().to_string();
+            }
+        }
+    }
+}
+
+/// 64-bit FNV-1a (Fowler, Noll, Vo).
+pub(crate) fn fnv1a(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fnv1a_of_published_test_vectors() {
+        assert_eq!(fnv1a(b""), 0xcbf2_9ce4_8422_2325);
+        assert_eq!(fnv1a(b"foobar"), 0x8594_4171_f739_67e8);
+    }
+}

@@ -1,0 +1,28 @@
+#![doc = include_str!("README.md")]
+
+mod document;
+mod error;
+mod layer;
+mod library;
+mod names;
+mod overrides;
+mod parse;
+mod robot;
+mod suggest;
+mod task;
+pub mod values;
+
+pub use error::{ConfigError, ConfigErrorKind};
+pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE};
+pub use names::{RobotEntry, TaskEntry};
+pub use parse::parse_params;
+pub use robot::{
+    ActuatorConfig, ActuatorModel, BaseComOffset, BodiesConfig, JointPositionMode, JointPositionReset,
+    RandomizationConfig, RangeConfig, ResetConfig, RobotConfig,
+};
+pub(crate) use library::fnv1a;
+pub(crate) use suggest::did_you_mean;
+pub use task::{
+    CommandsConfig, EngineKind, EventConfig, EventMode, FrictionCombine, GroundConfig, MaterialConfig, ObservationTerm,
+    ObservationsConfig, PhysicsConfig, RewardConfig, SceneConfig, SimConfig, TaskConfig, VelocityCommandConfig,
+};

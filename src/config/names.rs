@@ -1,0 +1,89 @@
+//! Names: what the library lists, tasks made for one robot, and what to say about unknown names.
+
+use toml::Value;
+
+use super::document::{Document, Kind};
+use super::error::{ConfigError, ConfigErrorKind};
+use super::layer::{parse, string_key};
+use super::suggest::nearest;
+
+/// Part of a task's name that stands for "many robots"; put a robot's title in its place to get that robot's own task.
+const FAMILY: &str = "HeteroQuadruped";
+
+/// A robot in the library's list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RobotEntry {
+    /// Name.
+    pub name: String,
+    /// Name for people.
+    pub title: String,
+    /// File.
+    pub file: String,
+}
+
+/// A task in the library's list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TaskEntry {
+    /// Full name.
+    pub name: String,
+    /// Short names, the file's stem among them if it is not the name itself.
+    pub aliases: Vec<String>,
+    /// File; for a task made for one robot, the file it is made from.
+    pub file: String,
+}
+
+/// What a task file says about its names.
+pub(super) fn entry(document: &Document) -> Result<TaskEntry, ConfigError> {
+    let table = parse(document)?;
+    let name = string_key(document, &table, "name")?.unwrap_or(&document.stem).to_owned();
+    let listed = table.get("aliases").and_then(Value::as_array).into_iter().flatten();
+    let mut aliases: Vec<String> = listed.filter_map(Value::as_str).map(str::to_owned).collect();
+    if document.stem != name && !aliases.contains(&document.stem) {
+        aliases.push(document.stem.clone());
+    }
+    Ok(TaskEntry { name, aliases, file: document.file.clone() })
+}
+
+/// The name of the task that the task called `task` makes for one robot, if it is one for many:
+/// robot `big_dog` makes `Walk-Big-Dog-v0` of `Walk-HeteroQuadruped-v0`.
+pub(super) fn single_robot_name(task: &str, robot: &str) -> Option<String> {
+    if !task.contains(FAMILY) {
+        return None;
+    }
+    let capitalised = |word: &str| {
+        let mut letters = word.chars();
+        letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect::<String>())
+    };
+    let title = robot.split('_').map(capitalised).collect::<Vec<_>>().join("-");
+    Some(task.replace(FAMILY, &title))
+}
+
+/// The error about a name that nothing has; near ones are sought among `known` and `made`, which is too long to be listed.
+pub(super) fn unknown_name(kind: Kind, name: &str, known: &[String], made: &[String]) -> ConfigError {
+    let noun = kind.noun();
+    let made = made.iter().filter(|name| !known.contains(name));
+    let near = nearest(name, known.iter().chain(made).map(String::as_str));
+    let guess = match near[..] {
+        [] => String::new(),
+        _ => format!("did you mean `{}`? ", near.join("`, `")),
+    };
+    ConfigError::invalid(
+        format!("configs/{}", kind.folder()),
+        format!("{noun} `{name}`"),
+        format!("there is no {noun} `{name}`"),
+        format!("{guess}known: {}", known.join(", ")),
+    )
+    .of_kind(ConfigErrorKind::UnknownName)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_task_for_many_makes_one_for_each() {
+        let made = single_robot_name("Walk-HeteroQuadruped-Play-v0", "big_dog_2");
+        assert_eq!(made.as_deref(), Some("Walk-Big-Dog-2-Play-v0"));
+        assert_eq!(single_robot_name("Walk-v0", "big_dog"), None);
+    }
+}

@@ -1,0 +1,183 @@
+//! Overrides: `rewards.trot.gait.weight=5.0`, as given to `--set`.
+
+use toml::{Table, Value};
+
+use super::error::{ConfigError, ConfigErrorKind};
+use super::layer::{OVERRIDE, merge};
+use super::suggest::did_you_mean;
+
+/// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
+/// Every table on the way must exist; whether a new last key is a known one is left to the types. Elements of an array are named by
+/// index or by their `term`. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
+///
+/// # Errors
+/// No `=`, an unknown key, a value that is not TOML.
+pub(super) fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigError> {
+    let Some((path, value)) = text.split_once('=') else {
+        return Err(ConfigError::invalid(
+            OVERRIDE,
+            text,
+            "there is no `=` in it",
+            "write key=value, as in sim.dt=0.002",
+        ));
+    };
+    let path = path.trim();
+    let value = parse_value(path, value.trim())?;
+    let keys: Vec<&str> = path.split('.').map(str::trim).collect();
+    let Some((last, parents)) = keys.split_last().filter(|_| !keys.contains(&"")) else {
+        return Err(ConfigError::invalid(
+            OVERRIDE,
+            text,
+            "the key is incomplete",
+            "write key=value, as in sim.dt=0.002",
+        ));
+    };
+    let mut walked: Vec<String> = Vec::with_capacity(keys.len());
+    // One value type on the way down; taken back at the end.
+    let mut root = Value::Table(std::mem::take(resolved));
+    let written = descend(&mut root, parents, &mut walked).and_then(|parent| write(parent, last, value, &mut walked));
+    if let Value::Table(table) = root {
+        *resolved = table;
+    }
+    written.map(|()| walked.join("."))
+}
+
+/// A TOML value, a bare word as a string, or `None` for `null` and `~`.
+fn parse_value(path: &str, text: &str) -> Result<Option<Value>, ConfigError> {
+    if text == "null" || text == "~" {
+        return Ok(None);
+    }
+    let parsed = format!("value = {text}").parse::<Table>().ok();
+    if let Some(value) = parsed.filter(|table| table.len() == 1).and_then(|mut t| t.remove("value")) {
+        return Ok(Some(value));
+    }
+    let is_bare = |letter: char| letter.is_alphanumeric() || matches!(letter, '_' | '-' | '.' | '/' | '+');
+    if !text.is_empty() && text.chars().all(is_bare) {
+        return Ok(Some(Value::String(text.to_owned())));
+    }
+    Err(ConfigError::invalid(
+        OVERRIDE,
+        path,
+        format!("`{text}` is neither a TOML value nor a bare word"),
+        "write a TOML value such as 0.5, [0.0, 1.0], true or \"text\"; quote it for the shell",
+    ))
+}
+
+/// Follows `keys` down from `node`.
+fn descend<'a>(mut node: &'a mut Value, keys: &[&str], walked: &mut Vec<String>) -> Result<&'a mut Value, ConfigError> {
+    for key in keys {
+        node = match node {
+            Value::Table(table) => {
+                if !table.contains_key(*key) {
+                    return Err(unknown(key, table.keys().map(String::as_str), walked));
+                }
+                walked.push((*key).to_owned());
+                &mut table[*key]
+            }
+            Value::Array(items) => {
+                let index = index_of(items, key, walked)?;
+                walked.push(index.to_string());
+                &mut items[index]
+            }
+            other => return Err(not_a_table(key, other, walked)),
+        };
+    }
+    Ok(node)
+}
+
+/// Sets, merges into or removes `key` of `node`.
+fn write(node: &mut Value, key: &str, value: Option<Value>, walked: &mut Vec<String>) -> Result<(), ConfigError> {
+    match (node, value) {
+        (Value::Table(table), Some(value)) => {
+            let mut above = Table::new();
+            above.insert(key.to_owned(), value);
+            merge(table, above);
+            walked.push(key.to_owned());
+        }
+        (Value::Table(table), None) => {
+            if table.remove(key).is_none() {
+                return Err(unknown(key, table.keys().map(String::as_str), walked));
+            }
+            walked.push(key.to_owned());
+        }
+        (Value::Array(items), value) => {
+            let index = index_of(items, key, walked)?;
+            match value {
+                Some(value) => items[index] = value,
+                None => {
+                    items.remove(index);
+                }
+            }
+            walked.push(index.to_string());
+        }
+        (other, _) => return Err(not_a_table(key, other, walked)),
+    }
+    Ok(())
+}
+
+/// The index that `key` means: a number, or the `term` of an element.
+fn index_of(items: &[Value], key: &str, walked: &[String]) -> Result<usize, ConfigError> {
+    let term = |item: &Value| Some(item.get("term")?.as_str()?.to_owned());
+    let index = key.parse().ok().or_else(|| items.iter().position(|item| term(item).is_some_and(|name| name == key)));
+    if let Some(index) = index.filter(|index| *index < items.len()) {
+        return Ok(index);
+    }
+    let known: Vec<String> =
+        items.iter().enumerate().map(|(index, item)| term(item).unwrap_or_else(|| index.to_string())).collect();
+    Err(unknown(key, known.iter().map(String::as_str), walked))
+}
+
+fn unknown<'a>(key: &str, known: impl IntoIterator<Item = &'a str>, walked: &[String]) -> ConfigError {
+    let remedy = did_you_mean(key, known, "keys");
+    ConfigError::invalid(OVERRIDE, dotted(walked, key), format!("unknown key `{key}`"), remedy)
+        .of_kind(ConfigErrorKind::UnknownKey)
+}
+
+fn not_a_table(key: &str, found: &Value, walked: &[String]) -> ConfigError {
+    ConfigError::invalid(
+        OVERRIDE,
+        dotted(walked, key),
+        format!("`{}` is a {} and holds no keys", walked.join("."), found.type_str()),
+        "end the key there",
+    )
+}
+
+fn dotted(walked: &[String], key: &str) -> String {
+    walked.iter().map(String::as_str).chain([key]).collect::<Vec<_>>().join(".")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(text: &str) -> Result<Table, ConfigError> {
+        let mut table: Table =
+            toml::from_str("engine = 'a'\n[sim]\ndt = 1\n[[policy]]\nterm = 'x'\n[[policy]]\nterm = 'y'").unwrap();
+        apply(&mut table, text).map(|_| table)
+    }
+
+    #[test]
+    fn values_are_toml_or_bare_words() {
+        assert_eq!(set("sim.dt=0.5").unwrap()["sim"]["dt"].as_float(), Some(0.5));
+        assert_eq!(set("engine=b").unwrap()["engine"].as_str(), Some("b"));
+        assert_eq!(set("policy.y.noise=[1]").unwrap()["policy"][1]["noise"][0].as_integer(), Some(1));
+        assert!(set("sim.dt=[1,").is_err());
+        assert!(set("sim.dt").is_err());
+        assert!(set(".dt=1").is_err());
+    }
+
+    #[test]
+    fn null_removes() {
+        assert!(!set("sim=null").unwrap().contains_key("sim"));
+        assert!(set("policy.0=~").unwrap()["policy"].as_array().is_some_and(|a| a.len() == 1));
+        assert_eq!(set("simm=~").unwrap_err().remedy, "did you mean `sim`?");
+    }
+
+    #[test]
+    fn a_failed_override_changes_nothing() {
+        let mut table: Table = toml::from_str("[sim]\ndt = 1").unwrap();
+        let before = table.clone();
+        assert!(apply(&mut table, "smi.dt=2").is_err());
+        assert_eq!(table, before);
+    }
+}

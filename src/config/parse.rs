@@ -1,0 +1,130 @@
+//! From a TOML table to a typed config, with serde's errors turned into ones that help.
+
+use serde::de::{DeserializeOwned, Deserializer, Error};
+use toml::{Table, Value};
+
+use super::error::{ConfigError, ConfigErrorKind};
+use super::suggest::{did_you_mean, is_slip};
+
+/// The parameters of a term as the type `T` that the term's code reads. `T` should carry `#[serde(deny_unknown_fields)]`
+/// and may use the checks of [`values`](super::values). `element` is the dotted key of the term, such as
+/// `rewards.trot.gait`; `file` the config's file or name.
+///
+/// # Errors
+/// Unknown or missing keys, values of the wrong type or not finite: file, key and remedy are named.
+pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Table) -> Result<T, ConfigError> {
+    let join = |path: &str| match (element, path) {
+        (_, "") => element.to_owned(),
+        ("", _) => path.to_owned(),
+        _ => format!("{element}.{path}"),
+    };
+    if let Some(path) = not_finite(params) {
+        return Err(ConfigError::invalid(
+            file,
+            join(&path),
+            "the number is not finite",
+            "write a finite number; leave the key out where no limit is meant",
+        ));
+    }
+    serde_path_to_error::deserialize(params.clone()).map_err(|error| {
+        // A path of no segments is shown as a lone dot.
+        let path = error.path().to_string();
+        let path = if path == "." { "" } else { path.as_str() };
+        let (kind, problem, remedy) = explain(error.inner().message(), find(params, path).as_ref());
+        let element = if path.is_empty() && element.is_empty() { "top level".to_owned() } else { join(path) };
+        ConfigError::invalid(file, element, problem, remedy).of_kind(kind)
+    })
+}
+
+/// The keys of a table beside those that its type names itself (`own`): the parameters of a term.
+/// A near miss of an own key is an error here, since it would otherwise pass for a parameter.
+pub(super) fn params_beside<'de, D: Deserializer<'de>>(deserializer: D, own: &[&str]) -> Result<Table, D::Error> {
+    let params: Table = serde::Deserialize::deserialize(deserializer)?;
+    for key in params.keys() {
+        if let Some(meant) = own.iter().find(|meant| is_slip(key, meant)) {
+            return Err(D::Error::custom(format!("unknown key `{key}`; did you mean `{meant}`?")));
+        }
+    }
+    Ok(params)
+}
+
+/// Kind, problem and remedy for serde's `message` about the value `at`.
+fn explain(message: &str, at: Option<&Value>) -> (ConfigErrorKind, String, String) {
+    use ConfigErrorKind::{InvalidValue, UnknownKey};
+    let quoted = || message.split('`').skip(1).step_by(2);
+    let subject = quoted().next().unwrap_or_default();
+    if message.starts_with("unknown field") {
+        let remedy = did_you_mean(subject, quoted().skip(1), "keys");
+        return (UnknownKey, format!("unknown key `{subject}`"), remedy);
+    }
+    if message.starts_with("unknown variant") {
+        let remedy = did_you_mean(subject, quoted().skip(1), "values");
+        return (InvalidValue, format!("unknown value `{subject}`"), remedy);
+    }
+    if message.starts_with("missing field") {
+        let slip = at.and_then(Value::as_table).and_then(|table| table.keys().find(|key| is_slip(key, subject)));
+        return match slip {
+            Some(key) => (UnknownKey, format!("unknown key `{key}`"), format!("did you mean `{subject}`?")),
+            None => (InvalidValue, format!("key `{subject}` is missing"), format!("add `{subject}`")),
+        };
+    }
+    if let Some((found, expected)) = ["invalid type: ", "invalid value: ", "invalid length "]
+        .iter()
+        .find_map(|start| message.strip_prefix(start)?.split_once(", expected "))
+    {
+        let found = if message.starts_with("invalid length") { format!("{found} elements") } else { found.to_owned() };
+        let expected = type_in_words(expected);
+        return (InvalidValue, format!("found {found} where {expected} is expected"), format!("write {expected}"));
+    }
+    let (problem, remedy) = message.split_once("; ").unwrap_or((message, "correct the value"));
+    let kind = if problem.starts_with("unknown key") { UnknownKey } else { InvalidValue };
+    (kind, problem.to_owned(), remedy.to_owned())
+}
+
+/// serde's name of a type, as a writer of TOML would say it.
+fn type_in_words(expected: &str) -> &str {
+    match expected {
+        "f32" | "f64" => "a number",
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number of 0 or above",
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
+        "a boolean" => "true or false",
+        "a sequence" => "an array",
+        "a map" => "a table",
+        "fewer elements in array" => "a shorter array",
+        _ if expected.starts_with("struct ") => "a table",
+        _ => expected,
+    }
+}
+
+/// The value at a path as `serde_path_to_error` writes it: keys after dots, indices in brackets.
+fn find(table: &Table, path: &str) -> Option<Value> {
+    let mut at = Value::Table(table.clone());
+    for segment in segments(path) {
+        at = match at {
+            Value::Table(mut inner) => inner.remove(segment)?,
+            Value::Array(inner) => inner.into_iter().nth(segment.parse().ok()?)?,
+            _ => return None,
+        };
+    }
+    Some(at)
+}
+
+/// The keys and indices of a dotted path.
+pub(super) fn segments(path: &str) -> impl Iterator<Item = &str> {
+    path.split(['.', '[', ']']).filter(|segment| !segment.is_empty())
+}
+
+/// Path of the first number in `table` that is infinite or not a number.
+fn not_finite(table: &Table) -> Option<String> {
+    fn search(value: &Value, path: &str) -> Option<String> {
+        match value {
+            Value::Float(number) if !number.is_finite() => Some(path.to_owned()),
+            Value::Array(items) => {
+                items.iter().enumerate().find_map(|(index, item)| search(item, &format!("{path}[{index}]")))
+            }
+            Value::Table(inner) => inner.iter().find_map(|(key, item)| search(item, &format!("{path}.{key}"))),
+            _ => None,
+        }
+    }
+    table.iter().find_map(|(key, value)| search(value, key))
+}

@@ -1,0 +1,404 @@
+//! Robot configs: `configs/robots/*.toml`.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use crate::robot::{CANONICAL_JOINT_NAMES, LEGS};
+
+use super::error::{ConfigError, ConfigErrorKind};
+use super::suggest::did_you_mean;
+use super::values;
+
+/// What a robot's URDF does not say: default pose, actuators, reset and randomisation. SI units.
+/// Canonical joints are named leg and role, such as `LF_HFE`; their order is that of the policy's action.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotConfig {
+    /// Name, equal to the file's stem.
+    pub name: String,
+    /// Name for people.
+    pub title: String,
+    /// The URDF, relative to this file or to the root that holds `configs/` and `assets/`.
+    pub urdf: PathBuf,
+    /// The `[rewards.<set>]` table of a task that this robot is rewarded by.
+    pub reward_set: String,
+    /// Radians of joint target per unit of action.
+    #[serde(deserialize_with = "values::positive")]
+    pub action_scale: f64,
+    /// Whether the robot's own links may collide with one another. Default: no.
+    #[serde(default)]
+    pub self_collisions: bool,
+    /// Joint angles of the default pose by canonical joint, rad; all twelve.
+    pub default_pose: BTreeMap<String, f64>,
+    /// Groups of actuators; every canonical joint is in exactly one.
+    pub actuators: BTreeMap<String, ActuatorConfig>,
+    /// How an episode begins.
+    #[serde(default)]
+    pub reset: ResetConfig,
+    /// Ranges that a task's startup events draw from.
+    #[serde(default)]
+    pub randomization: RandomizationConfig,
+    /// Canonical joint -> joint of the URDF, where geometry alone does not tell.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub joint_roles: BTreeMap<String, String>,
+    /// Leg (`LF`, `LH`, `RF`, `RH`) -> link of the URDF that is its foot, where geometry alone does not tell.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub feet: BTreeMap<String, String>,
+    /// Links of the URDF by group of bodies, where geometry alone does not tell.
+    #[serde(default, skip_serializing_if = "BodiesConfig::is_empty")]
+    pub bodies: BodiesConfig,
+    /// ROS package -> folder, for `package://` meshes; relative to the config's folder.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub package_dirs: BTreeMap<String, PathBuf>,
+    /// Joint of the URDF -> position in rad or m at which it is held for good.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub locked_joints: BTreeMap<String, f64>,
+}
+
+/// One group of like actuators.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActuatorConfig {
+    /// Patterns on canonical names; `*` stands for any run of letters.
+    pub joints: Vec<String>,
+    /// How targets become torques.
+    pub model: ActuatorModel,
+    /// Torque per position error, N m / rad.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub stiffness: f64,
+    /// Torque per velocity error, N m s / rad.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub damping: f64,
+    /// Largest torque, N m. Default: no limit.
+    #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
+    pub effort_limit: Option<f64>,
+    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, no other model has it.
+    #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
+    pub saturation_effort: Option<f64>,
+    /// Largest joint speed, rad/s; `dc_motor` needs it: its speed without load. Default: no limit.
+    #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
+    pub velocity_limit: Option<f64>,
+    /// Rotor inertia as seen at the joint, kg m^2. Default: 0.
+    #[serde(default, deserialize_with = "values::non_negative")]
+    pub armature: f64,
+    /// Dry friction of the joint, N m. Default: as in the URDF.
+    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
+    /// Viscous friction of the joint, N m s / rad. Default: as in the URDF.
+    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    pub joint_damping: Option<f64>,
+    /// Fewest and most physics steps by which targets come late, both included; only `delayed_pd`. Default: none.
+    #[serde(default)]
+    pub delay: [u32; 2],
+    /// Largest torque over the joint angle: rows of `[rad, N m]`, linear in between, constant beyond the ends.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub effort_table: Vec<[f64; 2]>,
+}
+
+/// How joint targets become torques.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ActuatorModel {
+    /// Proportional-derivative control, clipped at the effort limit.
+    IdealPd,
+    /// The same, integrated implicitly by the engine.
+    ImplicitPd,
+    /// Proportional-derivative control, clipped by the torque-speed line of a DC motor.
+    DcMotor,
+    /// `ideal_pd` on targets that come late.
+    DelayedPd,
+}
+
+/// Links of the URDF by group of bodies; an empty group is left to geometry.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BodiesConfig {
+    /// The trunk and what is fixed to it.
+    pub base: Vec<String>,
+    /// Between abduction and flexion joint of the hip.
+    pub hip: Vec<String>,
+    /// Between hip and knee.
+    pub thigh: Vec<String>,
+    /// Below the knee.
+    pub shank: Vec<String>,
+    /// What stands on the ground.
+    pub foot: Vec<String>,
+}
+
+impl BodiesConfig {
+    /// Whether all groups are left to geometry.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// How an episode begins.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ResetConfig {
+    /// Joint angles. Default: the default pose.
+    pub joint_position: JointPositionReset,
+    /// Joint velocities, rad/s. Default: 0.
+    pub joint_velocity: RangeConfig,
+    /// Each of the six components of the base velocity, world frame, m/s and rad/s. Default: 0.
+    pub base_velocity: RangeConfig,
+    /// Share of each joint's range, about its middle, that resets stay within. Default: 1.
+    #[serde(deserialize_with = "values::fraction")]
+    pub soft_limit_factor: f64,
+    /// Distance between the lowest foot of the default pose and the ground, m. Default: 0.02.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub spawn_margin: f64,
+}
+
+impl Default for ResetConfig {
+    fn default() -> Self {
+        Self {
+            joint_position: JointPositionReset { mode: JointPositionMode::Offset, range: [0.0, 0.0] },
+            joint_velocity: RangeConfig { range: [0.0, 0.0] },
+            base_velocity: RangeConfig { range: [0.0, 0.0] },
+            soft_limit_factor: 1.0,
+            spawn_margin: 0.02,
+        }
+    }
+}
+
+/// How the joint angles of a reset are drawn, each joint for itself.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointPositionReset {
+    /// What the drawn number does.
+    pub mode: JointPositionMode,
+    /// Factor, or angle in rad.
+    #[serde(deserialize_with = "values::range")]
+    pub range: [f64; 2],
+}
+
+/// What a drawn number does to a default joint angle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointPositionMode {
+    /// Multiplies it.
+    Scale,
+    /// Is added to it.
+    Offset,
+}
+
+/// A range that is drawn from uniformly.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RangeConfig {
+    /// Lower and upper end.
+    #[serde(deserialize_with = "values::range")]
+    pub range: [f64; 2],
+}
+
+/// Ranges of the startup randomisation; a task's `[events]` switches it on.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RandomizationConfig {
+    /// Coefficient of friction at rest. Default: 0.5 to 1.25.
+    #[serde(deserialize_with = "values::non_negative_range")]
+    pub static_friction: [f64; 2],
+    /// Coefficient of friction when sliding. Default: 0.4 to 1.
+    #[serde(deserialize_with = "values::non_negative_range")]
+    pub dynamic_friction: [f64; 2],
+    /// Mass added to the base, kg. Default: 0.
+    #[serde(deserialize_with = "values::range")]
+    pub base_mass_offset: [f64; 2],
+    /// Shift of the base's centre of mass, base frame. Default: 0.
+    pub base_com_offset: BaseComOffset,
+}
+
+impl Default for RandomizationConfig {
+    fn default() -> Self {
+        Self {
+            static_friction: [0.5, 1.25],
+            dynamic_friction: [0.4, 1.0],
+            base_mass_offset: [0.0, 0.0],
+            base_com_offset: BaseComOffset::default(),
+        }
+    }
+}
+
+/// Shift of a centre of mass, m.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BaseComOffset {
+    /// Forward.
+    #[serde(deserialize_with = "values::range")]
+    pub x: [f64; 2],
+    /// To the left.
+    #[serde(deserialize_with = "values::range")]
+    pub y: [f64; 2],
+    /// Up.
+    #[serde(deserialize_with = "values::range")]
+    pub z: [f64; 2],
+}
+
+impl RobotConfig {
+    /// Joint angles of the default pose in canonical order, rad.
+    ///
+    /// # Errors
+    /// A canonical joint is missing from `[default_pose]`, or another name is in it.
+    pub fn default_pose_by_slot(&self) -> Result<[f64; 12], ConfigError> {
+        self.check_names("default_pose", self.default_pose.keys(), &CANONICAL_JOINT_NAMES)?;
+        let missing: Vec<&str> =
+            CANONICAL_JOINT_NAMES.into_iter().filter(|joint| !self.default_pose.contains_key(*joint)).collect();
+        if !missing.is_empty() {
+            let problem = format!("no angle for {}", missing.join(", "));
+            return self.invalid("default_pose", problem, "add each of them, in rad");
+        }
+        Ok(CANONICAL_JOINT_NAMES.map(|joint| self.default_pose.get(joint).copied().unwrap_or(0.0)))
+    }
+
+    /// Name and settings of the actuator group that drives each canonical joint.
+    ///
+    /// # Errors
+    /// A joint in no group or in several, or a pattern that matches no joint.
+    pub fn actuators_by_slot(&self) -> Result<[(&str, &ActuatorConfig); 12], ConfigError> {
+        for (group, actuator) in &self.actuators {
+            let mut patterns = actuator.joints.iter().enumerate();
+            let idle = |pattern: &str| !CANONICAL_JOINT_NAMES.iter().any(|j| matches(pattern, j));
+            if let Some((index, pattern)) = patterns.find(|(_, pattern)| idle(pattern)) {
+                return self.invalid(
+                    &format!("actuators.{group}.joints[{index}]"),
+                    format!("`{pattern}` matches no canonical joint"),
+                    did_you_mean(pattern, CANONICAL_JOINT_NAMES, "joints"),
+                );
+            }
+        }
+        let mut claims = CANONICAL_JOINT_NAMES.map(|joint| {
+            self.actuators
+                .iter()
+                .filter(|(_, actuator)| actuator.joints.iter().any(|p| matches(p, joint)))
+                .map(|(group, actuator)| (group.as_str(), actuator))
+                .collect::<Vec<_>>()
+        });
+        let complaints: Vec<String> = CANONICAL_JOINT_NAMES
+            .iter()
+            .zip(&claims)
+            .filter_map(|(joint, groups)| match groups[..] {
+                [_] => None,
+                [] => Some(format!("{joint} is in no group")),
+                _ => {
+                    let names: Vec<&str> = groups.iter().map(|(group, _)| *group).collect();
+                    Some(format!("{joint} is in {}", names.join(" and ")))
+                }
+            })
+            .collect();
+        // `complaints` is empty exactly when each of the twelve lists has its one group.
+        let single: Vec<(&str, &ActuatorConfig)> = claims.iter_mut().filter_map(Vec::pop).collect();
+        match <[(&str, &ActuatorConfig); 12]>::try_from(single) {
+            Ok(by_slot) if complaints.is_empty() => Ok(by_slot),
+            _ => self.invalid(
+                "actuators",
+                complaints.join(", "),
+                "let the `joints` patterns name every canonical joint in exactly one group",
+            ),
+        }
+    }
+
+    /// Checks what no single value can tell; errors name the robot in place of a file.
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        self.default_pose_by_slot()?;
+        for (group, actuator) in &self.actuators {
+            self.validate_actuator(&format!("actuators.{group}"), actuator)?;
+        }
+        self.actuators_by_slot()?;
+        self.check_names("joint_roles", self.joint_roles.keys(), &CANONICAL_JOINT_NAMES)?;
+        self.check_names("feet", self.feet.keys(), &LEGS)
+    }
+
+    fn validate_actuator(&self, at: &str, actuator: &ActuatorConfig) -> Result<(), ConfigError> {
+        let is_dc_motor = actuator.model == ActuatorModel::DcMotor;
+        let missing: Vec<&str> =
+            [("saturation_effort", actuator.saturation_effort), ("velocity_limit", actuator.velocity_limit)]
+                .into_iter()
+                .filter_map(|(key, value)| value.is_none().then_some(key))
+                .collect();
+        if is_dc_motor && !missing.is_empty() {
+            let missing = missing.join(" and ");
+            let problem = format!("model \"dc_motor\" needs {missing}");
+            return self.invalid(at, problem, format!("add {missing}"));
+        }
+        if !is_dc_motor && actuator.saturation_effort.is_some() {
+            return self.invalid(
+                &format!("{at}.saturation_effort"),
+                "only model \"dc_motor\" has a torque at standstill".into(),
+                "remove it, or set model = \"dc_motor\"",
+            );
+        }
+        let [fewest, most] = actuator.delay;
+        if fewest > most {
+            let problem = format!("the lower end {fewest} is above the upper end {most}");
+            return self.invalid(&format!("{at}.delay"), problem, "write [fewest, most]");
+        }
+        if most > 0 && actuator.model != ActuatorModel::DelayedPd {
+            return self.invalid(
+                &format!("{at}.delay"),
+                "only model \"delayed_pd\" delays its targets".into(),
+                "remove it, or set model = \"delayed_pd\"",
+            );
+        }
+        for (index, row) in actuator.effort_table.iter().enumerate() {
+            let element = format!("{at}.effort_table[{index}]");
+            if row[1] < 0.0 {
+                let problem = format!("the torque {} is negative", row[1]);
+                return self.invalid(&element, problem, "write its magnitude, in N m");
+            }
+            let before = index.checked_sub(1).and_then(|i| actuator.effort_table.get(i));
+            if before.is_some_and(|before| before[0] >= row[0]) {
+                let problem = format!("the angle {} is not above the row before", row[0]);
+                return self.invalid(&element, problem, "sort the rows by angle, each angle once");
+            }
+        }
+        Ok(())
+    }
+
+    /// Every key of the table `element` must be one of `known`.
+    fn check_names<'a>(
+        &self,
+        element: &str,
+        mut keys: impl Iterator<Item = &'a String>,
+        known: &[&str],
+    ) -> Result<(), ConfigError> {
+        let Some(stranger) = keys.find(|key| !known.contains(&key.as_str())) else {
+            return Ok(());
+        };
+        let remedy = did_you_mean(stranger, known.iter().copied(), "names");
+        self.invalid(&format!("{element}.{stranger}"), format!("unknown key `{stranger}`"), remedy)
+            .map_err(|error| error.of_kind(ConfigErrorKind::UnknownKey))
+    }
+
+    fn invalid<T>(&self, element: &str, problem: String, remedy: impl Into<String>) -> Result<T, ConfigError> {
+        Err(ConfigError::invalid(self.name.clone(), element, problem, remedy))
+    }
+}
+
+/// Whether `pattern`, in which `*` stands for any run of characters, is all of `name`.
+fn matches(pattern: &str, name: &str) -> bool {
+    match pattern.split_once('*') {
+        None => pattern == name,
+        Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {
+            rest.char_indices().map(|(at, _)| &rest[at..]).chain([""]).any(|tail| matches(after, tail))
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_star_stands_for_any_run() {
+        assert!(matches("*_HAA", "LF_HAA"));
+        assert!(matches("LF_*", "LF_HAA"));
+        assert!(matches("*", "LF_HAA"));
+        assert!(matches("L*_*AA", "LF_HAA"));
+        assert!(!matches("*_HAA", "LF_HFE"));
+        assert!(!matches("LF_HA", "LF_HAA"));
+    }
+}

@@ -1,0 +1,386 @@
+//! Task configs: `configs/tasks/*.toml`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::PI;
+
+use serde::{Deserialize, Deserializer, Serialize};
+use toml::Table;
+
+use super::error::{ConfigError, ConfigErrorKind};
+use super::parse::params_beside;
+use super::suggest::did_you_mean;
+use super::values;
+
+/// What the robots are to do, where, and how they are rewarded. SI units; world z up, base x forward, y left.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaskConfig {
+    /// Full name, such as `Velocity-Flat-HeteroQuadruped-v0`.
+    pub name: String,
+    /// Short names for the command line.
+    #[serde(default)]
+    pub aliases: Vec<String>,
+    /// Folder of the training logs.
+    pub experiment_name: String,
+    /// Names of the robots, in the order of their blocks of envs.
+    pub robots: Vec<String>,
+    /// Time and space.
+    pub sim: SimConfig,
+    /// Engine and its settings.
+    #[serde(default)]
+    pub physics: PhysicsConfig,
+    /// What the robots stand on.
+    #[serde(default)]
+    pub scene: SceneConfig,
+    /// Surface of the robots where no event randomises it.
+    pub robot_material: MaterialConfig,
+    /// What the policy is told to do.
+    pub commands: CommandsConfig,
+    /// What the policy sees.
+    pub observations: ObservationsConfig,
+    /// Parameters of each termination term, by the term's name.
+    pub terminations: BTreeMap<String, Table>,
+    /// Randomisation and disturbances, by the term's name.
+    #[serde(default)]
+    pub events: BTreeMap<String, EventConfig>,
+    /// Reward sets: set name -> term name -> weight and parameters. A robot's `reward_set` picks one.
+    pub rewards: BTreeMap<String, BTreeMap<String, RewardConfig>>,
+}
+
+/// Time steps, gravity and the grid of envs.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimConfig {
+    /// Physics step, s.
+    #[serde(deserialize_with = "values::positive")]
+    pub dt: f64,
+    /// Physics steps per control step.
+    #[serde(deserialize_with = "values::at_least_one")]
+    pub decimation: u32,
+    /// Length of an episode that nothing ends earlier, s.
+    #[serde(deserialize_with = "values::positive")]
+    pub episode_length_s: f64,
+    /// World frame, m/s^2. Default: 9.81 downwards.
+    #[serde(default = "earth_gravity")]
+    pub gravity: [f64; 3],
+    /// Distance between env origins on the square grid, m. Default: 4.
+    #[serde(default = "env_spacing", deserialize_with = "values::non_negative")]
+    pub env_spacing: f64,
+}
+
+impl SimConfig {
+    /// Duration of a control step, s.
+    #[must_use]
+    pub fn step_dt(&self) -> f64 {
+        self.dt * f64::from(self.decimation)
+    }
+
+    /// Control steps in a full episode, rounded up.
+    #[must_use]
+    pub fn max_episode_length(&self) -> u32 {
+        // The small number keeps 20 s / 0.02 s at 1000 steps whatever the last bit of the quotient.
+        ((self.episode_length_s / self.step_dt()) - 1e-9).ceil().max(1.0) as u32
+    }
+}
+
+fn earth_gravity() -> [f64; 3] {
+    [0.0, 0.0, -9.81]
+}
+
+fn env_spacing() -> f64 {
+    4.0
+}
+
+/// The physics engine and its settings.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PhysicsConfig {
+    /// Which engine. Default: articulated.
+    pub engine: EngineKind,
+    /// Sweeps of the solver over the contacts of one physics step. Default: 8.
+    #[serde(deserialize_with = "values::at_least_one")]
+    pub solver_iterations: u32,
+    /// Fastest speed at which overlapping shapes are pushed apart, m/s. Default: 1.
+    #[serde(deserialize_with = "values::positive")]
+    pub max_depenetration_velocity: f64,
+    /// Share of the overlap that is pushed out in one physics step, as far as that speed allows. Default: 0.2.
+    #[serde(deserialize_with = "values::fraction")]
+    pub depenetration_rate: f64,
+}
+
+impl Default for PhysicsConfig {
+    fn default() -> Self {
+        Self {
+            engine: EngineKind::Articulated,
+            solver_iterations: 8,
+            max_depenetration_velocity: 1.0,
+            depenetration_rate: 0.2,
+        }
+    }
+}
+
+/// The two physics engines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EngineKind {
+    /// Reduced coordinates, many robots in SIMD lanes.
+    Articulated,
+    /// Links as Avian's rigid bodies.
+    Avian,
+}
+
+/// What the robots stand on.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneConfig {
+    /// An infinite plane at z = 0.
+    #[serde(default)]
+    pub ground: GroundConfig,
+}
+
+/// Surface of the ground.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GroundConfig {
+    /// Coefficient of friction at rest. Default: 1.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub static_friction: f64,
+    /// Coefficient of friction when sliding. Default: 1.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub dynamic_friction: f64,
+    /// Share of the approach speed that is given back, 0 to 1. Default: 0.
+    #[serde(deserialize_with = "values::fraction")]
+    pub restitution: f64,
+    /// How ground and robot make one coefficient. Default: multiply.
+    pub friction_combine: FrictionCombine,
+}
+
+impl Default for GroundConfig {
+    fn default() -> Self {
+        Self {
+            static_friction: 1.0,
+            dynamic_friction: 1.0,
+            restitution: 0.0,
+            friction_combine: FrictionCombine::Multiply,
+        }
+    }
+}
+
+/// How the coefficients of two surfaces make one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrictionCombine {
+    /// Their product.
+    Multiply,
+    /// Their mean.
+    Average,
+    /// The smaller one.
+    Min,
+    /// The larger one.
+    Max,
+}
+
+/// A surface.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaterialConfig {
+    /// Coefficient of friction at rest.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub static_friction: f64,
+    /// Coefficient of friction when sliding.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub dynamic_friction: f64,
+    /// Share of the approach speed that is given back, 0 to 1.
+    #[serde(deserialize_with = "values::fraction")]
+    pub restitution: f64,
+}
+
+/// Commands, by name.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommandsConfig {
+    /// A velocity of the base.
+    pub base_velocity: VelocityCommandConfig,
+}
+
+/// How velocity commands are drawn; each range uniformly, base frame.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct VelocityCommandConfig {
+    /// Forward speed, m/s.
+    #[serde(deserialize_with = "values::range")]
+    pub lin_vel_x: [f64; 2],
+    /// Speed to the left, m/s.
+    #[serde(deserialize_with = "values::range")]
+    pub lin_vel_y: [f64; 2],
+    /// Yaw rate, rad/s; also the limits of the heading controller.
+    #[serde(deserialize_with = "values::range")]
+    pub ang_vel_z: [f64; 2],
+    /// Heading in the world, rad. Default: the full turn.
+    #[serde(default = "full_turn", deserialize_with = "values::range")]
+    pub heading: [f64; 2],
+    /// Whether envs may be steered by heading. Default: no.
+    #[serde(default)]
+    pub heading_command: bool,
+    /// Yaw rate per heading error, 1/s. Default: 0.5.
+    #[serde(default = "half", deserialize_with = "values::non_negative")]
+    pub heading_control_stiffness: f64,
+    /// Share of envs steered by heading, if any may be. Default: all.
+    #[serde(default = "one", deserialize_with = "values::fraction")]
+    pub rel_heading_envs: f64,
+    /// Share of envs told to stand still. Default: none.
+    #[serde(default, deserialize_with = "values::fraction")]
+    pub rel_standing_envs: f64,
+    /// Time between two draws, s.
+    #[serde(deserialize_with = "values::positive")]
+    pub resampling_time_s: f64,
+}
+
+fn full_turn() -> [f64; 2] {
+    [-PI, PI]
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// What the policy sees.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObservationsConfig {
+    /// Whether the terms' noise is added. Default: yes.
+    #[serde(default = "yes")]
+    pub enable_noise: bool,
+    /// Terms of the policy's observation, in order.
+    pub policy: Vec<ObservationTerm>,
+}
+
+/// One term of an observation.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct ObservationTerm {
+    /// Name of the term.
+    pub term: String,
+    /// Half width of the uniform noise on each element, in the term's units. Default: 0.
+    #[serde(default, deserialize_with = "values::non_negative")]
+    pub noise: f64,
+    /// The remaining keys, for [`parse_params`](super::parse_params).
+    #[serde(flatten, deserialize_with = "observation_params")]
+    pub params: Table,
+}
+
+fn observation_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
+    params_beside(deserializer, &["term", "noise"])
+}
+
+/// One randomisation or disturbance.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct EventConfig {
+    /// When it happens.
+    pub mode: EventMode,
+    /// Whether it happens at all. Default: yes.
+    #[serde(default = "yes")]
+    pub enabled: bool,
+    /// Time between two occurrences, drawn uniformly each time, s; with `mode = "interval"` and only then.
+    #[serde(
+        default,
+        deserialize_with = "values::optional_non_negative_range",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub interval_range_s: Option<[f64; 2]>,
+    /// The remaining keys, for [`parse_params`](super::parse_params).
+    #[serde(flatten, deserialize_with = "event_params")]
+    pub params: Table,
+}
+
+fn event_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
+    params_beside(deserializer, &["mode", "enabled", "interval_range_s"])
+}
+
+/// When an event happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EventMode {
+    /// Once, when the envs are made.
+    Startup,
+    /// At the beginning of each episode.
+    Reset,
+    /// Again and again within an episode.
+    Interval,
+}
+
+/// One term of a reward set.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct RewardConfig {
+    /// Factor of the term's value, per second; 0 switches the term off.
+    pub weight: f64,
+    /// The remaining keys, for [`parse_params`](super::parse_params).
+    #[serde(flatten, deserialize_with = "reward_params")]
+    pub params: Table,
+}
+
+fn reward_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
+    params_beside(deserializer, &["weight"])
+}
+
+impl TaskConfig {
+    /// The reward terms of the set named `reward_set`, which is what `robot` asks for.
+    ///
+    /// # Errors
+    /// There is no such set; the message names the robot and the sets.
+    pub fn reward_set(&self, robot: &str, reward_set: &str) -> Result<&BTreeMap<String, RewardConfig>, ConfigError> {
+        self.rewards.get(reward_set).ok_or_else(|| {
+            ConfigError::invalid(
+                self.name.clone(),
+                format!("rewards.{reward_set}"),
+                format!("robot `{robot}` asks for the reward set `{reward_set}`, which is missing"),
+                did_you_mean(reward_set, self.rewards.keys().map(String::as_str), "reward sets"),
+            )
+            .of_kind(ConfigErrorKind::UnknownName)
+        })
+    }
+
+    /// Checks what no single value can tell; errors name the task in place of a file.
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let invalid = |element: String, problem: &str, remedy: &str| {
+            Err(ConfigError::invalid(self.name.clone(), element, problem, remedy))
+        };
+        if self.robots.is_empty() {
+            return invalid("robots".into(), "the list is empty", "name at least one robot");
+        }
+        let mut seen = BTreeSet::new();
+        if let Some((index, robot)) = self.robots.iter().enumerate().find(|(_, robot)| !seen.insert(robot.as_str())) {
+            let problem = format!("robot `{robot}` is listed twice");
+            return invalid(format!("robots[{index}]"), &problem, "name each robot once");
+        }
+        if self.observations.policy.is_empty() {
+            let element = "observations.policy".to_owned();
+            return invalid(element, "the policy sees nothing", "add [[observations.policy]] terms");
+        }
+        for (name, event) in &self.events {
+            let element = format!("events.{name}.interval_range_s");
+            match (event.mode, event.interval_range_s) {
+                (EventMode::Interval, None) => {
+                    let problem = "an interval event needs its time between two occurrences";
+                    return invalid(element, problem, "add interval_range_s = [lower, upper]");
+                }
+                (EventMode::Interval, Some([_, upper])) if upper <= 0.0 => {
+                    return invalid(element, "no time would pass", "write an upper end above 0");
+                }
+                (EventMode::Startup | EventMode::Reset, Some(_)) => {
+                    let problem = "only interval events have a time between two occurrences";
+                    return invalid(element, problem, "remove it, or set mode = \"interval\"");
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}

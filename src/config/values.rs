@@ -1,0 +1,107 @@
+//! Checked values: functions for `#[serde(deserialize_with = "...")]`, for the types of this module and for the parameters
+//! of terms alike. Each error message holds the problem and, after a semicolon, the remedy.
+
+use serde::de::{Deserialize, Deserializer, Error};
+
+/// `[lower, upper]` with `lower <= upper`.
+///
+/// # Errors
+/// Not two numbers, or in the wrong order.
+pub fn range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    let ends = Vec::<f64>::deserialize(deserializer)?;
+    let [lower, upper] = ends[..] else {
+        return Err(D::Error::custom(format!("a range has two ends, not {}; write [lower, upper]", ends.len())));
+    };
+    if lower <= upper {
+        Ok([lower, upper])
+    } else {
+        Err(D::Error::custom(format!("the lower end {lower} is above the upper end {upper}; write [lower, upper]")))
+    }
+}
+
+/// A [`range`] whose lower end is at least 0.
+///
+/// # Errors
+/// As [`range`], or a negative end.
+pub fn non_negative_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    let [lower, upper] = range(deserializer)?;
+    if lower >= 0.0 {
+        Ok([lower, upper])
+    } else {
+        Err(D::Error::custom(format!("the lower end {lower} is negative; write a range that begins at 0 or above")))
+    }
+}
+
+/// A [`non_negative_range`] that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`non_negative_range`].
+pub fn optional_non_negative_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
+    non_negative_range(deserializer).map(Some)
+}
+
+/// A number above 0.
+///
+/// # Errors
+/// Zero, negative or not a number.
+pub fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if value > 0.0 {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value} is not positive; write a number above 0")))
+    }
+}
+
+/// A [`positive`] number that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`positive`].
+pub fn optional_positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    positive(deserializer).map(Some)
+}
+
+/// A number of 0 or above.
+///
+/// # Errors
+/// Negative or not a number.
+pub fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if value >= 0.0 {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value} is negative; write a number of 0 or above")))
+    }
+}
+
+/// A [`non_negative`] number that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`non_negative`].
+pub fn optional_non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    non_negative(deserializer).map(Some)
+}
+
+/// A share or probability, from 0 to 1.
+///
+/// # Errors
+/// Outside 0 to 1.
+pub fn fraction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if (0.0..=1.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value} is outside 0 to 1; write a share between 0 and 1")))
+    }
+}
+
+/// A count of 1 or more.
+///
+/// # Errors
+/// Zero, negative or not whole.
+pub fn at_least_one<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    match u32::deserialize(deserializer)? {
+        0 => Err(D::Error::custom("0 is too few; write a whole number of 1 or above")),
+        count => Ok(count),
+    }
+}

@@ -1,0 +1,343 @@
+//! What a pack of robots shares (the [`Topology`]) and what each lane has of its own (the [`Parameters`]).
+
+use serde::{Deserialize, Serialize};
+
+use super::lanes::Real;
+use super::math::{Sym3, Vec3};
+
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointMotion {
+    /// Turns about its axis; position in rad.
+    Revolute,
+    /// Slides along its axis; position in m.
+    Prismatic,
+}
+
+/// A joint axis in the (base-aligned) frame of its link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Axis {
+    /// Along x with this sign.
+    X(f64),
+    /// Along y with this sign.
+    Y(f64),
+    /// Along z with this sign.
+    Z(f64),
+    /// Any unit vector.
+    General([f64; 3]),
+}
+
+impl Axis {
+    /// The cheapest form of a unit vector.
+    pub fn new(direction: [f64; 3]) -> Self {
+        const ALIGNED: f64 = 1.0 - 1e-14;
+        let [x, y, z] = direction;
+        if x.abs() > ALIGNED {
+            Axis::X(x.signum())
+        } else if y.abs() > ALIGNED {
+            Axis::Y(y.signum())
+        } else if z.abs() > ALIGNED {
+            Axis::Z(z.signum())
+        } else {
+            Axis::General(direction)
+        }
+    }
+}
+
+/// One joint and the link it moves: joint `j` moves link `j + 1`; link 0 is the base.
+#[derive(Clone, Debug)]
+pub struct JointTopology {
+    /// The link that carries the joint; at most `j`.
+    pub parent: usize,
+    /// Revolute or prismatic.
+    pub motion: JointMotion,
+    /// Direction, in link axes, which are parallel to the base's when all joints are at zero.
+    pub axis: Axis,
+    /// A table of effort limits over the joint position, if the actuator has one: equally spaced.
+    pub effort_table: Option<EffortTable>,
+}
+
+/// Effort limits over a joint position, linear in between, constant beyond the ends.
+#[derive(Clone, Debug)]
+pub struct EffortTable {
+    /// Position of the first entry, rad.
+    pub start: f32,
+    /// One over the distance of two entries, 1/rad.
+    pub inverse_step: f32,
+    /// Limits, N m.
+    pub limits: Vec<f32>,
+}
+
+/// Where a contact candidate sits on its link.
+#[derive(Clone, Copy, Debug)]
+pub enum ContactKind {
+    /// A sphere (or, with radius 0, a corner) at a fixed place.
+    Point,
+    /// A point on the rim of a cylinder's end: the lowest one, turned by a fixed angle about the cylinder's axis.
+    Rim {
+        /// Two unit vectors across the axis, in link axes.
+        across: [[f64; 3]; 2],
+        /// Cosine and sine of the fixed angle.
+        turn: [f64; 2],
+    },
+}
+
+/// A place on a robot that can touch the ground.
+#[derive(Clone, Copy, Debug)]
+pub struct ContactTopology {
+    /// Link it is fixed to.
+    pub link: usize,
+    /// Contact body whose force it adds to.
+    pub body: usize,
+    /// Point or rim.
+    pub kind: ContactKind,
+}
+
+/// The articulation of one morphology: all that must be equal in the lanes of a pack.
+#[derive(Clone, Debug)]
+pub struct Topology {
+    /// Whether the base moves freely; else it is fixed to the world.
+    pub floating: bool,
+    /// Joints, parents before children.
+    pub joints: Vec<JointTopology>,
+    /// Contact candidates, sorted by link.
+    pub contacts: Vec<ContactTopology>,
+    /// Number of contact bodies.
+    pub num_bodies: usize,
+    /// Link of each site (a point whose position and velocity are reported, such as a foot).
+    pub sites: Vec<usize>,
+    /// Whether any actuator delays its target.
+    pub has_delay: bool,
+    /// `paths[link]`: the joints from the link to the base, nearest first.
+    paths: Vec<Vec<usize>>,
+    /// `rows[j]`: where the couplings of joint `j` with its ancestors start in a factor.
+    rows: Vec<usize>,
+    /// `link_contacts[link]`: its range in `contacts`.
+    link_contacts: Vec<std::ops::Range<usize>>,
+    num_couplings: usize,
+    max_depth: usize,
+}
+
+impl Topology {
+    /// Builds the derived tables.
+    ///
+    /// # Panics
+    /// If a joint's parent is not an earlier link or contacts name links that do not exist; loaders guarantee both.
+    pub fn new(
+        floating: bool,
+        joints: Vec<JointTopology>,
+        mut contacts: Vec<ContactTopology>,
+        num_bodies: usize,
+        sites: Vec<usize>,
+        has_delay: bool,
+    ) -> Self {
+        let mut paths: Vec<Vec<usize>> = vec![Vec::new()];
+        let mut rows = Vec::new();
+        let mut num_couplings = 0;
+        for (j, joint) in joints.iter().enumerate() {
+            let mut path = vec![j];
+            path.extend(&paths[joint.parent]);
+            rows.push(num_couplings);
+            num_couplings += path.len() - 1;
+            paths.push(path);
+        }
+        contacts.sort_by_key(|c| c.link);
+        let link_contacts = (0..paths.len())
+            .map(|link| {
+                let start = contacts.partition_point(|c| c.link < link);
+                start..contacts.partition_point(|c| c.link <= link)
+            })
+            .collect();
+        let max_depth = paths.iter().map(Vec::len).max().unwrap_or(0);
+        Self {
+            floating,
+            joints,
+            contacts,
+            num_bodies,
+            sites,
+            has_delay,
+            paths,
+            rows,
+            link_contacts,
+            num_couplings,
+            max_depth,
+        }
+    }
+
+    /// Number of joints.
+    pub fn num_joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Number of links, the base included.
+    pub fn num_links(&self) -> usize {
+        self.joints.len() + 1
+    }
+
+    /// The joints from a link to the base, nearest first.
+    #[inline(always)]
+    pub fn path(&self, link: usize) -> &[usize] {
+        &self.paths[link]
+    }
+
+    /// The ancestors of a joint, nearest first.
+    #[inline(always)]
+    pub fn ancestors(&self, joint: usize) -> &[usize] {
+        &self.paths[joint + 1][1..]
+    }
+
+    /// Where a joint's couplings start; `row(j) + p` belongs to `ancestors(j)[p]`.
+    #[inline(always)]
+    pub fn row(&self, joint: usize) -> usize {
+        self.rows[joint]
+    }
+
+    /// Number of joint-joint couplings of the mass matrix.
+    pub fn num_couplings(&self) -> usize {
+        self.num_couplings
+    }
+
+    /// The longest chain of joints.
+    pub fn max_depth(&self) -> usize {
+        self.max_depth
+    }
+
+    /// The contact candidates of a link.
+    #[inline(always)]
+    pub fn contacts_of(&self, link: usize) -> std::ops::Range<usize> {
+        self.link_contacts[link].clone()
+    }
+}
+
+macro_rules! parameters {
+    ($( $(#[$doc:meta])* $name:ident: $t:ty, $visit:ident; )*) => {
+        /// The numbers of one body (`S = f32` or `f64`) or of a pack of bodies (`S` a lane type).
+        ///
+        /// Frames: every link's axes are parallel to the base's when all joints are at zero.
+        #[derive(Clone, Debug, Serialize, Deserialize)]
+        pub struct Parameters<S> {
+            $( $(#[$doc])* pub $name: $t, )*
+        }
+
+        impl<S: Real> Parameters<S> {
+            /// Calls `f` on every number together with its counterpart in `other`, which must have the same sizes.
+            pub fn zip_with<T: Real>(&mut self, other: &Parameters<T>, mut f: impl FnMut(&mut S, &T)) {
+                $( $visit(&mut self.$name, &other.$name, &mut f); )*
+            }
+        }
+    };
+}
+
+fn one<S, T>(a: &mut S, b: &T, f: &mut impl FnMut(&mut S, &T)) {
+    f(a, b);
+}
+fn list<S, T>(a: &mut [S], b: &[T], f: &mut impl FnMut(&mut S, &T)) {
+    for (x, y) in a.iter_mut().zip(b) {
+        f(x, y);
+    }
+}
+fn arrays<S, T, const N: usize>(a: &mut [[S; N]], b: &[[T; N]], f: &mut impl FnMut(&mut S, &T)) {
+    for (x, y) in a.iter_mut().zip(b) {
+        list(x, y, f);
+    }
+}
+
+parameters! {
+    /// Joint origin in the parent link's frame, m, `[joints]`.
+    joint_offset: Vec<Vec3<S>>, arrays;
+    /// Link masses, kg, `[links]`.
+    mass: Vec<S>, list;
+    /// Link centres of mass in the link frame, m, `[links]`.
+    com: Vec<Vec3<S>>, arrays;
+    /// Link inertias about the centre of mass in link axes, kg m^2, `[links]`.
+    inertia: Vec<Sym3<S>>, arrays;
+    /// Actuator stiffness, N m/rad, `[joints]`.
+    stiffness: Vec<S>, list;
+    /// Actuator damping, N m s/rad, `[joints]`.
+    damping: Vec<S>, list;
+    /// Largest actuator effort, N m, `[joints]`; multiplies the effort table where there is one.
+    effort_limit: Vec<S>, list;
+    /// Stall effort of a DC motor, N m, `[joints]`.
+    saturation_effort: Vec<S>, list;
+    /// No-load speed of a DC motor, rad/s, `[joints]`.
+    motor_velocity_limit: Vec<S>, list;
+    /// Reflected rotor inertia, kg m^2, `[joints]`.
+    armature: Vec<S>, list;
+    /// Passive viscous damping, N m s/rad, `[joints]`.
+    joint_damping: Vec<S>, list;
+    /// Coulomb friction, N m, `[joints]`.
+    joint_friction: Vec<S>, list;
+    /// Lower position limit, rad, `[joints]`.
+    lower: Vec<S>, list;
+    /// Upper position limit, rad, `[joints]`.
+    upper: Vec<S>, list;
+    /// Largest joint speed, rad/s, `[joints]`.
+    velocity_limit: Vec<S>, list;
+    /// Centre of a contact candidate in its link's frame, m, `[contacts]`.
+    contact_position: Vec<Vec3<S>>, arrays;
+    /// Sphere radius of a contact candidate, m, `[contacts]`.
+    contact_radius: Vec<S>, list;
+    /// Rim radius of a contact candidate, m, `[contacts]`.
+    contact_rim: Vec<S>, list;
+    /// Radius about the link's origin that holds all its contact candidates, m, `[links]`.
+    contact_reach: Vec<S>, list;
+    /// Position of a site in its link's frame, m, `[sites]`.
+    site_position: Vec<Vec3<S>>, arrays;
+    /// Friction coefficient of sticking contacts (robot and ground combined).
+    static_friction: S, one;
+    /// Friction coefficient of sliding contacts (robot and ground combined).
+    dynamic_friction: S, one;
+    /// Restitution coefficient (robot and ground combined).
+    restitution: S, one;
+}
+
+impl<S: Real> Parameters<S> {
+    /// All numbers zero, with the sizes of a topology.
+    pub fn zeros(topology: &Topology) -> Self {
+        let (joints, links) = (topology.num_joints(), topology.num_links());
+        let (contacts, sites) = (topology.contacts.len(), topology.sites.len());
+        let z = S::zero();
+        Self {
+            joint_offset: vec![[z; 3]; joints],
+            mass: vec![z; links],
+            com: vec![[z; 3]; links],
+            inertia: vec![[z; 6]; links],
+            stiffness: vec![z; joints],
+            damping: vec![z; joints],
+            effort_limit: vec![z; joints],
+            saturation_effort: vec![z; joints],
+            motor_velocity_limit: vec![z; joints],
+            armature: vec![z; joints],
+            joint_damping: vec![z; joints],
+            joint_friction: vec![z; joints],
+            lower: vec![z; joints],
+            upper: vec![z; joints],
+            velocity_limit: vec![z; joints],
+            contact_position: vec![[z; 3]; contacts],
+            contact_radius: vec![z; contacts],
+            contact_rim: vec![z; contacts],
+            contact_reach: vec![z; links],
+            site_position: vec![[z; 3]; sites],
+            static_friction: z,
+            dynamic_friction: z,
+            restitution: z,
+        }
+    }
+
+    /// The same numbers in another precision, in every lane.
+    pub fn from_scalars<T: Real>(topology: &Topology, scalars: &Parameters<T>) -> Self {
+        let mut new = Self::zeros(topology);
+        new.zip_with(scalars, |x, y| *x = S::splat(y.lane(0)));
+        new
+    }
+
+    /// Writes one robot's numbers into a lane.
+    pub fn set_lane<T: Real>(&mut self, lane: usize, scalars: &Parameters<T>) {
+        self.zip_with(scalars, |x, y| x.set_lane(lane, y.lane(0)));
+    }
+
+    /// Total mass, kg.
+    pub fn total_mass(&self) -> S {
+        self.mass.iter().fold(S::zero(), |a, &m| a + m)
+    }
+}

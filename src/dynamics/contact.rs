@@ -1,0 +1,500 @@
+//! Contacts with the ground and joint bounds, as velocity constraints solved by warm-started Gauss-Seidel sweeps.
+//!
+//! A constraint row `J` is kept as `Z = L^-T J^T`, which is zero off the path from its link to the base, so that
+//! `J M^-1 J^T = Z^T D^-1 Z` and a sweep works on the sparse velocity `y = L u` (see [`factor`](super::factor)).
+
+use super::articulation::{ContactKind, Parameters, Topology};
+use super::factor::Factor;
+use super::lanes::Real;
+use super::math::{Vec3, add_scaled, cross, dot, mul_vec, mul_vec_transposed, scale, sub};
+use super::state::{LinkState, State, Workspace};
+
+/// How contacts and joint bounds are solved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactSettings {
+    /// Gauss-Seidel sweeps per physics step.
+    pub iterations: usize,
+    /// Share of a penetration that one physics step removes.
+    pub correction: f64,
+    /// Largest speed at which a penetration is pushed out, m/s.
+    pub max_depenetration_velocity: f64,
+    /// Approach speed from which restitution acts, m/s.
+    pub bounce_threshold: f64,
+    /// Height of the ground plane, m.
+    pub ground_height: f64,
+}
+
+impl Default for ContactSettings {
+    fn default() -> Self {
+        Self {
+            iterations: 8,
+            correction: 0.2,
+            max_depenetration_velocity: 1.0,
+            bounce_threshold: 0.5,
+            ground_height: 0.0,
+        }
+    }
+}
+
+/// A candidate takes part in a physics step when it is nearer to the ground than this, m.
+const CONTACT_MARGIN: f64 = 0.02;
+/// A joint bound takes part when the joint could come nearer to it than this in two physics steps, rad or m.
+const BOUND_MARGIN: f64 = 0.05;
+/// ... or when it moves faster than this share of its velocity limit.
+const SPEED_MARGIN: f64 = 0.7;
+/// Target speed that keeps an absent contact from ever pushing, m/s.
+const NEVER: f64 = -1e6;
+
+#[derive(Clone, Debug)]
+struct ContactRows<S> {
+    contact: usize,
+    base: [[S; 6]; 3],
+    base_scaled: [[S; 6]; 3],
+    /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
+    coupling: [S; 3],
+    inverse: [S; 3],
+    /// Least allowed separation speed, m/s.
+    target: S,
+    impulse: [S; 3],
+}
+
+#[derive(Clone, Debug)]
+struct BoundRow<S> {
+    joint: usize,
+    base: [S; 6],
+    base_scaled: [S; 6],
+    diagonal: S,
+    inverse: S,
+    lowest: S,
+    highest: S,
+    limit_impulse: S,
+    friction_impulse: S,
+    max_friction: S,
+}
+
+/// Scratch memory of the contact solver.
+#[derive(Clone, Debug)]
+pub struct ContactWork<S> {
+    contacts: Vec<ContactRows<S>>,
+    bounds: Vec<BoundRow<S>>,
+    /// Joint parts of the contact rows, plain and divided by `D`: `[contact * depth + p]`, `p` along the path.
+    contact_joint: Vec<[S; 3]>,
+    contact_joint_scaled: Vec<[S; 3]>,
+    bound_joint: Vec<S>,
+    bound_joint_scaled: Vec<S>,
+    /// The sparse velocity `y`.
+    pub base: [S; 6],
+    /// See `base`.
+    pub joints: Vec<S>,
+}
+
+impl<S: Real> ContactWork<S> {
+    /// Memory for a topology.
+    pub fn new(topology: &Topology) -> Self {
+        let z = S::zero();
+        let depth = topology.max_depth();
+        let (contacts, joints) = (topology.contacts.len(), topology.num_joints());
+        Self {
+            contacts: Vec::with_capacity(contacts),
+            bounds: Vec::with_capacity(joints),
+            contact_joint: vec![[z; 3]; contacts * depth],
+            contact_joint_scaled: vec![[z; 3]; contacts * depth],
+            bound_joint: vec![z; joints * depth],
+            bound_joint_scaled: vec![z; joints * depth],
+            base: [z; 6],
+            joints: vec![z; joints],
+        }
+    }
+}
+
+/// The lowest point of a candidate, in link axes about the link's origin; `up` is the world's up in link axes.
+#[inline(always)]
+fn candidate_point<S: Real>(parameters: &Parameters<S>, contact: usize, kind: ContactKind, up: &Vec3<S>) -> Vec3<S> {
+    let centre = &parameters.contact_position[contact];
+    match kind {
+        ContactKind::Point => *centre,
+        ContactKind::Rim { across, turn } => {
+            let e = across.map(|u| u.map(S::splat));
+            let (c, s) = (-dot(&e[0], up), -dot(&e[1], up));
+            let length = c.mul_add(c, s * s).sqrt();
+            // an upright cylinder has no lowest rim point: take fixed ones
+            let upright = length.lt(S::splat(1e-3));
+            let inverse = S::one() / length;
+            let (c, s) = (S::select(upright, S::one(), c * inverse), S::select(upright, S::zero(), s * inverse));
+            let (tc, ts) = (S::splat(turn[0]), S::splat(turn[1]));
+            let (c, s) = (c.mul_add(tc, -(s * ts)), s.mul_add(tc, c * ts));
+            let rim = parameters.contact_rim[contact];
+            add_scaled(&add_scaled(centre, &e[0], c * rim), &e[1], s * rim)
+        }
+    }
+}
+
+/// `L^-T J^T` along a path, in place: `joint[p]` belongs to `path[p]`.
+#[inline(always)]
+fn half_solve_path<S: Real, const N: usize>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    path: &[usize],
+    joint: &mut [[S; N]],
+    base: &mut [[S; 6]; N],
+) {
+    for p in 0..path.len() {
+        let k = path[p];
+        let x = joint[p];
+        let row = topology.row(k);
+        for q in p + 1..path.len() {
+            let l = factor.couplings[row + q - p - 1];
+            for d in 0..N {
+                joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
+            }
+        }
+        for d in 0..N {
+            for r in 0..6 {
+                base[d][r] = factor.base_couplings[k][r].neg_mul_add(x[d], base[d][r]);
+            }
+        }
+    }
+    if topology.floating {
+        for row in base.iter_mut() {
+            factor.base_forward(row);
+        }
+    }
+}
+
+#[inline(always)]
+fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
+    // two chains, for latency
+    let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
+    let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
+    even + odd
+}
+
+/// Finds the contacts near the ground and builds their rows.
+#[inline(always)]
+pub fn build_contacts<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    settings: &ContactSettings,
+    dt: S,
+    state: &mut State<S>,
+    work: &mut Workspace<S>,
+) {
+    let Workspace { base_rotation, links, axes, factor, contact: rows, .. } = work;
+    let depth = topology.max_depth();
+    let margin = S::splat(CONTACT_MARGIN);
+    let ground = state.position[2] - S::splat(settings.ground_height);
+    // world axes (normal, tangents) in base axes
+    let frame = [base_rotation[2], base_rotation[0], base_rotation[1]];
+    let inverse_dt = S::one() / dt;
+    rows.contacts.clear();
+    for (link, at) in links.iter().enumerate() {
+        let candidates = topology.contacts_of(link);
+        if candidates.is_empty() {
+            continue;
+        }
+        let origin_height = ground + dot(&frame[0], &at.position);
+        if !S::any((origin_height - parameters.contact_reach[link]).lt(margin)) {
+            for c in candidates {
+                state.impulse[c] = [S::zero(); 3];
+            }
+            continue;
+        }
+        let up = mul_vec_transposed(&at.rotation, &frame[0]);
+        for c in candidates {
+            let local = candidate_point(parameters, c, topology.contacts[c].kind, &up);
+            let gap = origin_height + dot(&up, &local) - parameters.contact_radius[c];
+            let near = gap.lt(margin);
+            if !S::any(near) {
+                state.impulse[c] = [S::zero(); 3];
+                continue;
+            }
+            let row = contact_rows(topology, factor, axes, at, &frame, c, &local, parameters.contact_radius[c], rows);
+            let zero = S::zero();
+            let push = (gap * S::splat(-settings.correction) * inverse_dt)
+                .min(S::splat(settings.max_depenetration_velocity));
+            let mut target = S::select(gap.lt(zero), push, -(gap * inverse_dt));
+            if S::any(zero.lt(parameters.restitution)) {
+                let approach = rows.normal_velocity(topology.path(link), depth, &row);
+                let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
+                target = S::select(bounces, target.max(-(approach * parameters.restitution)), target);
+            }
+            let keep = |x: S| S::select(near, x, zero);
+            rows.contacts.push(ContactRows {
+                target: S::select(near, target, S::splat(NEVER)),
+                impulse: state.impulse[c].map(keep),
+                ..row
+            });
+        }
+    }
+}
+
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn contact_rows<S: Real>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    axes: &[super::math::Spatial<S>],
+    at: &LinkState<S>,
+    frame: &[Vec3<S>; 3],
+    contact: usize,
+    local: &Vec3<S>,
+    radius: S,
+    rows: &mut ContactWork<S>,
+) -> ContactRows<S> {
+    let z = S::zero();
+    let path = topology.path(topology.contacts[contact].link);
+    let start = rows.contacts.len() * topology.max_depth();
+    let joint = &mut rows.contact_joint[start..start + path.len()];
+    let centre = super::math::add(&at.position, &mul_vec(&at.rotation, local));
+    let point = sub(&centre, &scale(&frame[0], radius));
+    let mut base = [[z; 6]; 3];
+    for (d, direction) in frame.iter().enumerate() {
+        let moment = cross(&point, direction);
+        if topology.floating {
+            base[d] = [moment[0], moment[1], moment[2], direction[0], direction[1], direction[2]];
+        }
+        for (p, &j) in path.iter().enumerate() {
+            joint[p][d] = dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction);
+        }
+    }
+    half_solve_path(topology, factor, path, joint, &mut base);
+    let scaled = &mut rows.contact_joint_scaled[start..start + path.len()];
+    let mut base_scaled = [[z; 6]; 3];
+    if topology.floating {
+        for d in 0..3 {
+            for r in 0..6 {
+                base_scaled[d][r] = base[d][r] * factor.base_inverse_diagonal[r];
+            }
+        }
+    }
+    for (p, &j) in path.iter().enumerate() {
+        for d in 0..3 {
+            scaled[p][d] = joint[p][d] * factor.inverse_diagonal[j];
+        }
+    }
+    let product = |a: usize, b: usize| {
+        let mut sum = dot6(&base[a], &base_scaled[b]);
+        for p in 0..path.len() {
+            sum = joint[p][a].mul_add(scaled[p][b], sum);
+        }
+        sum
+    };
+    let one = S::one();
+    // a point that nothing can move (a fixed base) has no compliance: keep the division finite
+    let invert = |x: S| one / x.max(S::splat(1e-9));
+    ContactRows {
+        contact,
+        coupling: [product(0, 1), product(0, 2), product(1, 2)],
+        inverse: [invert(product(0, 0)), invert(product(1, 1)), invert(product(2, 2))],
+        base,
+        base_scaled,
+        target: z,
+        impulse: [z; 3],
+    }
+}
+
+impl<S: Real> ContactWork<S> {
+    #[inline(always)]
+    fn normal_velocity(&self, path: &[usize], depth: usize, row: &ContactRows<S>) -> S {
+        let start = self.contacts.len() * depth;
+        let mut sum = dot6(&row.base[0], &self.base);
+        for (p, &j) in path.iter().enumerate() {
+            sum = self.contact_joint[start + p][0].mul_add(self.joints[j], sum);
+        }
+        sum
+    }
+}
+
+/// Builds a row for every joint near a position limit, near its velocity limit, or with Coulomb friction.
+///
+/// `velocity` is the joints' velocity at the start of the step, `free` the one without constraints.
+#[inline(always)]
+pub fn build_bounds<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    settings: &ContactSettings,
+    dt: S,
+    state: &State<S>,
+    free: &[S],
+    work: &mut Workspace<S>,
+) {
+    let Workspace { factor, contact: rows, .. } = work;
+    let z = S::zero();
+    let depth = topology.max_depth();
+    let inverse_dt = S::one() / dt;
+    let big = S::splat(-NEVER);
+    rows.bounds.clear();
+    for j in 0..topology.num_joints() {
+        let (q, v) = (state.joint_position[j], free[j]);
+        let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
+        let reach = (v.abs().max(state.joint_velocity[j].abs())).mul_add(dt + dt, S::splat(BOUND_MARGIN));
+        let near = S::or(
+            S::or((q - reach).lt(lower), upper.lt(q + reach)),
+            (fastest * S::splat(SPEED_MARGIN)).lt(v.abs().max(state.joint_velocity[j].abs())),
+        );
+        let rubs = z.lt(parameters.joint_friction[j]);
+        if !S::any(S::or(near, rubs)) {
+            continue;
+        }
+        let path = topology.path(j + 1);
+        let start = rows.bounds.len() * depth;
+        let mut joint = [[z; 1]; MAX_DEPTH];
+        joint[0] = [S::one()];
+        let mut base = [[z; 6]; 1];
+        half_solve_path(topology, factor, path, &mut joint[..path.len()], &mut base);
+        let base = base[0];
+        let mut base_scaled = [z; 6];
+        if topology.floating {
+            base_scaled = std::array::from_fn(|r| base[r] * factor.base_inverse_diagonal[r]);
+        }
+        let mut diagonal = dot6(&base, &base_scaled);
+        for (p, &k) in path.iter().enumerate() {
+            let scaled = joint[p][0] * factor.inverse_diagonal[k];
+            rows.bound_joint[start + p] = joint[p][0];
+            rows.bound_joint_scaled[start + p] = scaled;
+            diagonal = joint[p][0].mul_add(scaled, diagonal);
+        }
+        // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
+        let back = S::splat(settings.correction);
+        let fastest_push = S::splat(settings.max_depenetration_velocity);
+        let below = (lower - q) * inverse_dt;
+        let above = (upper - q) * inverse_dt;
+        let lowest = S::select(z.lt(below), (below * back).min(fastest_push), below).max(-fastest);
+        let highest = S::select(above.lt(z), (above * back).max(-fastest_push), above).min(fastest);
+        rows.bounds.push(BoundRow {
+            joint: j,
+            base,
+            base_scaled,
+            diagonal,
+            inverse: S::one() / diagonal,
+            lowest: S::select(near, lowest, -big),
+            highest: S::select(near, highest, big),
+            limit_impulse: z,
+            friction_impulse: z,
+            max_friction: parameters.joint_friction[j] * dt,
+        });
+    }
+}
+
+/// The deepest chain of joints that bounds can be solved on.
+pub const MAX_DEPTH: usize = 64;
+
+/// Applies the warm start and runs the sweeps; afterwards `y` in the workspace satisfies the constraints.
+#[inline(always)]
+pub fn solve<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    settings: &ContactSettings,
+    work: &mut ContactWork<S>,
+) {
+    let depth = topology.max_depth();
+    let ContactWork {
+        contacts,
+        bounds,
+        contact_joint,
+        contact_joint_scaled,
+        bound_joint,
+        bound_joint_scaled,
+        base: y_base,
+        joints: y_joint,
+    } = work;
+    for (c, row) in contacts.iter().enumerate() {
+        let path = topology.path(topology.contacts[row.contact].link);
+        apply(row, &contact_joint_scaled[c * depth..], path, &row.impulse, y_base, y_joint);
+    }
+    for _ in 0..settings.iterations {
+        for (b, row) in bounds.iter_mut().enumerate() {
+            let path = topology.path(row.joint + 1);
+            let start = b * depth;
+            let mut w = dot6(&row.base, y_base);
+            for (p, &j) in path.iter().enumerate() {
+                w = bound_joint[start + p].mul_add(y_joint[j], w);
+            }
+            let old = row.friction_impulse;
+            let friction = w.neg_mul_add(row.inverse, old).clamp(-row.max_friction, row.max_friction);
+            row.friction_impulse = friction;
+            let w = row.diagonal.mul_add(friction - old, w);
+            // the velocity this row would see without its own limit impulse, and the nearest allowed one
+            let without = row.diagonal.neg_mul_add(row.limit_impulse, w);
+            let limit = (without.clamp(row.lowest, row.highest) - without) * row.inverse;
+            let change = (friction - old) + (limit - row.limit_impulse);
+            row.limit_impulse = limit;
+            for r in 0..6 {
+                y_base[r] = row.base_scaled[r].mul_add(change, y_base[r]);
+            }
+            for (p, &j) in path.iter().enumerate() {
+                y_joint[j] = bound_joint_scaled[start + p].mul_add(change, y_joint[j]);
+            }
+        }
+        for (c, row) in contacts.iter_mut().enumerate() {
+            let path = topology.path(topology.contacts[row.contact].link);
+            let joint = &contact_joint[c * depth..];
+            let mut w = [dot6(&row.base[0], y_base), dot6(&row.base[1], y_base), dot6(&row.base[2], y_base)];
+            for (p, &j) in path.iter().enumerate() {
+                for d in 0..3 {
+                    w[d] = joint[p][d].mul_add(y_joint[j], w[d]);
+                }
+            }
+            let old = row.impulse;
+            let normal = (w[0] - row.target).neg_mul_add(row.inverse[0], old[0]).max(S::zero());
+            let dn = normal - old[0];
+            let t1 = row.coupling[0].mul_add(dn, w[1]).neg_mul_add(row.inverse[1], old[1]);
+            let w2 = row.coupling[2].mul_add(t1 - old[1], row.coupling[1].mul_add(dn, w[2]));
+            let t2 = w2.neg_mul_add(row.inverse[2], old[2]);
+            // sticks inside the disc of the static coefficient, else slides with the dynamic one
+            let length = t1.mul_add(t1, t2.mul_add(t2, S::splat(1e-20))).sqrt();
+            let slides = (parameters.static_friction * normal).lt(length);
+            let shrink = S::select(slides, parameters.dynamic_friction * normal / length, S::one());
+            let new = [normal, t1 * shrink, t2 * shrink];
+            let change = [dn, new[1] - old[1], new[2] - old[2]];
+            row.impulse = new;
+            apply(row, &contact_joint_scaled[c * depth..], path, &change, y_base, y_joint);
+        }
+    }
+}
+
+#[inline(always)]
+fn apply<S: Real>(
+    row: &ContactRows<S>,
+    joint_scaled: &[[S; 3]],
+    path: &[usize],
+    impulse: &[S; 3],
+    y_base: &mut [S; 6],
+    y_joint: &mut [S],
+) {
+    for r in 0..6 {
+        let x = row.base_scaled[0][r].mul_add(impulse[0], y_base[r]);
+        let x = row.base_scaled[1][r].mul_add(impulse[1], x);
+        y_base[r] = row.base_scaled[2][r].mul_add(impulse[2], x);
+    }
+    for (p, &j) in path.iter().enumerate() {
+        let x = joint_scaled[p][0].mul_add(impulse[0], y_joint[j]);
+        let x = joint_scaled[p][1].mul_add(impulse[1], x);
+        y_joint[j] = joint_scaled[p][2].mul_add(impulse[2], x);
+    }
+}
+
+/// Stores the impulses for the next warm start and sums contact forces per body: `force` in world axes, N, and the norm
+/// of the normal part.
+#[inline(always)]
+pub fn report<S: Real>(
+    topology: &Topology,
+    inverse_dt: S,
+    work: &ContactWork<S>,
+    state: &mut State<S>,
+    force: &mut [Vec3<S>],
+    normal_force: &mut [S],
+) {
+    let z = S::zero();
+    force.fill([z; 3]);
+    normal_force.fill(z);
+    for row in &work.contacts {
+        // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
+        let impulse = row.impulse.map(|x| x + z);
+        state.impulse[row.contact] = impulse;
+        let body = topology.contacts[row.contact].body;
+        let f = impulse.map(|x| x * inverse_dt);
+        force[body] = [force[body][0] + f[1], force[body][1] + f[2], force[body][2] + f[0]];
+        normal_force[body] = normal_force[body] + f[0];
+    }
+}

@@ -1,0 +1,168 @@
+//! Forward kinematics, composite inertias and bias forces, all in base axes about the base origin.
+
+use super::articulation::{Axis, JointMotion, Parameters, Topology};
+use super::lanes::Real;
+use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, dot, mul_vec, rotate_sym, scale};
+use super::state::{LinkState, Workspace};
+
+/// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
+#[inline(always)]
+fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
+    // a turn about a coordinate axis mixes the two other columns
+    #[inline(always)]
+    fn about<S: Real, const A: usize, const B: usize, const C: usize>(
+        r: &Mat3<S>,
+        sign: f64,
+        angle: S,
+    ) -> (Mat3<S>, Vec3<S>) {
+        let (s, c) = angle.sin_cos();
+        let s = s * S::splat(sign);
+        let mut out = *r;
+        for i in 0..3 {
+            out[i][B] = c.mul_add(r[i][B], s * r[i][C]);
+            out[i][C] = c.mul_add(r[i][C], -(s * r[i][B]));
+        }
+        let sign = S::splat(sign);
+        (out, [r[0][A] * sign, r[1][A] * sign, r[2][A] * sign])
+    }
+    match axis {
+        Axis::X(sign) => about::<S, 0, 1, 2>(r, sign, angle),
+        Axis::Y(sign) => about::<S, 1, 2, 0>(r, sign, angle),
+        Axis::Z(sign) => about::<S, 2, 0, 1>(r, sign, angle),
+        Axis::General(u) => {
+            let (s, c) = angle.sin_cos();
+            let u = u.map(S::splat);
+            let versine = S::one() - c;
+            let (vx, vy, vz) = (u[0] * versine, u[1] * versine, u[2] * versine);
+            let (sx, sy, sz) = (u[0] * s, u[1] * s, u[2] * s);
+            // Rodrigues' formula
+            let turn = [
+                [vx.mul_add(u[0], c), vx.mul_add(u[1], -sz), vx.mul_add(u[2], sy)],
+                [vy.mul_add(u[0], sz), vy.mul_add(u[1], c), vy.mul_add(u[2], -sx)],
+                [vz.mul_add(u[0], -sy), vz.mul_add(u[1], sx), vz.mul_add(u[2], c)],
+            ];
+            let mut out = *r;
+            for i in 0..3 {
+                for j in 0..3 {
+                    out[i][j] = r[i][0].mul_add(turn[0][j], r[i][1].mul_add(turn[1][j], r[i][2] * turn[2][j]));
+                }
+            }
+            (out, mul_vec(r, &u))
+        }
+    }
+}
+
+/// The axis of a joint that does not turn, in the outer frame.
+#[inline(always)]
+fn direction<S: Real>(r: &Mat3<S>, axis: Axis) -> Vec3<S> {
+    let u = match axis {
+        Axis::X(s) => [s, 0.0, 0.0],
+        Axis::Y(s) => [0.0, s, 0.0],
+        Axis::Z(s) => [0.0, 0.0, s],
+        Axis::General(u) => u,
+    };
+    mul_vec(r, &u.map(S::splat))
+}
+
+/// Positions, axes and velocities of all links.
+///
+/// `base_velocity` is in base axes about the base origin. `position` and `velocity` are the joints'.
+#[inline(always)]
+pub fn forward_kinematics<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    position: &[S],
+    velocity: &[S],
+    base_velocity: &Spatial<S>,
+    work: &mut Workspace<S>,
+) {
+    let (z, one) = (S::zero(), S::one());
+    work.links[0] = LinkState {
+        rotation: [[one, z, z], [z, one, z], [z, z, one]],
+        position: [z; 3],
+        velocity: *base_velocity,
+    };
+    for (j, joint) in topology.joints.iter().enumerate() {
+        let parent = &work.links[joint.parent];
+        let offset = &parameters.joint_offset[j];
+        let mut origin =
+            if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
+        let (rotation, axis) = match joint.motion {
+            JointMotion::Revolute => {
+                let (rotation, axis) = turned(&parent.rotation, joint.axis, position[j]);
+                (rotation, Spatial { ang: axis, lin: cross(&origin, &axis) })
+            }
+            JointMotion::Prismatic => {
+                let axis = direction(&parent.rotation, joint.axis);
+                origin = add_scaled(&origin, &axis, position[j]);
+                (parent.rotation, Spatial { ang: [z; 3], lin: axis })
+            }
+        };
+        let velocity = parent.velocity.plus_scaled(&axis, velocity[j]);
+        work.axes[j] = axis;
+        work.links[j + 1] = LinkState { rotation, position: origin, velocity };
+    }
+}
+
+/// Spatial inertia of every link.
+#[inline(always)]
+pub fn link_inertias<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
+    work.inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    for link in 1..topology.num_links() {
+        let at = &work.links[link];
+        let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com[link]));
+        let about_com = rotate_sym(&at.rotation, &parameters.inertia[link]);
+        work.inertia[link] = SpatialInertia::new(parameters.mass[link], &com, &about_com);
+    }
+}
+
+/// Forces that the present motion and gravity ask for at zero acceleration, by the recursive Newton-Euler algorithm
+/// (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 5.1); into `bias_base` and `bias_joint`.
+///
+/// The base's acceleration is the classical one of its origin in inertial axes. That makes the result independent of
+/// the base's linear velocity (Galilean invariance), which is why link velocities must have been computed with it set
+/// to zero. `gravity` is in base axes.
+#[inline(always)]
+pub fn bias_forces<S: Real>(topology: &Topology, velocity: &[S], gravity: &Vec3<S>, work: &mut Workspace<S>) {
+    let minus_gravity = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
+    work.acceleration[0] = minus_gravity;
+    for (j, joint) in topology.joints.iter().enumerate() {
+        let relative = Spatial { ang: scale(&work.axes[j].ang, velocity[j]), lin: scale(&work.axes[j].lin, velocity[j]) };
+        work.acceleration[j + 1] =
+            work.acceleration[joint.parent].plus(&work.links[j + 1].velocity.cross_motion(&relative));
+    }
+    for link in 0..topology.num_links() {
+        let inertia = &work.inertia[link];
+        let velocity = &work.links[link].velocity;
+        let momentum = inertia.apply(velocity);
+        work.force[link] = inertia.apply(&work.acceleration[link]).plus(&velocity.cross_force(&momentum));
+    }
+    for (j, joint) in topology.joints.iter().enumerate().rev() {
+        let force = work.force[j + 1];
+        work.bias_joint[j] = work.axes[j].dot(&force);
+        work.force[joint.parent] = work.force[joint.parent].plus(&force);
+    }
+    work.bias_base = work.force[0].to_array();
+}
+
+/// Turns link inertias into composite ones: each link with all that it carries.
+#[inline(always)]
+pub fn composite_inertias<S: Real>(topology: &Topology, work: &mut Workspace<S>) {
+    for (j, joint) in topology.joints.iter().enumerate().rev() {
+        work.inertia[joint.parent] = work.inertia[joint.parent].plus(&work.inertia[j + 1]);
+    }
+}
+
+/// Position and velocity, in base axes, of a point fixed to a link.
+#[inline(always)]
+pub fn point_motion<S: Real>(link: &LinkState<S>, point: &Vec3<S>) -> (Vec3<S>, Vec3<S>) {
+    let at = add(&link.position, &mul_vec(&link.rotation, point));
+    let velocity = add(&link.velocity.lin, &cross(&link.velocity.ang, &at));
+    (at, velocity)
+}
+
+/// Height of a point in base axes above the base origin, given the world's up direction in base axes.
+#[inline(always)]
+pub fn height<S: Real>(up: &Vec3<S>, point: &Vec3<S>) -> S {
+    dot(up, point)
+}

@@ -1,0 +1,16 @@
+#![doc = include_str!("README.md")]
+
+pub mod articulation;
+pub mod contact;
+pub mod factor;
+pub mod kinematics;
+pub mod lanes;
+pub mod math;
+pub mod state;
+pub mod step;
+
+pub use articulation::{Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology};
+pub use contact::ContactSettings;
+pub use lanes::{Lanes, Real, Simd};
+pub use state::{Drive, Report, State, Workspace};
+pub use step::{ControlStep, StepSettings};

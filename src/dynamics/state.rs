@@ -1,0 +1,170 @@
+//! The moving numbers of a pack, and the scratch memory of a step.
+
+use super::articulation::Topology;
+use super::factor::Factor;
+use super::contact::ContactWork;
+use super::lanes::Real;
+use super::math::{Mat3, Spatial, SpatialInertia, Vec3};
+
+/// The state of one body or of a pack of bodies, and what one control step reports of it.
+#[derive(Clone, Debug)]
+pub struct State<S> {
+    /// Base position in the env's frame, m.
+    pub position: Vec3<S>,
+    /// Base orientation (w, x, y, z).
+    pub rotation: [S; 4],
+    /// Velocity of the base origin in world axes, m/s.
+    pub linear_velocity: Vec3<S>,
+    /// Angular velocity of the base in base axes, rad/s.
+    pub angular_velocity: Vec3<S>,
+    /// Joint positions, rad, `[joints]`.
+    pub joint_position: Vec<S>,
+    /// Joint velocities, rad/s, `[joints]`.
+    pub joint_velocity: Vec<S>,
+    /// Contact impulses of the last physics step in world axes (normal, two tangents), N s, `[contacts]`; they warm-start
+    /// the next one.
+    pub impulse: Vec<[S; 3]>,
+}
+
+/// What the actuators are asked for during one control step.
+#[derive(Clone, Debug)]
+pub struct Drive<S> {
+    /// Position targets, rad: `targets[age][joint]`, age in control steps, 0 the present one.
+    pub targets: Vec<Vec<S>>,
+    /// Delay of the targets in physics steps, `[joints]`.
+    pub delay: Vec<S>,
+    /// Effort added to the actuators', N m, `[joints]`.
+    pub feedforward: Vec<S>,
+}
+
+/// What one control step reports.
+#[derive(Clone, Debug)]
+pub struct Report<S> {
+    /// Actuator effort of the last physics step, N m, `[joints]`.
+    pub joint_effort: Vec<S>,
+    /// Joint acceleration over the last physics step, rad/s^2, `[joints]`.
+    pub joint_acceleration: Vec<S>,
+    /// Net contact force of the last physics step in world axes, N, `[bodies]`.
+    pub body_force: Vec<Vec3<S>>,
+    /// Norm of the net normal contact force, N: `normal_force[physics step][body]`.
+    pub normal_force: Vec<Vec<S>>,
+    /// Site positions in the env's frame, m, `[sites]`.
+    pub site_position: Vec<Vec3<S>>,
+    /// Site velocities in world axes, m/s, `[sites]`.
+    pub site_velocity: Vec<Vec3<S>>,
+}
+
+impl<S: Real> State<S> {
+    /// At rest at the origin, all joints zero.
+    pub fn zeros(topology: &Topology) -> Self {
+        let z = S::zero();
+        Self {
+            position: [z; 3],
+            rotation: [S::one(), z, z, z],
+            linear_velocity: [z; 3],
+            angular_velocity: [z; 3],
+            joint_position: vec![z; topology.num_joints()],
+            joint_velocity: vec![z; topology.num_joints()],
+            impulse: vec![[z; 3]; topology.contacts.len()],
+        }
+    }
+}
+
+impl<S: Real> Drive<S> {
+    /// Targets zero, no delay, `ages` control steps remembered.
+    pub fn zeros(topology: &Topology, ages: usize) -> Self {
+        let joints = topology.num_joints();
+        Self {
+            targets: vec![vec![S::zero(); joints]; ages],
+            delay: vec![S::zero(); joints],
+            feedforward: vec![S::zero(); joints],
+        }
+    }
+}
+
+impl<S: Real> Report<S> {
+    /// All zero.
+    pub fn zeros(topology: &Topology, decimation: usize) -> Self {
+        let z = S::zero();
+        Self {
+            joint_effort: vec![z; topology.num_joints()],
+            joint_acceleration: vec![z; topology.num_joints()],
+            body_force: vec![[z; 3]; topology.num_bodies],
+            normal_force: vec![vec![z; topology.num_bodies]; decimation],
+            site_position: vec![[z; 3]; topology.sites.len()],
+            site_velocity: vec![[z; 3]; topology.sites.len()],
+        }
+    }
+}
+
+/// Where links are and how they move, in base axes about the base origin.
+#[derive(Clone, Debug)]
+pub struct LinkState<S> {
+    /// Link axes in base axes.
+    pub rotation: Mat3<S>,
+    /// Link origin, m.
+    pub position: Vec3<S>,
+    /// Spatial velocity.
+    pub velocity: Spatial<S>,
+}
+
+/// Scratch memory of one worker; its contents mean nothing between steps.
+#[derive(Clone, Debug)]
+pub struct Workspace<S> {
+    /// Base axes in world axes.
+    pub base_rotation: Mat3<S>,
+    /// `[links]`.
+    pub links: Vec<LinkState<S>>,
+    /// Motion axis of each joint.
+    pub axes: Vec<Spatial<S>>,
+    /// Velocity-product accelerations, `[links]`.
+    pub acceleration: Vec<Spatial<S>>,
+    /// Spatial inertias, then composite ones, `[links]`.
+    pub inertia: Vec<SpatialInertia<S>>,
+    /// Link forces, then forces summed towards the base, `[links]`.
+    pub force: Vec<Spatial<S>>,
+    /// Generalised bias force: base (6, base axes) and joints.
+    pub bias_base: [S; 6],
+    /// See `bias_base`.
+    pub bias_joint: Vec<S>,
+    /// The factorised mass matrix.
+    pub factor: Factor<S>,
+    /// Base velocity in base axes: angular, linear.
+    pub velocity_base: [S; 6],
+    /// Right-hand sides and solutions.
+    pub rhs_joint: Vec<S>,
+    /// Actuator effort before the implicit correction, N m.
+    pub effort: Vec<S>,
+    /// What the actuator loses per unit of velocity change; zero when saturated.
+    pub effort_slope: Vec<S>,
+    /// Target position of each joint in the current physics step.
+    pub target: Vec<S>,
+    /// Rows of active contacts and joint bounds.
+    pub contact: ContactWork<S>,
+}
+
+impl<S: Real> Workspace<S> {
+    /// Memory for a topology.
+    pub fn new(topology: &Topology) -> Self {
+        let z = S::zero();
+        let (joints, links) = (topology.num_joints(), topology.num_links());
+        let identity = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { S::one() } else { z }));
+        Self {
+            base_rotation: identity,
+            links: vec![LinkState { rotation: identity, position: [z; 3], velocity: Spatial::zero() }; links],
+            axes: vec![Spatial::zero(); joints],
+            acceleration: vec![Spatial::zero(); links],
+            inertia: vec![SpatialInertia::zero(); links],
+            force: vec![Spatial::zero(); links],
+            bias_base: [z; 6],
+            bias_joint: vec![z; joints],
+            factor: Factor::new(topology),
+            velocity_base: [z; 6],
+            rhs_joint: vec![z; joints],
+            effort: vec![z; joints],
+            effort_slope: vec![z; joints],
+            target: vec![z; joints],
+            contact: ContactWork::new(topology),
+        }
+    }
+}

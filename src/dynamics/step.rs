@@ -1,0 +1,240 @@
+//! One control step of a pack: actuators, forward dynamics with contact, integration, substep after substep.
+
+use super::articulation::{Parameters, Topology};
+use super::contact::{self, ContactSettings};
+use super::factor;
+use super::kinematics;
+use super::lanes::{Kernel, Real};
+use super::math::{Spatial, add_scaled, integrate_quat, mul_vec, mul_vec_transposed, quat_to_mat};
+use super::state::{Drive, Report, State, Workspace};
+
+/// What all packs of a simulation share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepSettings {
+    /// Physics step, s.
+    pub dt: f64,
+    /// Physics steps per control step.
+    pub decimation: usize,
+    /// Gravity in world axes, m/s^2.
+    pub gravity: [f64; 3],
+    /// Contacts and joint bounds.
+    pub contact: ContactSettings,
+}
+
+/// One control step.
+pub struct ControlStep<'a, S> {
+    /// What the lanes share.
+    pub topology: &'a Topology,
+    /// Step sizes and solver settings.
+    pub settings: &'a StepSettings,
+    /// The bodies.
+    pub parameters: &'a Parameters<S>,
+    /// What is asked of the actuators.
+    pub drive: &'a Drive<S>,
+    /// Moves forward by `decimation` physics steps.
+    pub state: &'a mut State<S>,
+    /// Filled in.
+    pub report: &'a mut Report<S>,
+    /// Scratch memory.
+    pub work: &'a mut Workspace<S>,
+}
+
+impl<S: Real> Kernel<S> for ControlStep<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { topology, settings, parameters, drive, state, report, work } = self;
+        for substep in 0..settings.decimation {
+            select_targets(topology, settings, drive, substep, work);
+            physics_step(topology, settings, parameters, &drive.feedforward, state, report, substep, work);
+        }
+        report_sites(topology, parameters, state, report, work);
+    }
+}
+
+/// The position target that each joint's actuator sees in a physics step: the one from `delay` physics steps ago.
+#[inline(always)]
+fn select_targets<S: Real>(
+    topology: &Topology,
+    settings: &StepSettings,
+    drive: &Drive<S>,
+    substep: usize,
+    work: &mut Workspace<S>,
+) {
+    work.target.copy_from_slice(&drive.targets[0]);
+    if !topology.has_delay {
+        return;
+    }
+    for (age, targets) in drive.targets.iter().enumerate().skip(1) {
+        // a target of this age is seen by delays beyond `substep + (age - 1) decimation`
+        let from = S::splat((substep + (age - 1) * settings.decimation) as f64 + 0.5);
+        for j in 0..topology.num_joints() {
+            work.target[j] = S::select(from.lt(drive.delay[j]), targets[j], work.target[j]);
+        }
+    }
+}
+
+/// Effort limit from a table over the joint position.
+#[inline(always)]
+fn table_limit<S: Real>(table: &super::articulation::EffortTable, position: S) -> S {
+    let last = table.limits.len() - 1;
+    let mut limit = S::zero();
+    for lane in 0..S::LANES {
+        let x = (position.lane(lane) as f32 - table.start) * table.inverse_step;
+        // a NaN becomes 0 in the cast
+        let x = x.clamp(0.0, last as f32);
+        let i = (x as usize).min(last.saturating_sub(1));
+        let (a, b) = (table.limits[i], table.limits[(i + 1).min(last)]);
+        limit.set_lane(lane, f64::from((b - a).mul_add(x - i as f32, a)));
+    }
+    limit
+}
+
+/// PD effort, limited by the motor's torque-speed line and the effort limit (or its table over the position).
+///
+/// Inside the limits the gains act on the end of the step (implicitly): their share of the velocity change goes to
+/// `effort_slope` and onto the mass matrix's diagonal. A saturated actuator gives its limit, explicitly.
+#[inline(always)]
+fn actuate<S: Real>(topology: &Topology, parameters: &Parameters<S>, dt: S, state: &State<S>, work: &mut Workspace<S>) {
+    let (z, one) = (S::zero(), S::one());
+    for (j, joint) in topology.joints.iter().enumerate() {
+        let (q, v) = (state.joint_position[j], state.joint_velocity[j]);
+        let (kp, kd) = (parameters.stiffness[j], parameters.damping[j]);
+        let wanted = kp.mul_add(v.neg_mul_add(dt, work.target[j] - q), -(kd * v));
+        let mut limit = parameters.effort_limit[j];
+        if let Some(table) = &joint.effort_table {
+            limit = limit * table_limit(table, q);
+        }
+        let stall = parameters.saturation_effort[j];
+        let speed = v / parameters.motor_velocity_limit[j];
+        let most = (stall * (one - speed)).clamp(z, limit);
+        let least = (stall * (-one - speed)).clamp(-limit, z);
+        let effort = wanted.clamp(least, most);
+        let saturated = S::or(wanted.lt(effort), effort.lt(wanted));
+        work.effort[j] = effort;
+        work.effort_slope[j] = S::select(saturated, z, kp.mul_add(dt, kd));
+    }
+}
+
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn physics_step<S: Real>(
+    topology: &Topology,
+    settings: &StepSettings,
+    parameters: &Parameters<S>,
+    feedforward: &[S],
+    state: &mut State<S>,
+    report: &mut Report<S>,
+    substep: usize,
+    work: &mut Workspace<S>,
+) {
+    let z = S::zero();
+    let dt = S::splat(settings.dt);
+    let joints = topology.num_joints();
+
+    work.base_rotation = quat_to_mat(&state.rotation);
+    let gravity = mul_vec_transposed(&work.base_rotation, &settings.gravity.map(S::splat));
+    // bias forces do not depend on the base's linear velocity: see `bias_forces`
+    let turning = Spatial { ang: state.angular_velocity, lin: [z; 3] };
+    kinematics::forward_kinematics(
+        topology,
+        parameters,
+        &state.joint_position,
+        &state.joint_velocity,
+        &turning,
+        work,
+    );
+    kinematics::link_inertias(topology, parameters, work);
+    kinematics::bias_forces(topology, &state.joint_velocity, &gravity, work);
+    kinematics::composite_inertias(topology, work);
+    factor::mass_matrix(topology, parameters, work);
+
+    actuate(topology, parameters, dt, state, work);
+    for j in 0..joints {
+        let slope = work.effort_slope[j] + parameters.joint_damping[j];
+        work.factor.inverse_diagonal[j] = slope.mul_add(dt, work.factor.inverse_diagonal[j]);
+        let passive = parameters.joint_damping[j] * state.joint_velocity[j];
+        work.rhs_joint[j] = (work.effort[j] + feedforward[j] - passive - work.bias_joint[j]) * dt;
+    }
+    work.factor.factorise(topology);
+
+    // the unconstrained velocity, first plain (for the bounds' sake), then as sparse velocity y = L u + D^-1 L^-T r
+    let linear = mul_vec_transposed(&work.base_rotation, &state.linear_velocity);
+    let w = state.angular_velocity;
+    work.velocity_base = [w[0], w[1], w[2], linear[0], linear[1], linear[2]];
+    let mut impulse = work.bias_base.map(|f| -(f * dt));
+    work.factor.half_solve(topology, &mut impulse, &mut work.rhs_joint);
+    work.factor.divide(topology, &mut impulse, &mut work.rhs_joint);
+    work.contact.base = if topology.floating { work.velocity_base } else { [z; 6] };
+    work.contact.joints.copy_from_slice(&state.joint_velocity);
+    {
+        let Workspace { factor, contact, .. } = &mut *work;
+        factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
+    }
+    contact::build_contacts(topology, parameters, &settings.contact, dt, state, work);
+    for r in 0..6 {
+        work.contact.base[r] = work.contact.base[r] + impulse[r];
+    }
+    for j in 0..joints {
+        work.contact.joints[j] = work.contact.joints[j] + work.rhs_joint[j];
+    }
+    let mut free_base = work.contact.base;
+    work.rhs_joint.copy_from_slice(&work.contact.joints);
+    work.factor.from_sparse(topology, &mut free_base, &mut work.rhs_joint);
+    {
+        // `rhs_joint` now holds the free joint velocities
+        let free = std::mem::take(&mut work.rhs_joint);
+        contact::build_bounds(topology, parameters, &settings.contact, dt, state, &free, work);
+        work.rhs_joint = free;
+    }
+
+    contact::solve(topology, parameters, &settings.contact, &mut work.contact);
+    contact::report(
+        topology,
+        S::one() / dt,
+        &work.contact,
+        state,
+        &mut report.body_force,
+        &mut report.normal_force[substep],
+    );
+
+    let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
+    factor.from_sparse(topology, &mut contact.base, &mut contact.joints);
+    for j in 0..joints {
+        // +0 turns -0 into +0
+        let new = contact.joints[j] + z;
+        let change = new - state.joint_velocity[j];
+        report.joint_effort[j] = effort_slope[j].neg_mul_add(change, effort[j]);
+        report.joint_acceleration[j] = change / dt;
+        state.joint_velocity[j] = new;
+        state.joint_position[j] = new.mul_add(dt, state.joint_position[j]);
+    }
+    if topology.floating {
+        let u = contact.base.map(|x| x + z);
+        state.angular_velocity = [u[0], u[1], u[2]];
+        state.linear_velocity = mul_vec(base_rotation, &[u[3], u[4], u[5]]).map(|x| x + z);
+        state.position = add_scaled(&state.position, &state.linear_velocity, dt);
+        state.rotation = integrate_quat(&state.rotation, &state.angular_velocity.map(|x| x * dt));
+    }
+}
+
+/// Positions and velocities of the sites at the end of the control step.
+#[inline(always)]
+fn report_sites<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    state: &State<S>,
+    report: &mut Report<S>,
+    work: &mut Workspace<S>,
+) {
+    let rotation = quat_to_mat(&state.rotation);
+    let base =
+        Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) };
+    kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &base, work);
+    for (s, &link) in topology.sites.iter().enumerate() {
+        let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position[s]);
+        report.site_position[s] = super::math::add(&state.position, &mul_vec(&rotation, &at));
+        report.site_velocity[s] = mul_vec(&rotation, &velocity);
+    }
+}

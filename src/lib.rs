@@ -1,0 +1,20 @@
+#![doc = include_str!("README.md")]
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod app;
+pub mod batch;
+pub mod components;
+pub mod config;
+pub mod dynamics;
+pub mod morphology;
+#[cfg(feature = "python")]
+mod python;
+pub mod robot;
+pub mod rows;
+pub mod snapshot;
+#[path = "../systems/mod.rs"]
+pub mod systems;
+pub mod world;
+
+pub use app::{Sim, SimError, SimOptions};

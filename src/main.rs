@@ -1,0 +1,26 @@
+//! `polypod-sim`: the simulator without Python.
+
+mod cli;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+fn main() -> ExitCode {
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env()
+                .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
+        )
+        .with_writer(std::io::stderr)
+        .without_time()
+        .init();
+    match cli::Cli::parse().run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            // what polypod itself refuses is bad input; anything else is a fault of the machine or of the program
+            ExitCode::from(if error.is::<polypod::SimError>() { 2 } else { 1 })
+        }
+    }
+}

@@ -1,0 +1,448 @@
+//! What a kind of robot is: its URDF and its config brought together, ready for the engine and the task.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use bevy_ecs::prelude::Resource;
+use glam::{DMat3, DVec3};
+
+use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
+use crate::dynamics::{
+    Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
+};
+use crate::robot::{self, BodyGroup, Geometry, JointKind, Model, Roles, RobotError, Shape};
+
+/// Stands for "no limit" in the engine, where an infinity could meet a zero.
+const UNLIMITED: f64 = 1e9;
+/// Rims of cylinders are represented by this many points each.
+const RIM_POINTS: usize = 3;
+
+/// A robot could not be made from its URDF and config.
+#[derive(Debug, thiserror::Error)]
+pub enum MorphologyError {
+    /// The URDF.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// The config.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+}
+
+/// One kind of robot.
+#[derive(Clone, Debug)]
+pub struct MorphologyModel {
+    /// Its config.
+    pub config: RobotConfig,
+    /// The merged articulation, in the URDF's frames.
+    pub model: Model,
+    /// Which joint is which.
+    pub roles: Roles,
+    /// What all robots of the kind share.
+    pub topology: Topology,
+    /// Their numbers before any randomisation.
+    pub nominal: Parameters<f32>,
+    /// Canonical slot -> physical joint.
+    pub joint_of_slot: [usize; 12],
+    /// Default joint positions, rad, physical order.
+    pub default_position: Vec<f32>,
+    /// Lower and upper joint positions that resets stay within, rad, physical order.
+    pub soft_limits: Vec<[f32; 2]>,
+    /// Group of each contact body.
+    pub body_groups: Vec<BodyGroup>,
+    /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
+    pub feet: [usize; 4],
+    /// Fewest and most physics steps of delay of each actuator group, with its joints (physical).
+    pub delays: Vec<([u32; 2], Vec<usize>)>,
+    /// Height of the base above the ground in the default pose, the reset's margin included, m.
+    pub spawn_height: f32,
+    /// Radians per unit of action.
+    pub action_scale: f32,
+}
+
+/// All kinds of robots of a simulation, in the order of their env blocks.
+#[derive(Resource, Clone, Debug)]
+pub struct Morphologies(pub Vec<MorphologyModel>);
+
+impl Morphologies {
+    /// The kind that a tag names.
+    pub fn get(&self, tag: crate::components::Morphology) -> &MorphologyModel {
+        &self.0[usize::from(tag.0)]
+    }
+}
+
+impl MorphologyModel {
+    /// Reads the URDF, finds the joints' roles and applies the config.
+    ///
+    /// # Errors
+    /// What is wrong with the URDF or the config, with file, element and remedy.
+    pub fn new(loaded: &LoadedRobot) -> Result<Self, MorphologyError> {
+        let config = loaded.config.clone();
+        let options = robot::LoadOptions {
+            package_dirs: config.package_dirs.clone(),
+            locked_joints: config.locked_joints.clone(),
+        };
+        let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
+        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
+        let body_groups = body_groups(&config, &model, &roles)?;
+        let default_pose = config.default_pose_by_slot()?;
+        let actuators = config.actuators_by_slot()?;
+
+        let mut default_position = vec![0.0; model.joints.len()];
+        for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
+            default_position[joint] = default_pose[slot];
+        }
+        let (topology, nominal) = articulation(&model, &roles, &actuators);
+        let lowest_foot = lowest_foot(&model, &roles, &default_position);
+        let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
+        for (slot, (group, actuator)) in actuators.iter().enumerate() {
+            if actuator.delay[1] > 0 {
+                delays.entry(group).or_insert((actuator.delay, Vec::new())).1.push(roles.joint_of_slot[slot]);
+            }
+        }
+        let delays = delays.into_values().collect();
+        let soft_limits = model
+            .joints
+            .iter()
+            .map(|joint| {
+                let (lower, upper) = (joint.lower.max(-UNLIMITED), joint.upper.min(UNLIMITED));
+                let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * config.reset.soft_limit_factor);
+                [(middle - half) as f32, (middle + half) as f32]
+            })
+            .collect();
+        Ok(Self {
+            joint_of_slot: roles.joint_of_slot,
+            default_position: default_position.iter().map(|&q| q as f32).collect(),
+            soft_limits,
+            body_groups,
+            feet: roles.foot_body,
+            delays,
+            spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
+            action_scale: config.action_scale as f32,
+            topology,
+            nominal,
+            roles,
+            model,
+            config,
+        })
+    }
+
+    /// The robot's name in configs.
+    pub fn name(&self) -> &str {
+        &self.config.name
+    }
+
+    /// Largest delay of any actuator, physics steps.
+    pub fn max_delay(&self) -> u32 {
+        self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0)
+    }
+
+    /// Names of the canonical slots' joints in the URDF.
+    pub fn joint_names_by_slot(&self) -> [&str; 12] {
+        self.joint_of_slot.map(|j| self.model.joints[j].name.as_str())
+    }
+}
+
+fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec<BodyGroup>, MorphologyError> {
+    let mut groups = robot::body_groups(model, roles);
+    let named = [
+        (&config.bodies.base, BodyGroup::Base, "bodies.base"),
+        (&config.bodies.hip, BodyGroup::Hip, "bodies.hip"),
+        (&config.bodies.thigh, BodyGroup::Thigh, "bodies.thigh"),
+        (&config.bodies.shank, BodyGroup::Shank, "bodies.shank"),
+        (&config.bodies.foot, BodyGroup::Foot, "bodies.foot"),
+    ];
+    for (names, group, element) in named {
+        for name in names {
+            let Some(index) = model.bodies.iter().position(|body| body.name == *name) else {
+                let known: Vec<&str> = model.bodies.iter().map(|body| body.name.as_str()).collect();
+                return Err(ConfigError::invalid(
+                    config.name.clone(),
+                    element,
+                    format!("`{name}` is no link with a collision shape"),
+                    format!("use one of {}", known.join(", ")),
+                )
+                .into());
+            };
+            groups[index] = group;
+        }
+    }
+    Ok(groups)
+}
+
+/// The engine's view of a model: link axes parallel to the base's when all joints are at zero, which leaves only joint
+/// offsets and axes.
+fn articulation(
+    model: &Model,
+    roles: &Roles,
+    actuators: &[(&str, &ActuatorConfig); 12],
+) -> (Topology, Parameters<f32>) {
+    let zero = vec![0.0; model.joints.len()];
+    // turns a link's own axes into base-aligned ones
+    let align: Vec<DMat3> = model.forward_kinematics(&zero).iter().map(|pose| pose.rotation).collect();
+    let actuator_of = |joint: usize| {
+        roles.joint_of_slot.iter().position(|&j| j == joint).map(|slot| actuators[slot].1)
+    };
+    let joints = model
+        .joints
+        .iter()
+        .enumerate()
+        .map(|(j, joint)| JointTopology {
+            parent: joint.parent,
+            motion: match joint.kind {
+                JointKind::Prismatic => JointMotion::Prismatic,
+                JointKind::Revolute | JointKind::Continuous => JointMotion::Revolute,
+            },
+            axis: Axis::new((align[j + 1] * joint.axis).to_array()),
+            effort_table: actuator_of(j).and_then(|a| effort_table(&a.effort_table)),
+        })
+        .collect();
+
+    let mut candidates: Vec<Candidate> = model
+        .bodies
+        .iter()
+        .enumerate()
+        .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
+        .collect();
+    candidates.sort_by_key(|c| c.topology.link);
+    for c in &mut candidates {
+        c.align(align[c.topology.link]);
+    }
+    let sites: Vec<usize> = roles.foot_body.iter().map(|&body| model.bodies[body].link).collect();
+    let has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
+    let topology = Topology::new(
+        true,
+        joints,
+        candidates.iter().map(|c| c.topology).collect(),
+        model.bodies.len(),
+        sites,
+        has_delay,
+    );
+
+    let mut p = Parameters::<f64>::zeros(&topology);
+    for (l, link) in model.links.iter().enumerate() {
+        let inertia = align[l] * link.inertia * align[l].transpose();
+        p.mass[l] = link.mass;
+        p.com[l] = (align[l] * link.com).to_array();
+        p.inertia[l] = [
+            inertia.x_axis.x,
+            inertia.y_axis.y,
+            inertia.z_axis.z,
+            inertia.y_axis.x,
+            inertia.z_axis.x,
+            inertia.z_axis.y,
+        ];
+    }
+    for (j, joint) in model.joints.iter().enumerate() {
+        p.joint_offset[j] = (align[joint.parent] * joint.origin.translation).to_array();
+        p.lower[j] = joint.lower.max(-UNLIMITED);
+        p.upper[j] = joint.upper.min(UNLIMITED);
+        p.armature[j] = joint.armature;
+        p.joint_damping[j] = joint.damping;
+        p.joint_friction[j] = joint.friction;
+        p.effort_limit[j] = joint.effort.min(UNLIMITED);
+        p.saturation_effort[j] = UNLIMITED;
+        p.motor_velocity_limit[j] = UNLIMITED;
+        p.velocity_limit[j] = UNLIMITED;
+        if let Some(actuator) = actuator_of(j) {
+            apply_actuator(&mut p, j, actuator);
+        }
+    }
+    for (i, c) in candidates.iter().enumerate() {
+        p.contact_position[i] = c.position.to_array();
+        p.contact_radius[i] = c.radius;
+        p.contact_rim[i] = c.rim;
+        let reach = c.position.length() + c.radius + c.rim;
+        let link = c.topology.link;
+        p.contact_reach[link] = p.contact_reach[link].max(reach);
+    }
+    for (s, &body) in roles.foot_body.iter().enumerate() {
+        let link = model.bodies[body].link;
+        p.site_position[s] = (align[link] * roles.foot_point[s]).to_array();
+    }
+    let nominal = Parameters::from_scalars(&topology, &p);
+    (topology, nominal)
+}
+
+fn apply_actuator(p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
+    p.stiffness[j] = actuator.stiffness;
+    p.damping[j] = actuator.damping;
+    p.armature[j] = actuator.armature;
+    // a table holds the limits itself: the factor scales it
+    p.effort_limit[j] = match (actuator.effort_limit, actuator.effort_table.is_empty()) {
+        (_, false) => 1.0,
+        (Some(limit), true) => limit,
+        (None, true) => UNLIMITED,
+    };
+    if let Some(friction) = actuator.friction {
+        p.joint_friction[j] = friction;
+    }
+    if let Some(damping) = actuator.joint_damping {
+        p.joint_damping[j] = damping;
+    }
+    let limit = actuator.velocity_limit.unwrap_or(UNLIMITED);
+    if actuator.model == ActuatorModel::DcMotor {
+        p.saturation_effort[j] = actuator.saturation_effort.unwrap_or(UNLIMITED);
+        p.motor_velocity_limit[j] = limit;
+    } else {
+        p.velocity_limit[j] = limit;
+    }
+}
+
+/// A table of effort limits on an equally spaced grid, as fine as its closest rows.
+fn effort_table(rows: &[[f64; 2]]) -> Option<EffortTable> {
+    let (first, last) = (rows.first()?, rows.last()?);
+    let gap = rows.windows(2).map(|w| w[1][0] - w[0][0]).fold(f64::INFINITY, f64::min);
+    let steps = if gap.is_finite() { ((last[0] - first[0]) / gap).round().max(1.0) } else { 1.0 };
+    let step = ((last[0] - first[0]) / steps).max(1e-9);
+    let limits = (0..=steps as usize).map(|i| interpolate(rows, first[0] + step * i as f64) as f32).collect();
+    Some(EffortTable { start: first[0] as f32, inverse_step: (1.0 / step) as f32, limits })
+}
+
+fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
+    let after = rows.partition_point(|row| row[0] <= x);
+    match (after.checked_sub(1).and_then(|i| rows.get(i)), rows.get(after)) {
+        (Some(a), Some(b)) => a[1] + (b[1] - a[1]) * (x - a[0]) / (b[0] - a[0]),
+        (Some(end), None) | (None, Some(end)) => end[1],
+        (None, None) => 0.0,
+    }
+}
+
+/// Lowest point of the foot spheres in the default pose, relative to the base, m.
+fn lowest_foot(model: &Model, roles: &Roles, q: &[f64]) -> f64 {
+    let poses = model.forward_kinematics(q);
+    (0..4)
+        .map(|leg| {
+            let link = model.bodies[roles.foot_body[leg]].link;
+            poses[link].transform_point(roles.foot_point[leg]).z - roles.foot_radius[leg]
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// A contact candidate while it is being placed.
+struct Candidate {
+    topology: ContactTopology,
+    position: DVec3,
+    radius: f64,
+    rim: f64,
+}
+
+impl Candidate {
+    fn point(link: usize, body: usize, position: DVec3, radius: f64) -> Self {
+        Self { topology: ContactTopology { link, body, kind: ContactKind::Point }, position, radius, rim: 0.0 }
+    }
+
+    fn align(&mut self, rotation: DMat3) {
+        self.position = rotation * self.position;
+        if let ContactKind::Rim { across, .. } = &mut self.topology.kind {
+            *across = across.map(|u| (rotation * DVec3::from_array(u)).to_array());
+        }
+    }
+}
+
+/// The places of a shape that can touch a plane first, in the frame of its link.
+///
+/// Meshes have none: the loader has replaced those it could and has warned of the others.
+fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
+    let at = |p: DVec3| shape.origin.transform_point(p);
+    match &shape.geometry {
+        Geometry::Sphere { radius } => vec![Candidate::point(link, body, at(DVec3::ZERO), *radius)],
+        Geometry::Capsule { radius, length } => [-0.5, 0.5]
+            .map(|end| Candidate::point(link, body, at(DVec3::Z * (end * length)), *radius))
+            .into(),
+        Geometry::Box { size } => (0..8)
+            .map(|corner| {
+                let sign = |bit: usize| if corner & bit == 0 { -0.5 } else { 0.5 };
+                Candidate::point(link, body, at(DVec3::new(sign(1), sign(2), sign(4)) * *size), 0.0)
+            })
+            .collect(),
+        Geometry::Cylinder { radius, length } => {
+            let across = [DVec3::X, DVec3::Y].map(|u| (shape.origin.rotation * u).to_array());
+            [-0.5, 0.5]
+                .into_iter()
+                .flat_map(|end| (0..RIM_POINTS).map(move |i| (end, i)))
+                .map(|(end, i)| {
+                    let angle = std::f64::consts::TAU * i as f64 / RIM_POINTS as f64;
+                    let kind = ContactKind::Rim { across, turn: [angle.cos(), angle.sin()] };
+                    Candidate {
+                        topology: ContactTopology { link, body, kind },
+                        position: at(DVec3::Z * (end * length)),
+                        radius: 0.0,
+                        rim: *radius,
+                    }
+                })
+                .collect()
+        }
+        Geometry::Mesh { .. } => Vec::new(),
+    }
+}
+
+/// Whether a URDF on disk makes a robot at all: its articulation without any config.
+///
+/// # Errors
+/// What is wrong with the URDF.
+pub fn load_articulation(path: &Path) -> Result<Model, RobotError> {
+    robot::load(path, &robot::LoadOptions::default())
+}
+
+/// What a deployment must know of a robot to run a policy on it; SI units, physical joint order unless said otherwise.
+#[derive(serde::Serialize, Clone, Debug)]
+pub struct RobotDescription {
+    /// Name for people.
+    pub title: String,
+    /// kg.
+    pub mass: f64,
+    /// Names in the URDF.
+    pub joint_names: Vec<String>,
+    /// Physical index of each canonical slot.
+    pub joint_of_slot: [usize; 12],
+    /// rad.
+    pub default_pose: Vec<f32>,
+    /// rad per unit of action.
+    pub action_scale: f32,
+    /// N m/rad.
+    pub stiffness: Vec<f32>,
+    /// N m s/rad.
+    pub damping: Vec<f32>,
+    /// N m; the largest one where it depends on the angle.
+    pub effort_limit: Vec<f32>,
+    /// rad.
+    pub lower: Vec<f32>,
+    /// rad.
+    pub upper: Vec<f32>,
+    /// Height of the base above the ground in the default pose, m.
+    pub base_height: f32,
+    /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
+    pub feet: Vec<String>,
+}
+
+impl MorphologyModel {
+    /// Its description.
+    pub fn describe(&self) -> RobotDescription {
+        let p = &self.nominal;
+        let effort_limit = self
+            .topology
+            .joints
+            .iter()
+            .zip(&p.effort_limit)
+            .map(|(joint, &limit)| match &joint.effort_table {
+                Some(table) => limit * table.limits.iter().copied().fold(0.0, f32::max),
+                None => limit,
+            })
+            .collect();
+        RobotDescription {
+            title: self.config.title.clone(),
+            mass: self.model.total_mass(),
+            joint_names: self.model.joints.iter().map(|joint| joint.name.clone()).collect(),
+            joint_of_slot: self.joint_of_slot,
+            default_pose: self.default_position.clone(),
+            action_scale: self.action_scale,
+            stiffness: p.stiffness.clone(),
+            damping: p.damping.clone(),
+            effort_limit,
+            lower: p.lower.clone(),
+            upper: p.upper.clone(),
+            base_height: self.spawn_height - self.config.reset.spawn_margin as f32,
+            feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
+        }
+    }
+}

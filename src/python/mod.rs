@@ -1,0 +1,69 @@
+//! The PyO3 boundary: `polypod._core`. Thin; what it says to users stands in `python/polypod/_core.pyi`.
+
+mod exceptions;
+mod vec_sim;
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::config::Library;
+use crate::dynamics::Simd;
+use exceptions::to_python;
+
+#[pyfunction]
+fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    let tasks = Library::new(Vec::new()).tasks().map_err(|error| to_python(py, error.into()))?;
+    let entry = |task: crate::config::TaskEntry| {
+        let dict = PyDict::new(py);
+        dict.set_item("name", task.name)?;
+        dict.set_item("aliases", task.aliases)?;
+        dict.set_item("file", task.file)?;
+        Ok(dict)
+    };
+    tasks.into_iter().map(entry).collect()
+}
+
+#[pyfunction]
+fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    let robots = Library::new(Vec::new()).robots().map_err(|error| to_python(py, error.into()))?;
+    let entry = |robot: crate::config::RobotEntry| {
+        let dict = PyDict::new(py);
+        dict.set_item("name", robot.name)?;
+        dict.set_item("title", robot.title)?;
+        Ok(dict)
+    };
+    robots.into_iter().map(entry).collect()
+}
+
+#[pyfunction]
+fn train_config(py: Python<'_>, name: &str) -> PyResult<String> {
+    Library::new(Vec::new()).train(name).map_err(|error| to_python(py, error.into()))
+}
+
+#[pyfunction]
+fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
+    let robot = Library::new(Vec::new()).robot(name).map_err(|error| to_python(py, error.into()))?;
+    Ok(robot.urdf_text)
+}
+
+#[pyfunction]
+fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("version", env!("CARGO_PKG_VERSION"))?;
+    dict.set_item("simd", Simd::choose().map_err(|error| to_python(py, error.into()))?.name())?;
+    dict.set_item("threads", std::thread::available_parallelism().map_or(1, Into::into))?;
+    Ok(dict)
+}
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    exceptions::register(module)?;
+    module.add_class::<vec_sim::VecSim>()?;
+    module.add_function(wrap_pyfunction!(tasks, module)?)?;
+    module.add_function(wrap_pyfunction!(robots, module)?)?;
+    module.add_function(wrap_pyfunction!(train_config, module)?)?;
+    module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
+    module.add_function(wrap_pyfunction!(info, module)?)?;
+    Ok(())
+}

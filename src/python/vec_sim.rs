@@ -1,0 +1,326 @@
+//! `VecSim`: many envs behind NumPy arrays.
+
+use std::collections::BTreeMap;
+
+use numpy::{
+    Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use super::exceptions::{to_python, type_error, value_error};
+use crate::app::{Sim, SimOptions};
+use crate::components::{Command, EnvId, Episode};
+use crate::robot::CANONICAL_JOINT_NAMES;
+use crate::systems::{Autoreset, CompiledTask, Logs};
+use crate::morphology::Morphologies;
+
+/// The arrays that Python sees, allocated once.
+struct Arrays {
+    /// Two that alternate, so that a learner may store the present one after the next step.
+    observations: [Py<PyArray2<f32>>; 2],
+    current: usize,
+    reward: Py<PyArray1<f32>>,
+    terminated: Py<PyArray1<bool>>,
+    truncated: Py<PyArray1<bool>>,
+    final_obs: Py<PyArray2<f32>>,
+    final_mask: Py<PyArray1<bool>>,
+    command: Py<PyArray2<f32>>,
+}
+
+#[pyclass(module = "polypod._core")]
+pub(super) struct VecSim {
+    sim: Sim,
+    arrays: Arrays,
+}
+
+fn fill<T: Element + Copy, D: numpy::ndarray::Dimension>(
+    py: Python<'_>,
+    array: &Py<PyArray<T, D>>,
+    values: &[T],
+) -> PyResult<()> {
+    let mut target = array.bind(py).try_readwrite()?;
+    target.as_slice_mut()?.copy_from_slice(values);
+    Ok(())
+}
+
+/// An argument as a C-contiguous array of the right dtype and shape.
+fn array<'py, T: Element, D: numpy::ndarray::Dimension>(
+    name: &str,
+    value: &Bound<'py, PyAny>,
+    dtype: &str,
+    shape: &[usize],
+) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    let Ok(untyped) = value.cast::<PyUntypedArray>() else {
+        let got = value.get_type().name()?;
+        return Err(type_error(format!("{name}: a {got}; pass a NumPy array of {dtype} with shape {shape:?}")));
+    };
+    if untyped.shape() != shape {
+        let got = untyped.shape();
+        return Err(value_error(format!("{name}: shape {got:?}, not {shape:?}; pass one row per env")));
+    }
+    let Ok(typed) = value.cast::<PyArray<T, D>>() else {
+        let got = untyped.dtype();
+        return Err(type_error(format!("{name}: dtype {got}, not {dtype}; convert it with .astype(np.{dtype})")));
+    };
+    if !typed.is_c_contiguous() {
+        return Err(value_error(format!("{name}: not C-contiguous; pass np.ascontiguousarray({name})")));
+    }
+    Ok(typed.try_readonly()?)
+}
+
+impl VecSim {
+    fn publish(&mut self, py: Python<'_>) -> PyResult<()> {
+        let arrays = &mut self.arrays;
+        arrays.current = 1 - arrays.current;
+        let batch = self.sim.batch();
+        fill(py, &arrays.observations[arrays.current], &batch.observations)?;
+        fill(py, &arrays.reward, &batch.rewards)?;
+        fill(py, &arrays.terminated, &batch.terminated)?;
+        fill(py, &arrays.truncated, &batch.truncated)?;
+        fill(py, &arrays.final_mask, &batch.has_final)?;
+        if batch.has_final.contains(&true) {
+            fill(py, &arrays.final_obs, &batch.final_observations)?;
+        }
+        self.publish_commands(py)
+    }
+
+    fn publish_commands(&mut self, py: Python<'_>) -> PyResult<()> {
+        let mut target = self.arrays.command.bind(py).try_readwrite()?;
+        let out = target.as_slice_mut()?;
+        let world = self.sim.world_mut();
+        for (env, command) in world.query::<(&EnvId, &Command)>().iter(world) {
+            let at = 3 * env.0 as usize;
+            out[at..at + 3].copy_from_slice(&command.velocity);
+        }
+        Ok(())
+    }
+
+    fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
+        let names: Vec<&str> = self.sim.morphologies().iter().map(|m| m.name()).collect();
+        names.iter().position(|name| *name == robot).ok_or_else(|| {
+            let error = crate::config::ConfigError::unknown_robot_of_run(robot, &names);
+            to_python(py, error.into())
+        })
+    }
+}
+
+#[pymethods]
+impl VecSim {
+    #[new]
+    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step"))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        py: Python<'_>,
+        task: String,
+        num_envs: usize,
+        robots: Option<Vec<String>>,
+        seed: u64,
+        threads: Option<usize>,
+        overrides: Vec<String>,
+        autoreset: &str,
+    ) -> PyResult<Self> {
+        let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
+        let options = SimOptions { robots, seed, threads, overrides, autoreset, ..SimOptions::new(task, num_envs) };
+        let sim = py.detach(|| Sim::new(&options)).map_err(|error| to_python(py, error))?;
+        let num_obs = sim.batch().num_obs;
+        let matrix = |width: usize| PyArray2::<f32>::zeros(py, [num_envs, width], false).unbind();
+        let flags = || PyArray1::<bool>::zeros(py, num_envs, false).unbind();
+        let arrays = Arrays {
+            observations: [matrix(num_obs), matrix(num_obs)],
+            current: 1,
+            reward: PyArray1::<f32>::zeros(py, num_envs, false).unbind(),
+            terminated: flags(),
+            truncated: flags(),
+            final_obs: matrix(num_obs),
+            final_mask: flags(),
+            command: matrix(3),
+        };
+        let mut this = Self { sim, arrays };
+        this.publish(py)?;
+        Ok(this)
+    }
+
+    #[getter]
+    fn num_envs(&self) -> usize {
+        self.sim.num_envs()
+    }
+    #[getter]
+    fn num_obs(&self) -> usize {
+        self.sim.batch().num_obs
+    }
+    #[getter]
+    fn num_actions(&self) -> usize {
+        self.sim.batch().num_actions
+    }
+    #[getter]
+    fn max_episode_length(&self) -> u32 {
+        self.sim.task().max_episode_length
+    }
+    #[getter]
+    fn step_dt(&self) -> f64 {
+        self.sim.task().config.sim.step_dt()
+    }
+    #[getter]
+    fn robots(&self) -> Vec<&str> {
+        self.sim.morphologies().iter().map(|m| m.name()).collect()
+    }
+    #[getter]
+    fn canonical_joint_names(&self) -> Vec<&'static str> {
+        CANONICAL_JOINT_NAMES.to_vec()
+    }
+    #[getter]
+    fn task_name(&self) -> &str {
+        &self.sim.task().config.name
+    }
+    #[getter]
+    fn experiment_name(&self) -> &str {
+        &self.sim.task().config.experiment_name
+    }
+    #[getter]
+    fn threads(&self) -> usize {
+        self.sim.threads()
+    }
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.sim.seed()
+    }
+    #[getter]
+    fn observation_layout(&self) -> Vec<(&str, usize)> {
+        self.sim.task().observations.iter().map(|term| (term.name.as_str(), term.size)).collect()
+    }
+
+    fn env_ids(&self, py: Python<'_>, robot: &str) -> PyResult<(usize, usize)> {
+        let range = self.sim.env_ids(self.robot_index(py, robot)?);
+        Ok((range.start, range.end))
+    }
+
+    fn joint_map(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(&str, usize)>> {
+        let morphology = &self.sim.morphologies()[self.robot_index(py, robot)?];
+        Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot).collect())
+    }
+
+    fn robot_info(&self) -> String {
+        let robots: BTreeMap<&str, _> = self.sim.morphologies().iter().map(|m| (m.name(), m.describe())).collect();
+        serde_json::to_string(&robots).unwrap_or_default()
+    }
+
+    fn resolved_config(&self) -> String {
+        self.sim.resolved_config()
+    }
+
+    fn config_hash(&self) -> String {
+        format!("{:016x}", self.sim.config_hash())
+    }
+
+    #[pyo3(signature = (seed=None, mask=None))]
+    fn reset(&mut self, py: Python<'_>, seed: Option<u64>, mask: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let mask = mask.map(|mask| array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])).transpose()?;
+        let mask = mask.as_ref().map(|mask| mask.as_slice()).transpose()?;
+        let sim = &mut self.sim;
+        py.detach(|| sim.reset(seed, mask)).map_err(|error| to_python(py, error))?;
+        self.publish(py)
+    }
+
+    fn step(&mut self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<()> {
+        let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
+        let actions = array::<f32, numpy::Ix2>("actions", actions, "float32", &shape)?;
+        let actions = actions.as_slice()?;
+        let sim = &mut self.sim;
+        py.detach(|| sim.step(actions)).map_err(|error| to_python(py, error))?;
+        self.publish(py)
+    }
+
+    #[getter]
+    fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.arrays.observations[self.arrays.current].bind(py).clone()
+    }
+    #[getter]
+    fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        self.arrays.reward.bind(py).clone()
+    }
+    #[getter]
+    fn terminated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.arrays.terminated.bind(py).clone()
+    }
+    #[getter]
+    fn truncated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.arrays.truncated.bind(py).clone()
+    }
+    #[getter]
+    fn final_obs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.arrays.final_obs.bind(py).clone()
+    }
+    #[getter]
+    fn final_mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.arrays.final_mask.bind(py).clone()
+    }
+    #[getter]
+    fn command<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.arrays.command.bind(py).clone()
+    }
+
+    #[getter]
+    fn episode_length<'py>(&mut self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let mut lengths = vec![0; self.sim.num_envs()];
+        let world = self.sim.world_mut();
+        for (env, episode) in world.query::<(&EnvId, &Episode)>().iter(world) {
+            lengths[env.0 as usize] = i64::from(episode.length);
+        }
+        PyArray1::from_vec(py, lengths)
+    }
+
+    fn set_episode_length(&mut self, py: Python<'_>, episode_length: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let lengths = array::<i64, numpy::Ix1>("episode_length", episode_length, "int64", &[n])?;
+        self.sim.set_episode_lengths(lengths.as_slice()?).map_err(|error| to_python(py, error))
+    }
+
+    fn set_command(&mut self, py: Python<'_>, command: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &[n, 3])).transpose()?;
+        let command = command.as_ref().map(|c| c.as_slice()).transpose()?;
+        self.sim.set_commands(command).map_err(|error| to_python(py, error))?;
+        self.publish_commands(py)
+    }
+
+    fn log(&mut self) -> BTreeMap<String, f64> {
+        let world = self.sim.world_mut();
+        world.resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
+            logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>())
+        })
+    }
+
+    #[pyo3(signature = (clear=true))]
+    fn episode_stats(&mut self, clear: bool) -> BTreeMap<String, BTreeMap<&'static str, f64>> {
+        let world = self.sim.world_mut();
+        let stats = world.resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
+            logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), clear)
+        });
+        let entry = |s: crate::systems::EpisodeStats| {
+            BTreeMap::from([
+                ("episodes", s.episodes as f64),
+                ("falls", s.falls as f64),
+                ("fall_rate", s.falls as f64 / s.episodes.max(1) as f64),
+                ("episode_length_s", s.episode_length_s),
+                ("error_vel_xy", s.error_vel_xy),
+                ("error_vel_yaw", s.error_vel_yaw),
+                ("command_xy", s.command_xy),
+                ("command_yaw", s.command_yaw),
+                ("reward_per_s", s.reward_per_s),
+            ])
+        };
+        stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect()
+    }
+
+    fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = self.sim.snapshot().map_err(|error| to_python(py, error))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
+        self.sim.restore(data).map_err(|error| to_python(py, error))?;
+        self.publish(py)
+    }
+}

@@ -1,0 +1,113 @@
+//! Where a leg touches the ground.
+
+use glam::DVec3;
+
+use super::chains::ZeroPose;
+use super::model::{Geometry, Shape};
+
+/// A sphere is the foot when it reaches at least this share of the leg's farthest reach.
+const SPHERE_REACH: f64 = 0.8;
+
+/// Components of a unit vector below this are zero.
+const FLAT: f64 = 1e-6;
+
+/// The contact of a leg with the ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Foot {
+    /// Index of the contact body.
+    pub body: usize,
+    /// Index of the link that carries it.
+    pub link: usize,
+    /// Centre of the ball that touches the ground, in the link frame, m.
+    pub point: DVec3,
+    /// Radius of that ball, m; 0 for shapes without one.
+    pub radius: f64,
+    /// Distance from the knee to the far side of the ball at zero joint positions, m.
+    reach: f64,
+    is_sphere: bool,
+}
+
+/// The foot of the leg that ends in `knee`: of all shapes below the knee (or only those of body
+/// `named`), the sphere farthest from the knee; any other shape only when it reaches clearly
+/// farther. `None` when there are no shapes other than meshes.
+pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Option<Foot> {
+    let knee_position = pose.position(knee);
+    let mut feet = Vec::new();
+    for (index, body) in pose.model.bodies.iter().enumerate() {
+        let wanted = match named {
+            Some(named) => index == named,
+            None => pose.is_below(body.link, knee),
+        };
+        if !wanted {
+            continue;
+        }
+        let link = &pose.links[body.link];
+        for shape in &body.shapes {
+            for (point, radius) in contact_balls(shape, link.rotation.transpose() * -DVec3::Z) {
+                feet.push(Foot {
+                    body: index,
+                    link: body.link,
+                    point,
+                    radius,
+                    reach: link.transform_point(point).distance(knee_position) + radius,
+                    is_sphere: matches!(shape.geometry, Geometry::Sphere { .. }),
+                });
+            }
+        }
+    }
+    let farthest = |feet: &mut dyn Iterator<Item = &Foot>| {
+        feet.max_by(|a, b| a.reach.total_cmp(&b.reach)).copied()
+    };
+    let any = farthest(&mut feet.iter())?;
+    let sphere = farthest(&mut feet.iter().filter(|foot| foot.is_sphere));
+    Some(
+        sphere
+            .filter(|foot| foot.reach >= SPHERE_REACH * any.reach)
+            .unwrap_or(any),
+    )
+}
+
+/// Centres (link frame) and radii of the balls with which a shape can touch ground that lies in
+/// the direction `down` (link frame): a sphere is one, a capsule has one at each end, and of other
+/// convex shapes it is the middle of what lies lowest. A mesh has none: it is not looked into.
+fn contact_balls(shape: &Shape, down: DVec3) -> Vec<(DVec3, f64)> {
+    let down = shape.origin.rotation.transpose() * down;
+    // A direction along a face or edge leaves its middle.
+    let along = |component: f64, half: f64| {
+        if component.abs() < FLAT {
+            0.0
+        } else {
+            half * component.signum()
+        }
+    };
+    let balls = match shape.geometry {
+        Geometry::Sphere { radius } => vec![(DVec3::ZERO, radius)],
+        Geometry::Capsule { radius, length } => {
+            let end = DVec3::Z * (0.5 * length);
+            vec![(end, radius), (-end, radius)]
+        }
+        Geometry::Box { size } => {
+            let half = 0.5 * size;
+            let corner = DVec3::new(
+                along(down.x, half.x),
+                along(down.y, half.y),
+                along(down.z, half.z),
+            );
+            vec![(corner, 0.0)]
+        }
+        Geometry::Cylinder { radius, length } => {
+            let sideways = DVec3::new(down.x, down.y, 0.0);
+            let rim = if sideways.length() < FLAT {
+                DVec3::ZERO
+            } else {
+                sideways.normalize_or_zero() * radius
+            };
+            vec![(rim + DVec3::Z * along(down.z, 0.5 * length), 0.0)]
+        }
+        Geometry::Mesh { .. } => Vec::new(),
+    };
+    balls
+        .into_iter()
+        .map(|(point, radius)| (shape.origin.transform_point(point), radius))
+        .collect()
+}

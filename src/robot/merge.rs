@@ -1,0 +1,416 @@
+//! Fixed and locked joints disappear: what they carry becomes part of the link that moves it.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use urdf_rs::JointType;
+
+use super::error::{Diagnosis, RobotError, Warning, nearest_name};
+use super::inertia::{InertiaFault, MassProperties};
+use super::model::{Joint, JointKind, Link, Model};
+use super::pose::Pose;
+use super::shapes::bodies;
+use super::tree::Tree;
+use super::urdf::LoadOptions;
+
+/// Makes the model of a robot whose joints form `tree`.
+///
+/// # Errors
+/// [`RobotError::Options`] for joints that cannot be locked, [`RobotError::Unsupported`] for kinds
+/// of joints that are not modelled, [`RobotError::Value`] for axes and limits that mean nothing,
+/// [`RobotError::Inertia`] for links that cannot move as rigid bodies.
+pub(super) fn merge(
+    robot: &urdf_rs::Robot,
+    tree: &Tree,
+    file: &Path,
+    options: &LoadOptions,
+    warnings: Vec<Warning>,
+) -> Result<Model, RobotError> {
+    let mut merger = Merger {
+        robot,
+        tree,
+        file,
+        options,
+        places: vec![None; robot.links.len()],
+        parts: Vec::new(),
+        joints: Vec::new(),
+        warnings,
+    };
+    merger.check_locks()?;
+    merger.place_all()?;
+    let links = merger.links()?;
+    let bodies = bodies(robot, &merger.places, file, options, &mut merger.warnings);
+    Ok(Model {
+        name: robot.name.clone(),
+        source: file.to_path_buf(),
+        links,
+        joints: merger.joints,
+        bodies,
+        warnings: merger.warnings,
+    })
+}
+
+struct Merger<'a> {
+    robot: &'a urdf_rs::Robot,
+    tree: &'a Tree,
+    file: &'a Path,
+    options: &'a LoadOptions,
+    /// For each URDF link, the merged link that carries it and its frame there.
+    places: Vec<Option<(usize, Pose)>>,
+    /// For each merged link, the URDF links it consists of, the one that names it first.
+    parts: Vec<Vec<usize>>,
+    joints: Vec<Joint>,
+    warnings: Vec<Warning>,
+}
+
+impl Merger<'_> {
+    fn check_locks(&mut self) -> Result<(), RobotError> {
+        for (name, &position) in &self.options.locked_joints {
+            let element = format!("locked joint \"{name}\"");
+            let error = |problem: String, remedy: String| {
+                let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
+                Err(RobotError::Options(diagnosis))
+            };
+            let Some(joint) = self.robot.joints.iter().find(|joint| joint.name == *name) else {
+                let known = self.robot.joints.iter().map(|joint| joint.name.as_str());
+                return error("does not exist".into(), nearest_name(name, known));
+            };
+            let Some(kind) = moving_kind(&joint.joint_type) else {
+                let problem = format!("a {:?} joint cannot be locked", joint.joint_type);
+                return error(
+                    problem.to_lowercase(),
+                    "lock revolute, continuous or prismatic joints".into(),
+                );
+            };
+            if !position.is_finite() {
+                return error(
+                    format!("its position {position} is not finite"),
+                    "write rad or m".into(),
+                );
+            }
+            let (lower, upper) = (joint.limit.lower, joint.limit.upper);
+            if kind != JointKind::Continuous && !(lower..=upper).contains(&position) {
+                self.warnings.push(Warning::new(
+                    self.file,
+                    element,
+                    format!("its position {position} is outside its limits {lower} .. {upper}"),
+                    "check the unit: rad or m",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Places every URDF link, and makes the joints in an order that puts parents first.
+    fn place_all(&mut self) -> Result<(), RobotError> {
+        self.place_with_attached(self.tree.root)?;
+        let mut pending = Vec::new();
+        for (index, joint) in self.robot.joints.iter().enumerate() {
+            if Some(index) != self.tree.dropped_joint
+                && let Motion::Free(kind) = self.motion(joint)?
+            {
+                pending.push((index, kind));
+            }
+        }
+        // The earliest joint of the file whose parent is there already; as the joints form a
+        // tree there always is one.
+        while let Some(next) = pending
+            .iter()
+            .position(|(joint, _)| self.places[self.tree.ends[*joint].0].is_some())
+        {
+            let (index, kind) = pending.remove(next);
+            let (parent, child) = self.tree.ends[index];
+            if let Some(place) = self.places[parent] {
+                let joint = self.moving_joint(&self.robot.joints[index], kind, place)?;
+                self.joints.push(joint);
+                self.place_with_attached(child)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Starts a merged link at URDF link `first` and collects all that is fixed to it.
+    fn place_with_attached(&mut self, first: usize) -> Result<(), RobotError> {
+        let merged = self.parts.len();
+        let mut parts = Vec::new();
+        let mut stack = vec![(first, Pose::IDENTITY)];
+        while let Some((link, pose)) = stack.pop() {
+            self.places[link] = Some((merged, pose));
+            parts.push(link);
+            for &joint in self.tree.joints_below[link].iter().rev() {
+                if let Motion::Attached(origin) = self.motion(&self.robot.joints[joint])? {
+                    stack.push((self.tree.ends[joint].1, pose * origin));
+                }
+            }
+        }
+        self.parts.push(parts);
+        Ok(())
+    }
+
+    fn motion(&self, joint: &urdf_rs::Joint) -> Result<Motion, RobotError> {
+        let origin = Pose::from_urdf(&joint.origin);
+        if joint.joint_type == JointType::Fixed {
+            return Ok(Motion::Attached(origin));
+        }
+        let Some(kind) = moving_kind(&joint.joint_type) else {
+            let problem = format!("{:?} joints are not modelled", joint.joint_type);
+            return Err(RobotError::Unsupported(Diagnosis::new(
+                self.file,
+                format!("joint \"{}\"", joint.name),
+                problem.to_lowercase(),
+                "make it fixed, or a chain of revolute and prismatic joints",
+            )));
+        };
+        match self.options.locked_joints.get(&joint.name) {
+            Some(position) => {
+                let locked = kind.motion(self.axis(joint)?, *position);
+                Ok(Motion::Attached(origin * locked))
+            }
+            None => Ok(Motion::Free(kind)),
+        }
+    }
+
+    fn axis(&self, joint: &urdf_rs::Joint) -> Result<DVec3, RobotError> {
+        let axis = DVec3::from_array(*joint.axis.xyz);
+        axis.try_normalize().ok_or_else(|| {
+            RobotError::Value(Diagnosis::new(
+                self.file,
+                format!("joint \"{}\", <axis xyz>", joint.name),
+                format!("{axis} is no direction"),
+                "write a unit vector in the joint's frame",
+            ))
+        })
+    }
+
+    fn moving_joint(
+        &mut self,
+        joint: &urdf_rs::Joint,
+        kind: JointKind,
+        (parent, parent_pose): (usize, Pose),
+    ) -> Result<Joint, RobotError> {
+        let element = format!("joint \"{}\"", joint.name);
+        if let Some(mimic) = &joint.mimic {
+            return Err(RobotError::Unsupported(Diagnosis::new(
+                self.file,
+                element,
+                format!(
+                    "it mimics \"{}\"; coupled joints are not modelled",
+                    mimic.joint
+                ),
+                "remove <mimic>, or lock the joint",
+            )));
+        }
+        let axis = self.axis(joint)?;
+        let (mut lower, mut upper) = (joint.limit.lower, joint.limit.upper);
+        if kind == JointKind::Continuous {
+            (lower, upper) = (f64::NEG_INFINITY, f64::INFINITY);
+        }
+        let dynamics = joint.dynamics.clone().unwrap_or_default();
+        let (effort, velocity) = (joint.limit.effort, joint.limit.velocity);
+        let value_error = |problem: String, remedy: &str| {
+            let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
+            Err(RobotError::Value(diagnosis))
+        };
+        if lower > upper {
+            return value_error(
+                format!("its lower limit {lower} is above its upper limit {upper}"),
+                "swap them",
+            );
+        }
+        for (name, value) in [
+            ("effort", effort),
+            ("velocity", velocity),
+            ("damping", dynamics.damping),
+            ("friction", dynamics.friction),
+        ] {
+            if value < 0.0 {
+                return value_error(format!("negative {name} {value}"), "write its magnitude");
+            }
+        }
+        let origin = parent_pose * Pose::from_urdf(&joint.origin);
+        if !origin.is_finite() {
+            return value_error("its origin overflows".into(), "write metres");
+        }
+        let mut warn = |problem: String, remedy: &str| {
+            self.warnings
+                .push(Warning::new(self.file, element.clone(), problem, remedy));
+        };
+        let length = DVec3::from_array(*joint.axis.xyz).length();
+        if (length - 1.0).abs() > 1e-6 {
+            warn(
+                format!("its axis has length {length} and is normalised"),
+                "write a unit vector",
+            );
+        }
+        if kind != JointKind::Continuous && (lower.is_infinite() || upper.is_infinite()) {
+            warn(
+                format!("its position limits are {lower} .. {upper}"),
+                "give <limit> a lower and an upper",
+            );
+        }
+        if lower == upper {
+            warn(
+                format!("it can only stay at {lower}"),
+                "make it fixed, or lock it",
+            );
+        }
+        if effort == 0.0 {
+            warn(
+                "zero effort: the joint cannot be driven".into(),
+                "write its effort limit",
+            );
+        }
+        if velocity == 0.0 {
+            warn(
+                "zero velocity: the joint may not move".into(),
+                "write its velocity limit",
+            );
+        }
+        Ok(Joint {
+            name: joint.name.clone(),
+            kind,
+            parent,
+            origin,
+            axis,
+            lower,
+            upper,
+            effort,
+            velocity,
+            damping: dynamics.damping,
+            friction: dynamics.friction,
+            armature: 0.0,
+        })
+    }
+
+    fn links(&mut self) -> Result<Vec<Link>, RobotError> {
+        let mut links = Vec::with_capacity(self.parts.len());
+        for parts in std::mem::take(&mut self.parts) {
+            let with_mass = parts
+                .iter()
+                .filter(|part| self.robot.links[**part].inertial.mass.value > 0.0)
+                .count();
+            let mut whole = MassProperties::ZERO;
+            for &part in &parts {
+                let own = mass_properties(&self.robot.links[part].inertial);
+                if with_mass > 1 || own.mass == 0.0 {
+                    self.warn_of_inertia(part, &own);
+                }
+                if let Some((_, place)) = self.places[part] {
+                    whole = whole.joined(&own.transformed(&place));
+                }
+            }
+            let names = parts
+                .iter()
+                .map(|part| self.robot.links[*part].name.clone());
+            let mut names = names.collect::<Vec<_>>().into_iter();
+            let link = Link {
+                name: names.next().unwrap_or_default(),
+                mass: whole.mass,
+                com: whole.com,
+                inertia: whole.inertia,
+                merged: names.collect(),
+            };
+            self.check_inertia(&link, &whole)?;
+            links.push(link);
+        }
+        Ok(links)
+    }
+
+    /// A part of a link only needs a sound inertia together with the rest, so this is no error.
+    fn warn_of_inertia(&mut self, link: usize, own: &MassProperties) {
+        if own.inertia == DMat3::ZERO {
+            return;
+        }
+        let problem = match own.inertia_fault() {
+            Some(fault) => describe(fault),
+            None if own.mass == 0.0 => "has an inertia, but no mass".to_string(),
+            None => return,
+        };
+        self.warnings.push(Warning::new(
+            self.file,
+            format!("link \"{}\"", self.robot.links[link].name),
+            problem,
+            "correct it; it is merged as it is",
+        ));
+    }
+
+    fn check_inertia(&mut self, link: &Link, whole: &MassProperties) -> Result<(), RobotError> {
+        let element = format!("link \"{}\"", link.name);
+        let error = |problem: String, remedy: &str| {
+            let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
+            Err(RobotError::Inertia(diagnosis))
+        };
+        if !whole.is_finite() {
+            return error("its mass or inertia overflows".into(), "write SI units");
+        }
+        if whole.mass <= 0.0 {
+            return error(
+                "it moves, but neither it nor anything fixed to it has a mass".into(),
+                "give it an <inertial>, or make the joint above it fixed",
+            );
+        }
+        match whole.inertia_fault() {
+            Some(fault @ InertiaFault::NotPositiveDefinite(_)) => error(
+                describe(fault),
+                "write the inertia about the centre of mass, in kg m^2",
+            ),
+            Some(fault) => {
+                self.warnings.push(Warning::new(
+                    self.file,
+                    element,
+                    describe(fault),
+                    "correct it: no body of positive density has such an inertia",
+                ));
+                Ok(())
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// What a joint lets its child do.
+enum Motion {
+    /// Nothing: it stays at this pose in the parent.
+    Attached(Pose),
+    /// Move in this way.
+    Free(JointKind),
+}
+
+/// The kind of a joint with one degree of freedom.
+fn moving_kind(joint_type: &JointType) -> Option<JointKind> {
+    match joint_type {
+        JointType::Revolute => Some(JointKind::Revolute),
+        JointType::Continuous => Some(JointKind::Continuous),
+        JointType::Prismatic => Some(JointKind::Prismatic),
+        JointType::Fixed | JointType::Floating | JointType::Planar | JointType::Spherical => None,
+    }
+}
+
+fn mass_properties(inertial: &urdf_rs::Inertial) -> MassProperties {
+    let i = &inertial.inertia;
+    let about_com = MassProperties {
+        mass: inertial.mass.value,
+        com: DVec3::ZERO,
+        inertia: DMat3::from_cols_array_2d(&[
+            [i.ixx, i.ixy, i.ixz],
+            [i.ixy, i.iyy, i.iyz],
+            [i.ixz, i.iyz, i.izz],
+        ]),
+    };
+    about_com.transformed(&Pose::from_urdf(&inertial.origin))
+}
+
+fn describe(fault: InertiaFault) -> String {
+    match fault {
+        InertiaFault::NotPositiveDefinite([a, b, c]) => {
+            format!(
+                "its inertia is not positive definite (principal moments {a:.3e}, {b:.3e}, {c:.3e} kg m^2)"
+            )
+        }
+        InertiaFault::TriangleInequality([a, b, c]) => {
+            format!(
+                "its inertia violates the triangle inequality (principal moments {a:.3e}, {b:.3e}, {c:.3e} kg m^2)"
+            )
+        }
+    }
+}

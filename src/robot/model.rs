@@ -1,0 +1,209 @@
+//! The robot as the simulator sees it: moving links, moving joints and contact bodies.
+
+use std::path::PathBuf;
+
+use glam::{DMat3, DVec3};
+
+use super::error::Warning;
+use super::pose::Pose;
+
+/// A legged robot in reduced coordinates: a tree of links, each moved by one joint. SI units, f64.
+///
+/// `links[0]` is the base; `links[i + 1]` is moved by `joints[i]`, and a parent always comes
+/// before its children. Everything that was fixed to a link in the URDF is part of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// Name of the robot in the URDF; may be empty.
+    pub name: String,
+    /// The file it came from.
+    pub source: PathBuf,
+    /// The base, then the child link of each joint.
+    pub links: Vec<Link>,
+    /// Moving joints, in the file's order where that puts parents before children, otherwise
+    /// reordered as little as possible so that it does.
+    pub joints: Vec<Joint>,
+    /// Every URDF link with collision shapes, in the file's order: a foot fixed to a shank stays
+    /// a contact body of its own although its mass is part of the shank.
+    pub bodies: Vec<Body>,
+    /// What was assumed while reading; the caller decides where to show it.
+    pub warnings: Vec<Warning>,
+}
+
+/// A rigid link with everything that is fixed to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Link {
+    /// Name of the URDF link whose frame this is.
+    pub name: String,
+    /// kg.
+    pub mass: f64,
+    /// Centre of mass in the link frame, m.
+    pub com: DVec3,
+    /// Inertia about the centre of mass in the link's axes, kg m^2; symmetric.
+    pub inertia: DMat3,
+    /// Names of the URDF links merged into this one, massless frames included.
+    pub merged: Vec<String>,
+}
+
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointKind {
+    /// Turns between limits.
+    Revolute,
+    /// Turns without limits.
+    Continuous,
+    /// Slides between limits.
+    Prismatic,
+}
+
+/// A moving joint. Units are rad and N m when it turns, m and N when it slides.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Name in the URDF.
+    pub name: String,
+    /// How it moves.
+    pub kind: JointKind,
+    /// Index of the parent in [`Model::links`].
+    pub parent: usize,
+    /// The joint frame in the parent link's frame at `q = 0`; the child link's frame at `q = 0`.
+    pub origin: Pose,
+    /// Unit vector in the joint frame.
+    pub axis: DVec3,
+    /// Lower position limit; negative infinity when there is none.
+    pub lower: f64,
+    /// Upper position limit; infinity when there is none.
+    pub upper: f64,
+    /// Largest force or torque; infinity when there is none.
+    pub effort: f64,
+    /// Largest speed, rad/s or m/s; infinity when there is none.
+    pub velocity: f64,
+    /// Viscous friction, N m s/rad or N s/m.
+    pub damping: f64,
+    /// Dry friction, N m or N.
+    pub friction: f64,
+    /// Reflected rotor inertia, kg m^2 or kg; URDF has none, so 0 here.
+    pub armature: f64,
+}
+
+impl Joint {
+    /// The child link's frame in the parent link's frame at position `q` (rad or m).
+    pub fn transform(&self, q: f64) -> Pose {
+        self.origin * self.kind.motion(self.axis, q)
+    }
+}
+
+impl JointKind {
+    /// The motion of a joint of this kind by `q` (rad or m) about or along the unit vector `axis`.
+    pub(super) fn motion(self, axis: DVec3, q: f64) -> Pose {
+        match self {
+            Self::Revolute | Self::Continuous => Pose::from_axis_angle(axis, q),
+            Self::Prismatic => Pose::from_translation(axis * q),
+        }
+    }
+}
+
+/// A contact body: one URDF link's collision shapes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body {
+    /// Name of the URDF link.
+    pub name: String,
+    /// Index in [`Model::links`] of the link that carries it.
+    pub link: usize,
+    /// At least one.
+    pub shapes: Vec<Shape>,
+}
+
+/// A collision shape.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shape {
+    /// What it is.
+    pub geometry: Geometry,
+    /// The shape's frame in the frame of the link that carries it.
+    pub origin: Pose,
+}
+
+/// Geometry about the origin of its own frame; cylinders and capsules lie along z. m.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
+    /// Ball.
+    Sphere {
+        /// m.
+        radius: f64,
+    },
+    /// Box.
+    Box {
+        /// Full edge lengths, m.
+        size: DVec3,
+    },
+    /// Cylinder along z.
+    Cylinder {
+        /// m.
+        radius: f64,
+        /// Full length, m.
+        length: f64,
+    },
+    /// Cylinder along z with a half ball on each end.
+    Capsule {
+        /// m.
+        radius: f64,
+        /// Length of the cylindrical part, m.
+        length: f64,
+    },
+    /// Triangle mesh.
+    Mesh {
+        /// An existing file.
+        path: PathBuf,
+        /// Factor along each axis of the mesh.
+        scale: DVec3,
+    },
+}
+
+impl Model {
+    /// kg.
+    pub fn total_mass(&self) -> f64 {
+        self.links.iter().map(|link| link.mass).sum()
+    }
+
+    /// Index of the joint called `name`.
+    pub fn joint_index(&self, name: &str) -> Option<usize> {
+        self.joints.iter().position(|joint| joint.name == name)
+    }
+
+    /// Indices of the links whose parent is `link`, in joint order.
+    pub fn children(&self, link: usize) -> impl Iterator<Item = usize> {
+        self.joints
+            .iter()
+            .enumerate()
+            .filter(move |(_, joint)| joint.parent == link)
+            .map(|(index, _)| index + 1)
+    }
+
+    /// Index of the link that `link` hangs on; `None` for the base.
+    pub fn parent(&self, link: usize) -> Option<usize> {
+        Some(self.joints.get(link.checked_sub(1)?)?.parent)
+    }
+
+    /// All links depth first, children in joint order; a permutation of `0..links.len()`.
+    pub fn depth_first(&self) -> Vec<usize> {
+        let mut order = Vec::with_capacity(self.links.len());
+        let mut stack = vec![0];
+        while let Some(link) = stack.pop() {
+            order.push(link);
+            let first_child = stack.len();
+            stack.extend(self.children(link));
+            stack[first_child..].reverse();
+        }
+        order
+    }
+
+    /// The frame of every link in the base frame at joint positions `q` (one per joint, rad or m;
+    /// positions left out are 0).
+    pub fn forward_kinematics(&self, q: &[f64]) -> Vec<Pose> {
+        let mut poses = Vec::with_capacity(self.links.len());
+        poses.push(Pose::IDENTITY);
+        for (index, joint) in self.joints.iter().enumerate() {
+            let position = q.get(index).copied().unwrap_or(0.0);
+            poses.push(poses[joint.parent] * joint.transform(position));
+        }
+        poses
+    }
+}

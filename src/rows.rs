@@ -1,0 +1,161 @@
+//! Rows of many components, split into chunks and worked on in parallel.
+//!
+//! Chunks only share out rows; what happens to a row does not depend on its chunk. Results are therefore bitwise the same
+//! for any number of threads.
+
+use bevy_ecs::prelude::*;
+use bevy_tasks::{TaskPool, TaskPoolBuilder};
+
+/// Something with rows that can be cut in two.
+pub trait SplitRows: Sized + Send {
+    /// The first `n` rows, and the rest.
+    fn split_rows(self, n: usize) -> (Self, Self);
+}
+
+impl<T: Sync> SplitRows for &[T] {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        self.split_at(n)
+    }
+}
+
+impl<T: Send> SplitRows for &mut [T] {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        self.split_at_mut(n)
+    }
+}
+
+/// A row-major matrix, by rows.
+pub struct MatrixRows<'a, T> {
+    /// All numbers.
+    pub data: &'a mut [T],
+    /// Numbers in a row.
+    pub width: usize,
+}
+
+impl<T> MatrixRows<'_, T> {
+    /// Row `i`.
+    pub fn row(&mut self, i: usize) -> &mut [T] {
+        &mut self.data[i * self.width..(i + 1) * self.width]
+    }
+}
+
+impl<T: Send> SplitRows for MatrixRows<'_, T> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let (a, b) = self.data.split_at_mut(n * self.width);
+        (Self { data: a, width: self.width }, Self { data: b, width: self.width })
+    }
+}
+
+macro_rules! split_tuple {
+    ($($name:ident $a:ident $b:ident),*) => {
+        impl<$($name: SplitRows),*> SplitRows for ($($name,)*) {
+            #[allow(non_snake_case)]
+            fn split_rows(self, n: usize) -> (Self, Self) {
+                let ($($name,)*) = self;
+                $(let ($a, $b) = $name.split_rows(n);)*
+                (($($a,)*), ($($b,)*))
+            }
+        }
+    };
+}
+split_tuple!(A a1 a2, B b1 b2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2);
+
+/// The threads of a simulation: the caller's and `threads - 1` workers.
+#[derive(Resource)]
+pub struct Workers {
+    pool: Option<TaskPool>,
+    threads: usize,
+}
+
+/// Rows that one task takes at least; below it, starting a task costs more than it saves.
+const MIN_CHUNK: usize = 64;
+/// Chunks per thread, so that a thread that falls behind does not hold up the rest.
+const CHUNKS_PER_THREAD: usize = 4;
+
+impl Workers {
+    /// `threads` of them, at least one.
+    pub fn new(threads: usize) -> Self {
+        let threads = threads.max(1);
+        let pool = (threads > 1).then(|| {
+            TaskPoolBuilder::new().num_threads(threads - 1).thread_name("polypod".to_string()).build()
+        });
+        Self { pool, threads }
+    }
+
+    /// Threads at work, the caller's included.
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Number of chunks that work on many rows is best cut into.
+    pub fn num_chunks(&self) -> usize {
+        if self.threads == 1 { 1 } else { self.threads * CHUNKS_PER_THREAD }
+    }
+
+    /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
+    pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
+        let chunk = len.div_ceil(self.num_chunks()).max(MIN_CHUNK);
+        match &self.pool {
+            Some(pool) if len > chunk => {
+                pool.scope(|scope| {
+                    let f = &f;
+                    let mut rest = Some(rows);
+                    let mut start = 0;
+                    while let Some(rows) = rest.take() {
+                        let n = chunk.min(len - start);
+                        let first = start;
+                        start += n;
+                        let part = if start < len {
+                            let (part, more) = rows.split_rows(n);
+                            rest = Some(more);
+                            part
+                        } else {
+                            rows
+                        };
+                        scope.spawn(async move { f(first, n, part) });
+                    }
+                });
+            }
+            _ => f(0, len, rows),
+        }
+    }
+
+    /// Runs `f(task)` on every task, in parallel.
+    pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, f: impl Fn(T) + Sync) {
+        match &self.pool {
+            Some(pool) => {
+                pool.scope(|scope| {
+                    let f = &f;
+                    for task in tasks {
+                        scope.spawn(async move { f(task) });
+                    }
+                });
+            }
+            None => tasks.for_each(f),
+        }
+    }
+}
+
+/// One component of all entities that a query matches, as a slice in the order of their env ids.
+///
+/// [`check_rows`] has made sure that they lie in one table in that order; without any such entity the slice is empty.
+pub fn read_rows<'w, C: Component, F: bevy_ecs::query::ArchetypeFilter>(query: &'w Query<'_, '_, &'static C, F>) -> &'w [C] {
+    query.contiguous_iter().ok().and_then(|mut tables| tables.next()).unwrap_or_default()
+}
+
+/// The same, to write.
+pub fn write_rows<'w, C: Component<Mutability = bevy_ecs::component::Mutable>, F: bevy_ecs::query::ArchetypeFilter>(
+    query: &'w mut Query<'_, '_, &'static mut C, F>,
+) -> &'w mut [C] {
+    match query.contiguous_iter_mut().ok().and_then(|mut tables| tables.next()) {
+        Some(rows) => bevy_ecs::change_detection::ContiguousMut::split(rows).0,
+        None => &mut [],
+    }
+}

@@ -1,0 +1,120 @@
+//! Exact snapshots: everything that decides what happens next, as bytes.
+
+use bevy_ecs::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::app::{Sim, SimError};
+use crate::batch::Batch;
+use crate::components::{
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor,
+    EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
+};
+use crate::systems::Logs;
+
+/// Changes whenever the layout of a snapshot does.
+const FORMAT: u32 = 1;
+
+#[derive(Serialize, Deserialize, PartialEq, Debug)]
+struct Header {
+    format: u32,
+    version: String,
+    config_hash: u64,
+    robots: Vec<String>,
+    num_envs: usize,
+}
+
+macro_rules! snapshot {
+    ($($name:ident: $component:ident),* $(,)?) => {
+        /// Every component that moves, by env.
+        #[derive(Serialize, Deserialize)]
+        struct Snapshot {
+            header: Header,
+            seed: u64,
+            batch: Batch,
+            logs: Logs,
+            $($name: Vec<$component>,)*
+        }
+
+        impl Snapshot {
+            fn take(sim: &mut Sim) -> Self {
+                Self {
+                    header: header(sim),
+                    seed: sim.seed(),
+                    batch: sim.batch().clone(),
+                    logs: sim.world().resource::<Logs>().clone(),
+                    $($name: read(sim.world_mut()),)*
+                }
+            }
+
+            fn apply(self, sim: &mut Sim) -> Result<(), SimError> {
+                let Self { header: _, seed, batch, logs, $($name,)* } = self;
+                let n = sim.num_envs();
+                if [$($name.len()),*].iter().any(|&len| len != n) {
+                    return Err(SimError::Snapshot("its components do not belong to this number of envs".into()));
+                }
+                $(write(sim.world_mut(), $name);)*
+                sim.world_mut().insert_resource(batch);
+                sim.world_mut().insert_resource(logs);
+                sim.set_seed(seed);
+                Ok(())
+            }
+        }
+    };
+}
+
+snapshot! {
+    rngs: EnvRng, episodes: Episode, commands: Command, timers: EventTimers, sums: EpisodeSums,
+    poses: BasePose, velocities: BaseVelocity, joints: JointState, actions: Action, targets: JointTargets,
+    delays: ActuatorDelay, efforts: JointEffort, impulses: ContactImpulses, forces: ContactForces, feet: Feet,
+    bodies: Body, contacts: ContactSensor, imus: Imu,
+}
+
+fn header(sim: &Sim) -> Header {
+    Header {
+        format: FORMAT,
+        version: env!("CARGO_PKG_VERSION").to_string(),
+        config_hash: sim.config_hash(),
+        robots: sim.morphologies().iter().map(|m| m.name().to_string()).collect(),
+        num_envs: sim.num_envs(),
+    }
+}
+
+fn read<C: Component + Clone>(world: &mut World) -> Vec<C> {
+    let mut rows: Vec<(EnvId, C)> = world.query::<(&EnvId, &C)>().iter(world).map(|(id, c)| (*id, c.clone())).collect();
+    rows.sort_by_key(|(id, _)| *id);
+    rows.into_iter().map(|(_, c)| c).collect()
+}
+
+fn write<C: Component<Mutability = bevy_ecs::component::Mutable>>(world: &mut World, values: Vec<C>) {
+    let mut values: Vec<Option<C>> = values.into_iter().map(Some).collect();
+    for (id, mut component) in world.query::<(&EnvId, &mut C)>().iter_mut(world) {
+        if let Some(value) = values.get_mut(id.0 as usize).and_then(Option::take) {
+            *component = value;
+        }
+    }
+}
+
+impl Sim {
+    /// Everything that decides what happens next, as bytes: restoring them and stepping gives, bit for bit, what going on
+    /// would have given.
+    ///
+    /// # Errors
+    /// When it cannot be encoded.
+    pub fn snapshot(&mut self) -> Result<Vec<u8>, SimError> {
+        postcard::to_stdvec(&Snapshot::take(self)).map_err(|error| SimError::Snapshot(error.to_string()))
+    }
+
+    /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs.
+    ///
+    /// # Errors
+    /// When the bytes are no snapshot or one of another simulation; the simulation is then as it was.
+    pub fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
+        let unreadable = |error: postcard::Error| SimError::Snapshot(format!("not a snapshot of polypod: {error}"));
+        let (theirs, _) = postcard::take_from_bytes::<Header>(bytes).map_err(unreadable)?;
+        let ours = header(self);
+        if theirs != ours {
+            return Err(SimError::Snapshot(format!("it is of another simulation ({theirs:?}) than this one ({ours:?})")));
+        }
+        postcard::from_bytes::<Snapshot>(bytes).map_err(unreadable)?.apply(self)
+    }
+}

@@ -1,0 +1,50 @@
+//! Actions become joint position targets.
+
+use bevy_ecs::prelude::*;
+
+use crate::batch::Batch;
+use crate::components::{Action, JointTargets, Morphology, Robot};
+use crate::morphology::Morphologies;
+use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
+
+/// `target = default + scale * action`, from canonical to physical order; the targets before become history.
+///
+/// The first action after a reset fills the whole history, so that a delayed actuator does not see an older episode.
+pub(super) fn apply_actions(
+    workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
+    mut batch: ResMut<Batch>,
+    tags: Query<&'static Morphology, With<Robot>>,
+    mut actions: Query<&'static mut Action>,
+    mut targets: Query<&'static mut JointTargets>,
+) {
+    let tags = read_rows(&tags);
+    let width = batch.num_actions;
+    let rows = (
+        tags,
+        write_rows(&mut actions),
+        write_rows(&mut targets),
+        MatrixRows { data: &mut batch.actions[..], width },
+    );
+    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, actions, targets, mut raw)| {
+        for i in 0..n {
+            let morphology = morphologies.get(tags[i]);
+            let action = &mut actions[i];
+            std::mem::swap(&mut action.current, &mut action.previous);
+            action.current.copy_from_slice(raw.row(i));
+            let target = &mut targets[i];
+            target.history.rotate_right(1);
+            for (slot, &joint) in morphology.joint_of_slot.iter().enumerate() {
+                target.history[0][joint] =
+                    morphology.action_scale.mul_add(action.current[slot], morphology.default_position[joint]);
+            }
+            if std::mem::take(&mut target.fresh)
+                && let Some((newest, older)) = target.history.split_first_mut()
+            {
+                for past in older {
+                    past.copy_from_slice(newest);
+                }
+            }
+        }
+    });
+}

@@ -1,0 +1,205 @@
+//! What is known about finished episodes, per robot.
+
+use std::collections::BTreeMap;
+
+use bevy_ecs::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Autoreset;
+use super::terms::CompiledTask;
+use super::view::ViewParam;
+use crate::components::{Episode, EpisodeSums, Morphology, Robot};
+use crate::morphology::Morphologies;
+use crate::rows::{Workers, read_rows, write_rows};
+
+/// Adds the step's tracking errors to the episodes' sums.
+pub(super) fn sum_metrics(
+    workers: Res<Workers>,
+    task: Res<CompiledTask>,
+    autoreset: Res<Autoreset>,
+    views: ViewParam,
+    episodes: Query<&'static Episode>,
+    mut sums: Query<&'static mut EpisodeSums>,
+) {
+    let views = views.views(task.step_dt);
+    let rows = (read_rows(&episodes), write_rows(&mut sums));
+    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, sums)| {
+        for i in 0..n {
+            let resetting = *autoreset == Autoreset::NextStep && episodes[i].needs_reset && !episodes[i].done();
+            if episodes[i].invalid || resetting {
+                continue;
+            }
+            let view = views.get(first + i);
+            let (c, v) = (view.command, &view.imu.linear_velocity);
+            let length = |x: f32, y: f32| (x * x + y * y).sqrt();
+            let sum = &mut sums[i];
+            sum.error_vel_xy += length(c[0] - v[0], c[1] - v[1]);
+            sum.error_vel_yaw += (c[2] - view.imu.angular_velocity[2]).abs();
+            sum.command_xy += length(c[0], c[1]);
+            sum.command_yaw += c[2].abs();
+            sum.steps += 1;
+        }
+    });
+}
+
+/// Means over finished episodes of one robot. Velocity errors are time averages.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeStats {
+    /// How many episodes.
+    pub episodes: u64,
+    /// How many ended in failure.
+    pub falls: u64,
+    /// Mean length, s.
+    pub episode_length_s: f64,
+    /// m/s.
+    pub error_vel_xy: f64,
+    /// rad/s.
+    pub error_vel_yaw: f64,
+    /// m/s: what the error of standing still would have been.
+    pub command_xy: f64,
+    /// rad/s: what the error of not turning would have been.
+    pub command_yaw: f64,
+    /// Reward per second.
+    pub reward_per_s: f64,
+}
+
+/// Sums over the finished episodes of one robot.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct RobotLog {
+    episodes: u64,
+    falls: u64,
+    steps: u64,
+    reward: f64,
+    error_vel_xy: f64,
+    error_vel_yaw: f64,
+    command_xy: f64,
+    command_yaw: f64,
+    /// Episode sums of each reward term.
+    terms: Vec<f64>,
+    /// Episodes ended by each cause.
+    causes: Vec<u64>,
+}
+
+impl RobotLog {
+    fn new(terms: usize, causes: usize) -> Self {
+        Self { terms: vec![0.0; terms], causes: vec![0; causes], ..Self::default() }
+    }
+
+    fn add(&mut self, episode: &Episode, sums: &EpisodeSums) {
+        self.episodes += 1;
+        self.falls += u64::from(episode.terminated);
+        self.steps += u64::from(sums.steps);
+        self.reward += f64::from(sums.reward);
+        self.error_vel_xy += f64::from(sums.error_vel_xy);
+        self.error_vel_yaw += f64::from(sums.error_vel_yaw);
+        self.command_xy += f64::from(sums.command_xy);
+        self.command_yaw += f64::from(sums.command_yaw);
+        for (sum, &term) in self.terms.iter_mut().zip(&sums.terms) {
+            *sum += f64::from(term);
+        }
+        for (bit, count) in self.causes.iter_mut().enumerate() {
+            *count += u64::from(episode.causes >> bit & 1);
+        }
+    }
+
+    /// The means.
+    pub fn stats(&self, step_dt: f64) -> EpisodeStats {
+        let steps = self.steps.max(1) as f64;
+        EpisodeStats {
+            episodes: self.episodes,
+            falls: self.falls,
+            episode_length_s: self.steps as f64 * step_dt / self.episodes.max(1) as f64,
+            error_vel_xy: self.error_vel_xy / steps,
+            error_vel_yaw: self.error_vel_yaw / steps,
+            command_xy: self.command_xy / steps,
+            command_yaw: self.command_yaw / steps,
+            reward_per_s: self.reward / (steps * step_dt),
+        }
+    }
+}
+
+/// Finished episodes of each morphology, twice: since the log was last taken, and since the statistics were cleared.
+#[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Logs {
+    recent: Vec<RobotLog>,
+    all: Vec<RobotLog>,
+}
+
+impl Logs {
+    /// Empty, for a task and its robots.
+    pub fn new(task: &CompiledTask) -> Self {
+        let mut logs = Self::default();
+        logs.recent = Self::empty(task);
+        logs.all = Self::empty(task);
+        logs
+    }
+
+    fn empty(task: &CompiledTask) -> Vec<RobotLog> {
+        let causes = task.cause_names().count();
+        task.rewards.iter().map(|terms| RobotLog::new(terms.len(), causes)).collect()
+    }
+
+    /// Log entries over the episodes that ended since the last call; none if there were none.
+    ///
+    /// Reward terms are episode sums divided by the full episode's length in seconds, as Isaac Lab has it.
+    pub fn take(&mut self, task: &CompiledTask, morphologies: &Morphologies) -> BTreeMap<String, f64> {
+        let logs = std::mem::replace(&mut self.recent, Self::empty(task));
+        let step_dt = f64::from(task.step_dt);
+        let full = f64::from(task.max_episode_length) * step_dt;
+        let mut out = BTreeMap::new();
+        for ((log, terms), morphology) in logs.iter().zip(&task.rewards).zip(&morphologies.0) {
+            if log.episodes == 0 {
+                continue;
+            }
+            let robot = morphology.name();
+            let episodes = log.episodes as f64;
+            for (term, sum) in terms.iter().zip(&log.terms) {
+                out.insert(format!("Episode_Reward/{robot}/{}", term.name), sum / episodes / full);
+            }
+            for (name, count) in task.cause_names().zip(&log.causes) {
+                out.insert(format!("Episode_Termination/{robot}/{name}"), *count as f64);
+            }
+            let stats = log.stats(step_dt);
+            out.insert(format!("Metrics/{robot}/error_vel_xy"), stats.error_vel_xy);
+            out.insert(format!("Metrics/{robot}/error_vel_yaw"), stats.error_vel_yaw);
+            out.insert(format!("Metrics/{robot}/fall_rate"), stats.falls as f64 / episodes);
+            out.insert(format!("Metrics/{robot}/episode_length_s"), stats.episode_length_s);
+            out.insert(format!("Metrics/{robot}/reward_per_s"), stats.reward_per_s);
+        }
+        out
+    }
+
+    /// Statistics of each robot over the episodes that ended since they were last cleared.
+    pub fn stats(
+        &mut self,
+        task: &CompiledTask,
+        morphologies: &Morphologies,
+        clear: bool,
+    ) -> Vec<(String, EpisodeStats)> {
+        let names = morphologies.0.iter().map(|m| m.name().to_string());
+        let stats = names.zip(self.all.iter().map(|log| log.stats(f64::from(task.step_dt)))).collect();
+        if clear {
+            self.all = Self::empty(task);
+        }
+        stats
+    }
+}
+
+/// Counts the episodes that have just ended.
+pub(super) fn collect_episodes(
+    tags: Query<&'static Morphology, With<Robot>>,
+    mut episodes: Query<&'static mut Episode>,
+    sums: Query<&'static EpisodeSums>,
+    mut logs: ResMut<Logs>,
+) {
+    let (tags, sums) = (read_rows(&tags), read_rows(&sums));
+    let Logs { recent, all } = &mut *logs;
+    for (i, episode) in write_rows(&mut episodes).iter_mut().enumerate() {
+        if episode.done() && !episode.logged {
+            episode.logged = true;
+            let morphology = usize::from(tags[i].0);
+            recent[morphology].add(episode, &sums[i]);
+            all[morphology].add(episode, &sums[i]);
+        }
+    }
+}

@@ -1,0 +1,300 @@
+//! Physics: robots are gathered into packs, stepped, and scattered back to their components.
+
+use bevy_ecs::prelude::*;
+
+use super::terms::CompiledTask;
+use crate::components::{
+    ActuatorDelay, BasePose, BaseVelocity, Body, ContactForces, ContactImpulses, EnvId, Feet, JointEffort, JointState,
+    JointTargets, Robot,
+};
+use crate::dynamics::lanes::{self, Lanes, Real, Simd};
+use crate::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Workspace};
+use crate::morphology::Morphologies;
+use crate::rows::{SplitRows, Workers, write_rows};
+use crate::world::Ground;
+
+/// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for.
+#[derive(Resource)]
+pub struct PhysicsEngine(Box<dyn Engine>);
+
+trait Engine: Send + Sync {
+    /// Takes over a robot's numbers.
+    fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
+    /// One control step of all robots.
+    fn step(&mut self, morphologies: &Morphologies, workers: &Workers, rows: PhysicsRows);
+}
+
+/// The components that the engine reads and writes, row `i` belonging to env `i`.
+struct PhysicsRows<'a> {
+    poses: &'a mut [BasePose],
+    velocities: &'a mut [BaseVelocity],
+    joints: &'a mut [JointState],
+    targets: &'a mut [JointTargets],
+    delays: &'a mut [ActuatorDelay],
+    efforts: &'a mut [JointEffort],
+    impulses: &'a mut [ContactImpulses],
+    forces: &'a mut [ContactForces],
+    feet: &'a mut [Feet],
+}
+
+impl SplitRows for PhysicsRows<'_> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let (poses, poses2) = self.poses.split_at_mut(n);
+        let (velocities, velocities2) = self.velocities.split_at_mut(n);
+        let (joints, joints2) = self.joints.split_at_mut(n);
+        let (targets, targets2) = self.targets.split_at_mut(n);
+        let (delays, delays2) = self.delays.split_at_mut(n);
+        let (efforts, efforts2) = self.efforts.split_at_mut(n);
+        let (impulses, impulses2) = self.impulses.split_at_mut(n);
+        let (forces, forces2) = self.forces.split_at_mut(n);
+        let (feet, feet2) = self.feet.split_at_mut(n);
+        (
+            Self { poses, velocities, joints, targets, delays, efforts, impulses, forces, feet },
+            Self {
+                poses: poses2,
+                velocities: velocities2,
+                joints: joints2,
+                targets: targets2,
+                delays: delays2,
+                efforts: efforts2,
+                impulses: impulses2,
+                forces: forces2,
+                feet: feet2,
+            },
+        )
+    }
+}
+
+impl PhysicsEngine {
+    /// An engine for robots of these kinds, `counts[m]` of kind `m` in contiguous blocks.
+    pub fn new(simd: Simd, task: &CompiledTask, morphologies: &Morphologies, counts: &[usize], ground: &Ground, workers: &Workers) -> Self {
+        let config = &task.config;
+        let settings = StepSettings {
+            dt: config.sim.dt,
+            decimation: config.sim.decimation as usize,
+            gravity: ground.gravity,
+            contact: ContactSettings {
+                iterations: config.physics.solver_iterations as usize,
+                correction: config.physics.depenetration_rate,
+                max_depenetration_velocity: config.physics.max_depenetration_velocity,
+                ground_height: ground.height,
+                ..ContactSettings::default()
+            },
+        };
+        let chunks = workers.num_chunks();
+        match simd {
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => Self(Box::new(Packs::<lanes::Avx512>::new(settings, morphologies, counts, chunks))),
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => Self(Box::new(Packs::<lanes::Avx2>::new(settings, morphologies, counts, chunks))),
+            #[cfg(target_arch = "aarch64")]
+            Simd::Neon => Self(Box::new(Packs::<lanes::Neon>::new(settings, morphologies, counts, chunks))),
+            _ => Self(Box::new(Packs::<lanes::Portable>::new(settings, morphologies, counts, chunks))),
+        }
+    }
+}
+
+/// Hands robots whose numbers have changed to the engine.
+pub(super) fn upload_bodies(
+    mut engine: ResMut<PhysicsEngine>,
+    bodies: Query<(&EnvId, &Body), (With<Robot>, Changed<Body>)>,
+) {
+    for (env, body) in &bodies {
+        engine.0.upload(env.0 as usize, &body.0);
+    }
+}
+
+/// One control step of physics.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn step_physics(
+    workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
+    mut engine: ResMut<PhysicsEngine>,
+    mut poses: Query<&'static mut BasePose>,
+    mut velocities: Query<&'static mut BaseVelocity>,
+    mut joints: Query<&'static mut JointState>,
+    mut targets: Query<&'static mut JointTargets>,
+    mut delays: Query<&'static mut ActuatorDelay>,
+    mut efforts: Query<&'static mut JointEffort>,
+    mut impulses: Query<&'static mut ContactImpulses>,
+    mut forces: Query<&'static mut ContactForces>,
+    mut feet: Query<&'static mut Feet>,
+) {
+    let rows = PhysicsRows {
+        poses: write_rows(&mut poses),
+        velocities: write_rows(&mut velocities),
+        joints: write_rows(&mut joints),
+        targets: write_rows(&mut targets),
+        delays: write_rows(&mut delays),
+        efforts: write_rows(&mut efforts),
+        impulses: write_rows(&mut impulses),
+        forces: write_rows(&mut forces),
+        feet: write_rows(&mut feet),
+    };
+    engine.0.step(&morphologies, &workers, rows);
+}
+
+/// Up to `L::LANES` robots of one morphology side by side.
+struct Pack<L> {
+    morphology: usize,
+    first_env: usize,
+    count: usize,
+    parameters: Parameters<L>,
+    state: State<L>,
+    drive: Drive<L>,
+    report: Report<L>,
+}
+
+/// All packs, with scratch memory for each chunk of work and morphology.
+struct Packs<L: Lanes> {
+    settings: StepSettings,
+    packs: Vec<Pack<L>>,
+    workspaces: Vec<Vec<Workspace<L>>>,
+}
+
+impl<L: Lanes> Packs<L> {
+    fn new(settings: StepSettings, morphologies: &Morphologies, counts: &[usize], chunks: usize) -> Self {
+        let mut packs = Vec::new();
+        let mut first_env = 0;
+        for (morphology, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
+            let topology = &model.topology;
+            let end = first_env + count;
+            while first_env < end {
+                let count = L::LANES.min(end - first_env);
+                let ages = history_length(model.max_delay(), settings.decimation);
+                packs.push(Pack {
+                    morphology,
+                    first_env,
+                    count,
+                    parameters: Parameters::from_scalars(topology, &model.nominal),
+                    state: State::zeros(topology),
+                    drive: Drive::zeros(topology, ages),
+                    report: Report::zeros(topology, settings.decimation),
+                });
+                first_env += count;
+            }
+        }
+        let workspaces = (0..chunks)
+            .map(|_| morphologies.0.iter().map(|model| Workspace::new(&model.topology)).collect())
+            .collect();
+        Self { settings, packs, workspaces }
+    }
+}
+
+/// Control steps of targets that an actuator can still see.
+pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
+    1 + (max_delay as usize).div_ceil(decimation)
+}
+
+impl<L: Lanes> Engine for Packs<L> {
+    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
+        let at = self.packs.partition_point(|pack| pack.first_env + pack.count <= env);
+        if let Some(pack) = self.packs.get_mut(at) {
+            let lane = env - pack.first_env;
+            pack.parameters.set_lane(lane, parameters);
+            // idle lanes shadow the last robot, so that they cost and break nothing
+            if lane + 1 == pack.count {
+                for idle in pack.count..L::LANES {
+                    pack.parameters.set_lane(idle, parameters);
+                }
+            }
+        }
+    }
+
+    fn step(&mut self, morphologies: &Morphologies, workers: &Workers, rows: PhysicsRows) {
+        let settings = &self.settings;
+        let per_chunk = self.packs.len().div_ceil(self.workspaces.len()).max(1);
+        let mut rest = Some(rows);
+        let tasks = self.packs.chunks_mut(per_chunk).zip(&mut self.workspaces).filter_map(|(packs, workspaces)| {
+            let envs = packs.iter().map(|pack| pack.count).sum();
+            let (rows, more) = rest.take()?.split_rows(envs);
+            rest = Some(more);
+            Some((packs, workspaces, rows))
+        });
+        workers.for_each(tasks, |(packs, workspaces, mut rows)| {
+            for pack in packs {
+                let (mut mine, more) = rows.split_rows(pack.count);
+                rows = more;
+                let topology = &morphologies.0[pack.morphology].topology;
+                pack.gather(&mine);
+                L::vectorize(ControlStep {
+                    topology,
+                    settings,
+                    parameters: &pack.parameters,
+                    drive: &pack.drive,
+                    state: &mut pack.state,
+                    report: &mut pack.report,
+                    work: &mut workspaces[pack.morphology],
+                });
+                pack.scatter(&mut mine);
+            }
+        });
+    }
+}
+
+fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
+    for (x, &y) in to.iter_mut().zip(from) {
+        x.set_lane(lane, f64::from(y));
+    }
+}
+
+fn put_arrays<L: Real, const N: usize>(to: &mut [[L; N]], from: &[[f32; N]], lane: usize) {
+    for (x, y) in to.iter_mut().zip(from) {
+        put(x, y, lane);
+    }
+}
+
+fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
+    for (y, x) in from.iter().zip(to) {
+        *x = y.lane(lane) as f32;
+    }
+}
+
+fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
+    for (y, x) in from.iter().zip(to) {
+        get(y, x, lane);
+    }
+}
+
+impl<L: Real> Pack<L> {
+    fn gather(&mut self, rows: &PhysicsRows) {
+        for lane in 0..L::LANES {
+            // idle lanes shadow the last robot
+            let row = lane.min(self.count - 1);
+            let (state, drive) = (&mut self.state, &mut self.drive);
+            put(&mut state.position, &rows.poses[row].position, lane);
+            put(&mut state.rotation, &rows.poses[row].rotation, lane);
+            put(&mut state.linear_velocity, &rows.velocities[row].linear, lane);
+            put(&mut state.angular_velocity, &rows.velocities[row].angular, lane);
+            put(&mut state.joint_position, &rows.joints[row].position, lane);
+            put(&mut state.joint_velocity, &rows.joints[row].velocity, lane);
+            put_arrays(&mut state.impulse, &rows.impulses[row].0, lane);
+            for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
+                put(targets, from, lane);
+            }
+            put(&mut drive.delay, &rows.delays[row].0, lane);
+        }
+    }
+
+    fn scatter(&self, rows: &mut PhysicsRows) {
+        let (state, report) = (&self.state, &self.report);
+        for lane in 0..self.count {
+            get(&state.position, &mut rows.poses[lane].position, lane);
+            get(&state.rotation, &mut rows.poses[lane].rotation, lane);
+            get(&state.linear_velocity, &mut rows.velocities[lane].linear, lane);
+            get(&state.angular_velocity, &mut rows.velocities[lane].angular, lane);
+            get(&state.joint_position, &mut rows.joints[lane].position, lane);
+            get(&state.joint_velocity, &mut rows.joints[lane].velocity, lane);
+            get_arrays(&state.impulse, &mut rows.impulses[lane].0, lane);
+            get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
+            get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
+            get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);
+            let bodies = report.body_force.len();
+            for (step, normal) in report.normal_force.iter().enumerate() {
+                get(normal, &mut rows.forces[lane].normal[step * bodies..(step + 1) * bodies], lane);
+            }
+            get_arrays(&report.site_position, &mut rows.feet[lane].position, lane);
+            get_arrays(&report.site_velocity, &mut rows.feet[lane].velocity, lane);
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! Ended episodes begin anew.
+
+use bevy_ecs::prelude::*;
+use serde::Deserialize;
+
+use super::command::{draw_command, steer};
+use super::sense::measure;
+use super::terms::{CompiledTask, Registry};
+use super::{Autoreset, ResetRequest};
+use crate::components::{
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, Env,
+    EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets, Morphology, Robot,
+};
+use crate::config::JointPositionMode;
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::{Workers, read_rows, write_rows};
+
+/// The state in which an episode begins, as reset events may change it.
+pub struct NewState<'a> {
+    /// What kind of robot it is.
+    pub morphology: &'a MorphologyModel,
+    /// Pose of the base; starts at the env's origin, at the spawn height, level.
+    pub pose: &'a mut BasePose,
+    /// Velocity of the base; starts at rest.
+    pub velocity: &'a mut BaseVelocity,
+    /// Joints; start at rest in the default pose.
+    pub joints: &'a mut JointState,
+}
+
+type RobotRows<'w, 's> = (
+    Query<'w, 's, &'static mut BasePose>,
+    Query<'w, 's, &'static mut BaseVelocity>,
+    Query<'w, 's, &'static mut JointState>,
+    Query<'w, 's, &'static mut Action>,
+    Query<'w, 's, &'static mut JointTargets>,
+    Query<'w, 's, &'static mut ActuatorDelay>,
+    Query<'w, 's, &'static mut JointEffort>,
+    Query<'w, 's, &'static mut ContactImpulses>,
+    Query<'w, 's, &'static mut Feet>,
+);
+
+type EnvRows<'w, 's> = (
+    Query<'w, 's, &'static mut Episode>,
+    Query<'w, 's, &'static mut EnvRng, With<Env>>,
+    Query<'w, 's, &'static mut Command>,
+    Query<'w, 's, &'static mut EventTimers>,
+    Query<'w, 's, &'static mut EpisodeSums>,
+);
+
+type SensorRows<'w, 's> = (
+    Query<'w, 's, &'static mut ContactForces>,
+    Query<'w, 's, &'static mut ContactSensor>,
+    Query<'w, 's, &'static mut Imu>,
+);
+
+/// Resets what is due: state, targets, delays, timers, sums, sensors and command, each from the env's own stream.
+pub(super) fn reset_envs(
+    workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
+    task: Res<CompiledTask>,
+    autoreset: Res<Autoreset>,
+    request: Res<ResetRequest>,
+    tags: Query<&'static Morphology, With<Robot>>,
+    bodies: Query<&'static Body>,
+    (mut poses, mut velocities, mut joints, mut actions, mut targets, mut delays, mut efforts, mut impulses, mut feet): RobotRows,
+    (mut episodes, mut rngs, mut commands, mut timers, mut sums): EnvRows,
+    (mut forces, mut contacts, mut imus): SensorRows,
+) {
+    let tags = read_rows(&tags);
+    let due = |episode: &Episode| {
+        episode.needs_reset
+            && (request.0
+                || match *autoreset {
+                    Autoreset::SameStep => true,
+                    Autoreset::NextStep => !episode.done(),
+                    Autoreset::Disabled => false,
+                })
+    };
+    let robot_rows = (
+        (write_rows(&mut poses), write_rows(&mut velocities), write_rows(&mut joints)),
+        (write_rows(&mut actions), write_rows(&mut targets), write_rows(&mut delays)),
+        (write_rows(&mut efforts), write_rows(&mut impulses), write_rows(&mut feet)),
+    );
+    let env_rows = (
+        write_rows(&mut episodes),
+        write_rows(&mut rngs),
+        write_rows(&mut commands),
+        write_rows(&mut timers),
+        write_rows(&mut sums),
+    );
+    let sensor_rows = (write_rows(&mut forces), write_rows(&mut contacts), write_rows(&mut imus));
+    let rows = (tags, read_rows(&bodies), robot_rows, env_rows, sensor_rows);
+    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, bodies, robots, envs, sensors)| {
+        let ((poses, velocities, joints), (actions, targets, delays), (efforts, impulses, feet)) = robots;
+        let (episodes, rngs, commands, timers, sums) = envs;
+        let (forces, contacts, imus) = sensors;
+        for i in 0..n {
+            if !due(&episodes[i]) {
+                continue;
+            }
+            let morphology = morphologies.get(tags[i]);
+            let rng = &mut rngs[i];
+            let (pose, velocity, joints) = (&mut poses[i], &mut velocities[i], &mut joints[i]);
+            *pose = BasePose { position: [0.0, 0.0, morphology.spawn_height], rotation: [1.0, 0.0, 0.0, 0.0] };
+            *velocity = BaseVelocity::default();
+            joints.position.copy_from_slice(&morphology.default_position);
+            joints.velocity.fill(0.0);
+            for event in &task.reset_events {
+                event(&mut NewState { morphology, pose, velocity, joints }, rng);
+            }
+
+            actions[i].current.fill(0.0);
+            actions[i].previous.fill(0.0);
+            for past in &mut targets[i].history {
+                past.copy_from_slice(&morphology.default_position);
+            }
+            targets[i].fresh = true;
+            for (range, group) in &morphology.delays {
+                let delay = rng.integer(*range) as f32;
+                for &joint in group {
+                    delays[i].0[joint] = delay;
+                }
+            }
+            efforts[i].applied.fill(0.0);
+            efforts[i].acceleration.fill(0.0);
+            impulses[i].0.fill([0.0; 3]);
+            feet[i].velocity.fill([0.0; 3]);
+            feet[i].position.fill([0.0; 3]);
+
+            forces[i].net.fill([0.0; 3]);
+            forces[i].normal.fill(0.0);
+            contacts[i].clear();
+            imus[i] = measure(pose, velocity, &bodies[i].0.com[0]);
+
+            for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
+                *left = rng.uniform(event.range_s);
+            }
+            let config = &task.config.commands.base_velocity;
+            if !commands[i].pinned {
+                draw_command(config, &mut commands[i], rng);
+                steer(config, &mut commands[i], imus[i].heading);
+            }
+            sums[i].clear();
+            episodes[i] = Episode::default();
+        }
+    });
+}
+
+impl ContactSensor {
+    fn clear(&mut self) {
+        self.peak_force.fill(0.0);
+        for times in
+            [&mut self.contact_time, &mut self.air_time, &mut self.last_contact_time, &mut self.last_air_time]
+        {
+            times.fill(0.0);
+        }
+    }
+}
+
+impl EpisodeSums {
+    fn clear(&mut self) {
+        self.terms.fill(0.0);
+        let terms = std::mem::take(&mut self.terms);
+        *self = Self { terms, ..Self::default() };
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BaseRange {
+    /// Range of the base's position, m.
+    x: [f32; 2],
+    /// See `x`.
+    y: [f32; 2],
+    /// Range of its heading, rad.
+    yaw: [f32; 2],
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NoParams {}
+
+/// All built-in reset events.
+pub(super) fn register(registry: &mut Registry) {
+    registry.reset_event("reset_base", reset_base);
+    registry.reset_event("reset_joints", reset_joints);
+}
+
+/// Position and heading from the task's ranges, velocity from the robot's.
+fn reset_base(p: &BaseRange, state: &mut NewState, rng: &mut EnvRng) {
+    state.pose.position[0] += rng.uniform(p.x);
+    state.pose.position[1] += rng.uniform(p.y);
+    let (sin, cos) = crate::dynamics::Real::sin_cos(0.5 * rng.uniform(p.yaw));
+    state.pose.rotation = [cos, 0.0, 0.0, sin];
+    let range = state.morphology.config.reset.base_velocity.range.map(|x| x as f32);
+    state.velocity.linear = std::array::from_fn(|_| rng.uniform(range));
+    let world: [f32; 3] = std::array::from_fn(|_| rng.uniform(range));
+    let rotation = crate::dynamics::math::quat_to_mat(&state.pose.rotation);
+    state.velocity.angular = crate::dynamics::math::mul_vec_transposed(&rotation, &world);
+}
+
+/// Joints about the default pose, within the soft limits, from the robot's ranges.
+fn reset_joints(_: &NoParams, state: &mut NewState, rng: &mut EnvRng) {
+    let config = &state.morphology.config.reset;
+    let position = config.joint_position.range.map(|x| x as f32);
+    let velocity = config.joint_velocity.range.map(|x| x as f32);
+    let limits = &state.morphology.soft_limits;
+    for (j, q) in state.joints.position.iter_mut().enumerate() {
+        let drawn = rng.uniform(position);
+        let moved = match config.joint_position.mode {
+            JointPositionMode::Scale => *q * drawn,
+            JointPositionMode::Offset => *q + drawn,
+        };
+        *q = moved.max(limits[j][0]).min(limits[j][1]);
+    }
+    for v in &mut state.joints.velocity {
+        *v = rng.uniform(velocity);
+    }
+}

@@ -1,0 +1,178 @@
+//! Reward terms on contacts and feet.
+//!
+//! Formulas: Isaac Lab's velocity-tracking tasks and its Spot task (BSD-3-Clause), names as there.
+
+use serde::Deserialize;
+
+use super::motion_terms::is_moving;
+use super::{exp, norm, tanh_positive};
+use crate::robot::BodyGroup;
+use crate::systems::terms::Registry;
+use crate::systems::view::RobotView;
+
+/// A group of contact bodies, as configs name it.
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum Group {
+    Base,
+    Hip,
+    Thigh,
+    Shank,
+    Foot,
+}
+
+impl Group {
+    fn holds(self, group: BodyGroup) -> bool {
+        let own = match self {
+            Group::Base => BodyGroup::Base,
+            Group::Hip => BodyGroup::Hip,
+            Group::Thigh => BodyGroup::Thigh,
+            Group::Shank => BodyGroup::Shank,
+            Group::Foot => BodyGroup::Foot,
+        };
+        own == group
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AirTimeThreshold {
+    /// Flight that neither earns nor costs, s.
+    threshold: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BodiesInContact {
+    /// Normal force that counts, N.
+    threshold: f32,
+    bodies: Vec<Group>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ModeTime {
+    /// Longest stride that is rewarded, s.
+    mode_time: f32,
+    /// Planar speed from which an uncommanded robot counts as moving, m/s.
+    velocity_threshold: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MaxTime {
+    /// Longer phases count as this long, s.
+    max_time: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Clearance {
+    std: f32,
+    tanh_mult: f32,
+    /// Height of a swinging foot's centre above the ground, m.
+    target_height: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Force {
+    /// Normal force from which a foot stands, N.
+    threshold: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Gait {
+    std: f32,
+    /// Largest difference of two feet's phase times that counts, s.
+    max_err: f32,
+    velocity_threshold: f32,
+}
+
+pub(super) fn register(registry: &mut Registry) {
+    registry.reward("feet_air_time", feet_air_time);
+    registry.reward("undesired_contacts", undesired_contacts);
+    registry.reward("air_time", air_time);
+    registry.reward("air_time_variance", air_time_variance);
+    registry.reward("foot_clearance", foot_clearance);
+    registry.reward("foot_slip", foot_slip);
+    registry.reward("gait", gait);
+}
+
+fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
+    if norm(&r.command[..2]) <= 0.1 {
+        return 0.0;
+    }
+    let c = r.contacts;
+    // a contact time within the control step, give or take rounding
+    let first = |time: f32| time > 0.0 && time < r.step_dt + 1e-5;
+    let landed = c.contact_time.iter().zip(&c.last_air_time).filter(|(contact, _)| first(**contact));
+    landed.map(|(_, air)| air - p.threshold).sum()
+}
+
+fn undesired_contacts(p: &BodiesInContact, r: &RobotView) -> f32 {
+    let bodies = r.contacts.peak_force.iter().zip(&r.morphology.body_groups);
+    bodies.filter(|(force, group)| **force > p.threshold && p.bodies.iter().any(|g| g.holds(**group))).count() as f32
+}
+
+fn air_time(p: &ModeTime, r: &RobotView) -> f32 {
+    let moving = is_moving(r, p.velocity_threshold);
+    let c = r.contacts;
+    let feet = c.air_time.iter().zip(&c.contact_time);
+    feet.map(|(&air, &contact)| {
+        if !moving {
+            return (contact - air).clamp(-p.mode_time, p.mode_time);
+        }
+        let phase = air.max(contact);
+        if phase < p.mode_time { phase } else { 0.0 }
+    })
+    .sum()
+}
+
+fn air_time_variance(p: &MaxTime, r: &RobotView) -> f32 {
+    let variance = |times: &[f32]| {
+        let n = times.len() as f32;
+        let mean = times.iter().map(|t| t.min(p.max_time)).sum::<f32>() / n;
+        let squares: f32 = times.iter().map(|t| t.min(p.max_time) - mean).map(|d| d * d).sum();
+        squares / (n - 1.0).max(1.0)
+    };
+    variance(&r.contacts.last_air_time) + variance(&r.contacts.last_contact_time)
+}
+
+fn foot_clearance(p: &Clearance, r: &RobotView) -> f32 {
+    let feet = r.feet.position.iter().zip(&r.feet.velocity);
+    let error: f32 = feet
+        .map(|(position, velocity)| {
+            let height = position[2] - p.target_height;
+            height * height * tanh_positive(p.tanh_mult * norm(&velocity[..2]))
+        })
+        .sum();
+    exp(-error / p.std)
+}
+
+fn foot_slip(p: &Force, r: &RobotView) -> f32 {
+    let feet = r.morphology.feet.iter().zip(&r.feet.velocity);
+    feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
+}
+
+/// Diagonal feet together, the two diagonals in turn. Feet are in the order LF, LH, RF, RH.
+fn gait(p: &Gait, r: &RobotView) -> f32 {
+    if !is_moving(r, p.velocity_threshold) {
+        return 0.0;
+    }
+    let (air, contact) = (&r.contacts.air_time, &r.contacts.contact_time);
+    let most = p.max_err * p.max_err;
+    let square = |d: f32| (d * d).min(most);
+    // exponents add up, where factors would be multiplied
+    let sync = |i: usize, j: usize| square(air[i] - air[j]) + square(contact[i] - contact[j]);
+    let asynchronous = |i: usize, j: usize| square(air[i] - contact[j]) + square(contact[i] - air[j]);
+    let (lf, lh, rf, rh) = (0, 1, 2, 3);
+    let error = sync(lf, rh)
+        + sync(rf, lh)
+        + asynchronous(lf, rf)
+        + asynchronous(lf, lh)
+        + asynchronous(rh, rf)
+        + asynchronous(rh, lh);
+    exp(-error / p.std)
+}

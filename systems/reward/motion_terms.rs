@@ -1,0 +1,99 @@
+//! Reward terms on the motion of base and joints.
+//!
+//! Formulas: Isaac Lab's velocity-tracking tasks and its Spot task (BSD-3-Clause), names as there.
+
+use serde::Deserialize;
+
+use super::{NoParams, exp, norm, sum_of_squares};
+use crate::systems::terms::Registry;
+use crate::systems::view::RobotView;
+
+/// Width of a tracking reward, in the units of what is tracked.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Std {
+    std: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RampedStd {
+    std: f32,
+    /// Commanded speed from which the reward grows, m/s.
+    ramp_at_vel: f32,
+    /// Growth per m/s.
+    ramp_rate: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StandStill {
+    /// Factor while the robot is to stand and stands.
+    stand_still_scale: f32,
+    /// Planar speed up to which it counts as standing, m/s.
+    velocity_threshold: f32,
+}
+
+pub(super) fn register(registry: &mut Registry) {
+    registry.reward("track_lin_vel_xy_exp", track_lin_vel_xy_exp);
+    registry.reward("track_ang_vel_z_exp", track_ang_vel_z_exp);
+    registry.reward("lin_vel_z_l2", |_: &NoParams, r| r.imu.linear_velocity[2] * r.imu.linear_velocity[2]);
+    registry.reward("ang_vel_xy_l2", |_: &NoParams, r| sum_of_squares(&r.imu.angular_velocity[..2]));
+    registry.reward("dof_torques_l2", |_: &NoParams, r| sum_of_squares(&r.effort.applied));
+    registry.reward("dof_acc_l2", |_: &NoParams, r| sum_of_squares(&r.effort.acceleration));
+    registry.reward("action_rate_l2", |_: &NoParams, r| action_change(r));
+    registry.reward("flat_orientation_l2", |_: &NoParams, r| sum_of_squares(&r.imu.projected_gravity[..2]));
+    registry.reward("base_angular_velocity", base_angular_velocity);
+    registry.reward("base_linear_velocity", base_linear_velocity);
+    registry.reward("action_smoothness", |_: &NoParams, r| action_change(r).sqrt());
+    registry.reward("base_motion", base_motion);
+    registry.reward("base_orientation", |_: &NoParams, r| norm(&r.imu.projected_gravity[..2]));
+    registry.reward("joint_acc", |_: &NoParams, r| norm(&r.effort.acceleration));
+    registry.reward("joint_pos", joint_pos);
+    registry.reward("joint_torques", |_: &NoParams, r| norm(&r.effort.applied));
+    registry.reward("joint_vel", |_: &NoParams, r| norm(&r.joints.velocity));
+}
+
+/// Planar velocity error: commanded less measured, m/s.
+fn velocity_error(r: &RobotView) -> [f32; 2] {
+    [r.command[0] - r.imu.linear_velocity[0], r.command[1] - r.imu.linear_velocity[1]]
+}
+
+fn action_change(r: &RobotView) -> f32 {
+    let pairs = r.action.current.iter().zip(&r.action.previous);
+    pairs.fold(0.0, |sum: f32, (a, b)| (a - b).mul_add(a - b, sum))
+}
+
+/// Whether the robot is told to move or moves faster than `threshold`, m/s.
+pub(super) fn is_moving(r: &RobotView, threshold: f32) -> bool {
+    norm(r.command) > 0.0 || norm(&r.imu.linear_velocity[..2]) > threshold
+}
+
+fn track_lin_vel_xy_exp(p: &Std, r: &RobotView) -> f32 {
+    exp(-sum_of_squares(&velocity_error(r)) / (p.std * p.std))
+}
+
+fn track_ang_vel_z_exp(p: &Std, r: &RobotView) -> f32 {
+    let error = r.command[2] - r.imu.angular_velocity[2];
+    exp(-error * error / (p.std * p.std))
+}
+
+fn base_angular_velocity(p: &Std, r: &RobotView) -> f32 {
+    exp(-(r.command[2] - r.imu.angular_velocity[2]).abs() / p.std)
+}
+
+fn base_linear_velocity(p: &RampedStd, r: &RobotView) -> f32 {
+    let ramp = (1.0 + p.ramp_rate * (norm(&r.command[..2]) - p.ramp_at_vel)).max(1.0);
+    exp(-norm(&velocity_error(r)) / p.std) * ramp
+}
+
+fn base_motion(_: &NoParams, r: &RobotView) -> f32 {
+    let (v, w) = (&r.imu.linear_velocity, &r.imu.angular_velocity);
+    0.8 * v[2] * v[2] + 0.2 * (w[0].abs() + w[1].abs())
+}
+
+fn joint_pos(p: &StandStill, r: &RobotView) -> f32 {
+    let pairs = r.joints.position.iter().zip(&r.morphology.default_position);
+    let distance = pairs.fold(0.0, |sum: f32, (q, q0)| (q - q0).mul_add(q - q0, sum)).sqrt();
+    if is_moving(r, p.velocity_threshold) { distance } else { p.stand_still_scale * distance }
+}

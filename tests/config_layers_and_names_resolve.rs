@@ -1,0 +1,146 @@
+//! Every config of the repository loads; roots, layers, overrides and tasks for one robot do what they say.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use polypod::config::{Library, LoadedTask, TaskConfig};
+
+fn root(test: &str) -> PathBuf {
+    let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("config_layers").join(test);
+    if root.exists() {
+        fs::remove_dir_all(&root).unwrap();
+    }
+    fs::create_dir_all(root.join("configs/tasks")).unwrap();
+    fs::create_dir_all(root.join("configs/robots")).unwrap();
+    root
+}
+
+fn task(name: &str, overrides: &[&str]) -> LoadedTask {
+    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+    Library::new(Vec::new()).task(name, &overrides).unwrap_or_else(|error| panic!("{error}"))
+}
+
+#[test]
+fn every_robot_and_task_of_the_repository_loads() {
+    let library = Library::new(Vec::new());
+    let robots = library.robots().unwrap();
+    assert!(!robots.is_empty());
+    for robot in &robots {
+        let loaded = library.robot(&robot.name).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(loaded.config.name, robot.name);
+        assert_eq!(loaded.config.title, robot.title);
+        assert!(loaded.urdf_text.contains("<robot"), "{}", robot.name);
+        let groups = loaded.config.actuators_by_slot().unwrap();
+        assert!(groups.iter().all(|(group, _)| loaded.config.actuators.contains_key(*group)));
+        let pose = loaded.config.default_pose_by_slot().unwrap();
+        assert_eq!(pose[4], loaded.config.default_pose["LF_HFE"]);
+    }
+    let tasks = library.tasks().unwrap();
+    assert!(tasks.len() >= 2 + 2 * robots.len());
+    for entry in &tasks {
+        for name in entry.aliases.iter().chain([&entry.name]) {
+            let loaded = library.task(name, &[]).unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(loaded.config.name, entry.name);
+            for robot in &loaded.config.robots {
+                let robot = library.robot(robot).unwrap_or_else(|error| panic!("{error}")).config;
+                loaded.config.reward_set(&robot.name, &robot.reward_set).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn the_resolved_config_says_all_and_hashes_alike() {
+    let loaded = task("velocity_flat", &[]);
+    let text = loaded.resolved.to_string();
+    assert_eq!(toml::from_str::<TaskConfig>(&text).unwrap(), loaded.config);
+    assert_eq!(loaded.hash, task("Velocity-Flat-HeteroQuadruped-v0", &[]).hash);
+    assert_eq!(loaded.hash, task("velocity_flat", &["sim.dt=0.005"]).hash);
+    assert_ne!(loaded.hash, task("velocity_flat", &["sim.dt=0.004"]).hash);
+    assert_eq!(loaded.config.sim.max_episode_length(), 1000);
+}
+
+#[test]
+fn overrides_change_what_they_name() {
+    let config = task(
+        "velocity_flat",
+        &[
+            "physics.engine=avian",
+            "rewards.anymal.feet_air_time.weight=0.25",
+            "rewards.anymal.lin_vel_z_l2=null",
+            "rewards.anymal.alive={ weight = 1 }",
+            "observations.policy.joint_pos_rel.noise=0.5",
+            "observations.policy.0.noise=0",
+            "robots=[\"spot\"]",
+            "physics.depenetration_rate=0.25",
+        ],
+    )
+    .config;
+    assert_eq!(config.physics.engine, polypod::config::EngineKind::Avian);
+    assert_eq!(config.physics.depenetration_rate, 0.25);
+    assert_eq!(config.rewards["anymal"]["feet_air_time"].weight, 0.25);
+    assert_eq!(config.rewards["anymal"]["alive"].weight, 1.0);
+    assert!(!config.rewards["anymal"].contains_key("lin_vel_z_l2"));
+    let noise = |term: &str| config.observations.policy.iter().find(|t| t.term == term).unwrap().noise;
+    assert_eq!((noise("joint_pos_rel"), noise("base_lin_vel")), (0.5, 0.0));
+    assert_eq!(config.robots, ["spot"]);
+}
+
+#[test]
+fn play_tasks_are_quiet() {
+    let play = task("velocity_flat_play", &[]).config;
+    let train = task("velocity_flat", &[]).config;
+    assert!(!play.observations.enable_noise && train.observations.enable_noise);
+    for name in ["push_robot", "physics_material", "add_base_mass", "base_com"] {
+        assert!(!play.events[name].enabled && train.events[name].enabled, "{name}");
+    }
+    assert!(play.events["reset_base"].enabled);
+    assert_eq!(play.rewards, train.rewards);
+    assert_eq!(play.aliases, ["velocity_flat_play"]);
+}
+
+#[test]
+fn a_task_for_many_robots_makes_one_for_each() {
+    let many = task("velocity_flat", &[]).config;
+    let one = task("Velocity-Flat-Unitree-Go2-v0", &["sim.decimation=2"]).config;
+    assert_eq!(one.robots, ["unitree_go2"]);
+    assert_eq!(one.experiment_name, format!("{}_unitree_go2", many.experiment_name));
+    assert_eq!(one.sim.decimation, 2);
+    assert_eq!(one.rewards, many.rewards);
+    assert_eq!(task("Velocity-Flat-Anymal-C-v0", &[]).config.robots, ["anymal_c"]);
+    assert!(!task("Velocity-Flat-Spot-Play-v0", &[]).config.observations.enable_noise);
+}
+
+#[test]
+fn a_root_adds_robots_and_hides_what_it_redefines() {
+    let root = root("hides");
+    let above = "extends = \"velocity_flat\"\nname = \"Velocity-Flat-HeteroQuadruped-v0\"\n[sim]\ndecimation = 2\n";
+    fs::write(root.join("configs/tasks/velocity_flat.toml"), above).unwrap();
+    let robot = "extends = \"spot\"\nname = \"big_dog\"\ntitle = \"Big Dog\"\naction_scale = 1\n\
+                 package_dirs = { meshes = \"../m\" }\n";
+    fs::write(root.join("configs/robots/big_dog.toml"), robot).unwrap();
+    let library = Library::new(vec![root.clone()]);
+
+    let config = library.task("velocity_flat_play", &[]).unwrap().config;
+    assert_eq!((config.sim.decimation, config.sim.dt), (2, 0.005));
+    assert_eq!(library.task("Velocity-Flat-Big-Dog-v0", &[]).unwrap().config.robots, ["big_dog"]);
+
+    let robots: Vec<String> = library.robots().unwrap().into_iter().map(|r| r.name).collect();
+    assert!(robots.contains(&"big_dog".to_owned()) && robots.contains(&"spot".to_owned()));
+    let dog = library.robot("big_dog").unwrap();
+    assert_eq!((dog.config.title.as_str(), dog.config.action_scale), ("Big Dog", 1.0));
+    assert_eq!(dog.urdf_text, library.robot("spot").unwrap().urdf_text);
+    assert_eq!(dog.config.package_dirs["meshes"], root.join("configs/robots/../m"));
+}
+
+#[test]
+fn a_robot_given_by_path_finds_the_urdf_beside_it() {
+    let root = root("path");
+    let robot = "extends = \"spot\"\nname = \"cub\"\ntitle = \"Cub\"\nurdf = \"cub.urdf\"\n";
+    fs::write(root.join("cub.toml"), robot).unwrap();
+    fs::write(root.join("cub.urdf"), "<robot name=\"cub\"/>").unwrap();
+    let path = root.join("cub.toml");
+    let cub = Library::new(Vec::new()).robot(path.to_str().unwrap()).unwrap();
+    assert_eq!(cub.urdf_text, "<robot name=\"cub\"/>");
+    assert_eq!(cub.urdf_path, root.join("cub.urdf"));
+}

@@ -1,0 +1,175 @@
+"""The command line: train, resume, eval, list, info; exit codes; one line per mistake."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+
+import polypod
+import polypod.cli
+
+QUICK = ("--num-envs", "64", "--max-iterations", "2", "--logger", "none", "--set", "sim.episode_length_s=1.0")
+
+
+@pytest.fixture
+def main(tmp_path, monkeypatch, capsys):
+    """Runs a command in this process and a temporary directory; returns exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        try:
+            code = polypod.cli.main(arguments)
+        except SystemExit as exit_:
+            code = exit_.code
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_train_resume_and_eval(cli, tmp_path):
+    done = cli("train", *QUICK, "--robots", "spot,unitree_a1", "--run-name", "mine")
+    assert done.returncode == 0, done.stderr
+    assert "iteration 2/2" in done.stdout
+    assert "err xy" in done.stdout
+    (run,) = tmp_path.glob("logs/rsl_rl/*/*_mine")
+    assert {path.name for path in run.iterdir()} == {"manifest.json", "params", "model_2.pt"}
+    assert {path.name for path in (run / "params").iterdir()} == {"env.toml", "agent.toml"}
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["robots"] == ["spot", "unitree_a1"]
+    assert manifest["num_envs"] == 64
+    assert len(manifest["canonical_joint_names"]) == len(manifest["joint_maps"]["spot"]) == 12
+    assert manifest["policy"]["num_obs"] == sum(entry["size"] for entry in manifest["observation_layout"])
+    assert set(manifest["robot_info"]) == {"spot", "unitree_a1"}
+
+    done = cli("train", "--resume", "--max-iterations", "1")
+    assert done.returncode == 0, done.stderr
+    assert "iteration 3/3" in done.stdout
+    assert (run / "model_3.pt").exists()
+    assert list(run.glob("events.out.tfevents*")), "tensorboard is the default"
+
+    done = cli(
+        "eval", "--checkpoint", str(run / "model_3.pt"), "--json", "out.json", "--num-envs", "8", "--steps", "10"
+    )
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "out.json").read_text())
+    assert set(figures["robots"]) == {"spot", "unitree_a1"}
+    keys = {"error_vel_xy", "error_vel_yaw", "still_error_vel_xy", "still_error_vel_yaw", "fall_rate"}
+    assert keys | {"episode_length_s", "reward_per_s"} <= set(figures["robots"]["spot"])
+    assert "spot" in done.stdout
+
+    done = cli(
+        "eval", "--checkpoint", str(run / "model_3.pt"), "--robots", "anymal_c", "--num-envs", "4", "--steps", "5"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "anymal_c" in done.stdout
+
+
+def test_list_and_info(main):
+    code, output, _ = main("list")
+    assert code == 0
+    for entry in [*polypod.tasks(), *polypod.robots()]:
+        assert entry["name"] in output
+    code, output, _ = main("info")
+    assert code == 0
+    assert polypod.__version__ in output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("train", "--task", "Velocity-Flat"), "Velocity-Flat-HeteroQuadruped-v0"),
+        (("train", "--robots", "spott"), "spot"),
+        (("train", "--num-envs", "3"), "num_envs"),
+        (("train", "--max-iterations", "0"), "--max-iterations"),
+        (("train", "--seed", "-1"), "--seed"),
+        (("train", "--threads", "0"), "--threads"),
+        (("train", "--set", "sim.episode_lenght_s=1"), "sim.episode_length_s"),
+        (("train", "--train-config", "flatt"), "flat"),
+        (("train", "--resume"), "no run with a checkpoint"),
+        (("train", "--resume", "none"), "neither a checkpoint nor a run"),
+        (("train", "--run-name", "a/b"), "--run-name"),
+        (("eval", "--checkpoint", "none.pt"), "none.pt"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_mistakes_get_one_line_and_exit_code_2(main, arguments, message):
+    code, _, errors = main(*arguments)
+    assert code == 2, errors
+    assert errors.startswith("polypod: ")
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [("train", "--nonsense"), ("train", "--seed", "abc"), ("eval",), ("walk",)])
+def test_unreadable_arguments_get_exit_code_2(main, arguments):
+    code, _, errors = main(*arguments)
+    assert code == 2
+    assert "Traceback" not in errors
+
+
+def test_internal_errors_get_exit_code_1(main, monkeypatch):
+    monkeypatch.setattr(polypod._core, "tasks", lambda: 1 / 0)
+    code, _, errors = main("list")
+    assert code == 1
+    assert "ZeroDivisionError" in errors
+
+
+def test_a_broken_checkpoint(main, tmp_path):
+    (tmp_path / "model_1.pt").write_bytes(b"not a checkpoint")
+    code, _, errors = main("eval", "--checkpoint", "model_1.pt")
+    assert code == 2
+    assert "is not a checkpoint" in errors
+
+
+def test_a_checkpoint_without_its_manifest(main, tmp_path):
+    torch.save({"actor_state_dict": {}}, tmp_path / "model_1.pt")
+    code, _, errors = main("eval", "--checkpoint", "model_1.pt")
+    assert code == 2
+    assert "manifest.json" in errors
+
+
+def test_a_resumed_run_cannot_change(main, tmp_path):
+    run = tmp_path / "logs" / "rsl_rl" / "experiment" / "run"
+    run.mkdir(parents=True)
+    (run / "manifest.json").write_text("{}")
+    (run / "model_1.pt").write_bytes(b"")
+    code, _, errors = main("train", "--resume", "latest", "--num-envs", "64")
+    assert code == 2
+    assert "leave out --num-envs" in errors
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to a child there")
+def test_ctrl_c_saves_a_checkpoint(tmp_path):
+    command = [sys.executable, "-m", "polypod", "train", *QUICK, "--max-iterations", "100000"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        for line in process.stdout:
+            if line.startswith("iteration"):
+                break
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_*.pt")
+    assert checkpoint.name in output
+
+
+def test_without_the_train_extra(tmp_path):
+    """The vector env works without torch, and the command line says what is missing."""
+    script = """
+import sys
+for name in ("torch", "tyro", "rsl_rl", "rich", "tensordict"):
+    sys.modules[name] = None
+import polypod
+polypod.make("velocity_flat", num_envs=8).reset(seed=0)
+from polypod.__main__ import main
+sys.exit(main())
+"""
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "pip install 'polypod[train]'" in done.stderr

@@ -1,0 +1,51 @@
+"""Training that was interrupted and resumed equals training that never stopped, bit for bit."""
+
+import torch
+
+import polypod.evaluation
+from polypod.training import run_dir, session
+
+OPTIONS = {"num_envs": 64, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
+
+
+def train(log_dir, **options):
+    """Trains without the evaluation's table in the output; returns the last checkpoint's path."""
+    assert session.train(session.Options(log_dir=log_dir, device="cpu", logger="none", **options)) == 0
+    return run_dir.find_checkpoint(log_dir, "latest")
+
+
+def differences(first, second, where=""):
+    """The places where two nested states are not equal to the last bit."""
+    if isinstance(first, dict) and isinstance(second, dict) and first.keys() == second.keys():
+        return [place for key in first for place in differences(first[key], second[key], f"{where}/{key}")]
+    if isinstance(first, list) and isinstance(second, list) and len(first) == len(second):
+        pairs = enumerate(zip(first, second, strict=True))
+        return [place for i, (a, b) in pairs for place in differences(a, b, f"{where}/{i}")]
+    if isinstance(first, torch.Tensor) and isinstance(second, torch.Tensor):
+        return [] if torch.equal(first, second) else [where]
+    return [] if first == second else [where]
+
+
+def test_four_iterations_equal_two_and_two(tmp_path):
+    whole = train(tmp_path / "whole", max_iterations=4, **OPTIONS)
+    half = train(tmp_path / "halves", max_iterations=2, **OPTIONS)
+    resumed = train(tmp_path / "halves", max_iterations=2, resume=str(half))
+    assert (half.name, resumed.name) == ("model_2.pt", "model_4.pt")
+    assert half.parent == resumed.parent
+    expected, found = run_dir.load_checkpoint(whole), run_dir.load_checkpoint(resumed)
+    for state in (expected, found):
+        del state["infos"]["logger"]["time"]  # of the wall clock
+    assert differences(expected, found) == []
+    assert differences(expected, run_dir.load_checkpoint(half)) != []
+
+
+def test_the_same_seed_trains_the_same_policy(tmp_path):
+    first = run_dir.load_checkpoint(train(tmp_path / "first", max_iterations=1, **OPTIONS))
+    second = run_dir.load_checkpoint(train(tmp_path / "second", max_iterations=1, **OPTIONS))
+    assert differences(first["actor_state_dict"], second["actor_state_dict"]) == []
+
+
+def test_evaluation_is_deterministic(tmp_path):
+    checkpoint = train(tmp_path, max_iterations=1, **OPTIONS)
+    first, second = (polypod.evaluation.evaluate_checkpoint(checkpoint, num_envs=32, steps=40) for _ in range(2))
+    assert first == second

@@ -1,0 +1,76 @@
+"""A vector env is what Gymnasium says it is."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import polypod
+
+
+def test_spaces_and_dtypes(make, actions):
+    env = make(num_envs=16)
+    assert env.single_observation_space.shape == (48,)
+    assert env.single_action_space.shape == (12,)
+    assert env.observation_space.shape == (16, 48)
+    assert env.action_space.shape == (16, 12)
+    observations, infos = env.reset(seed=0)
+    assert env.observation_space.contains(observations)
+    assert infos == {}
+    observations, rewards, terminated, truncated, _ = env.step(actions(env, 0))
+    assert env.observation_space.contains(observations)
+    assert (rewards.shape, rewards.dtype) == ((16,), np.float32)
+    assert (terminated.shape, terminated.dtype) == ((16,), np.bool_)
+    assert (truncated.shape, truncated.dtype) == ((16,), np.bool_)
+    assert np.isfinite(rewards).all()
+
+
+def test_sampled_actions_are_accepted(make):
+    env = make()
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize("entry", polypod.tasks(), ids=lambda entry: entry["name"])
+def test_every_task_is_registered(entry):
+    assert f"polypod/{entry['name']}" in gymnasium.registry
+
+
+def test_make_vec(actions):
+    env = gymnasium.make_vec("polypod/Velocity-Flat-HeteroQuadruped-v0", num_envs=8, seed=3, autoreset="next_step")
+    try:
+        assert isinstance(env, polypod.VectorEnv)
+        assert env.spec.id == "polypod/Velocity-Flat-HeteroQuadruped-v0"
+        assert env.num_envs == 8
+        assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+        env.reset(seed=0)
+        env.step(actions(env, 0))
+        again = gymnasium.make_vec(env.spec)
+        assert again.num_envs == 8
+        again.close()
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize("name", ["velocity_flat", "polypod/Velocity-Flat-HeteroQuadruped-v0"])
+def test_a_task_has_one_env_by_all_its_names(name):
+    env = polypod.make(name, num_envs=8, seed=0)
+    assert env.sim.task_name == "Velocity-Flat-HeteroQuadruped-v0"
+    env.close()
+
+
+def test_autoreset_mode_is_in_the_metadata(make):
+    assert make().metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert make(autoreset="disabled").metadata["autoreset_mode"] is AutoresetMode.DISABLED
+    assert make(autoreset=AutoresetMode.NEXT_STEP).metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+
+
+def test_a_closed_env_says_so(make, actions):
+    env = make()
+    env.reset(seed=0)
+    drawn = actions(env, 0)
+    env.close()
+    env.close()
+    with pytest.raises(gymnasium.error.ClosedEnvironmentError, match=r"polypod\.make"):
+        env.step(drawn)

@@ -1,0 +1,61 @@
+"""Train configs are checked, and errors name file, key and remedy."""
+
+import pytest
+
+import polypod
+from polypod.training import config
+
+
+@pytest.mark.parametrize("name", ["flat", "rough", "quick"])
+def test_shipped_configs_are_complete(name):
+    cfg = config.load(name).rsl_rl_cfg()
+    assert cfg["algorithm"]["class_name"] == "PPO"
+    assert cfg["num_steps_per_env"] == 24
+
+
+def test_the_reference_hyperparameters():
+    flat = config.load("flat")
+    assert flat.actor.hidden_dims == flat.critic.hidden_dims == [128, 128, 128]
+    assert (flat.algorithm.gamma, flat.algorithm.lam, flat.algorithm.desired_kl) == (0.99, 0.95, 0.01)
+    assert config.load("rough").actor.hidden_dims == [512, 256, 128]
+
+
+def test_a_file_extends_a_shipped_one(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('extends = "flat"\n[algorithm]\ngamma = 0.98\n')
+    mine, flat = config.load(str(path)), config.load("flat")
+    assert mine.algorithm.gamma == 0.98
+    assert mine.run == flat.run
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('extends = "flat"\n[algorithm]\ngama = 0.98\n', "'gama'; did you mean 'gamma'"),
+        ('extends = "flat"\n[algorithn]\n', "'algorithn'; did you mean 'algorithm'"),
+        ('extends = "flat"\n[run]\nnum_envs = "many"\n', r"\[run\] num_envs = 'many' must be of type int"),
+        ('extends = "flat"\n[run]\nnum_envs = 0\n', "num_envs = 0 must be greater than 0"),
+        ('extends = "flat"\n[actor]\nhidden_dims = [1.5]\n', r"hidden_dims\[0\] = 1.5"),
+        ('extends = "flat"\n[algorithm]\nschedule = "warm"\n', "adaptive, fixed"),
+        ('extends = "flatt"\n', "flat"),
+        ("[run]\nnum_envs = 1\n", "extends"),
+        ("[run\n", "not valid TOML"),
+    ],
+)
+def test_errors(tmp_path, text, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(polypod.ConfigError, match=message):
+        config.load(str(path))
+
+
+def test_a_file_cannot_extend_itself(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'extends = "{path}"\n')
+    with pytest.raises(polypod.ConfigError, match="extends itself"):
+        config.load(str(path))
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(polypod.ConfigError, match="cannot read"):
+        config.load(str(tmp_path / "none.toml"))

@@ -1,0 +1,610 @@
+//! One small URDF for each trap that real robot descriptions set a loader: it is read rightly, or
+//! refused with an error that names file, element and remedy, and never silently misread.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use polypod::robot::{Geometry, JointKind, LoadOptions, Model, RobotError, load, load_str};
+
+const MASS: &str = r#"<inertial><mass value="1"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>"#;
+const LIMIT: &str = r#"<limit lower="-1" upper="2" effort="3" velocity="4"/>"#;
+
+fn read(text: &str) -> Result<Model, RobotError> {
+    load_str(text, Path::new("trap.urdf"), &LoadOptions::default())
+}
+
+fn robot(body: &str) -> String {
+    format!("<robot name=\"trap\">{body}</robot>")
+}
+
+fn link(name: &str) -> String {
+    format!("<link name=\"{name}\">{MASS}</link>")
+}
+
+fn joint(name: &str, kind: &str, parent: &str, child: &str, inside: &str) -> String {
+    format!(
+        r#"<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>"#
+    )
+}
+
+/// Two links and one joint between them.
+fn pair(kind: &str, inside: &str) -> String {
+    robot(&(link("a") + &link("b") + &joint("j", kind, "a", "b", inside)))
+}
+
+/// A base and, fixed to it, a link with this inside.
+fn with_part(inside: &str) -> String {
+    let part = format!("<link name=\"part\">{inside}</link>");
+    robot(&(link("a") + &part + &joint("f", "fixed", "a", "part", "")))
+}
+
+fn loaded(text: &str) -> Model {
+    read(text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Loads `text`, which must draw exactly one warning that holds these words.
+fn warned(text: &str, words: &[&str]) -> Model {
+    let model = loaded(text);
+    assert_eq!(model.warnings.len(), 1, "{:?}", model.warnings);
+    assert_words(&model.warnings[0].to_string(), words);
+    model
+}
+
+/// `text` must be refused with these words, file first and remedy last.
+fn refused(text: &str, words: &[&str]) -> RobotError {
+    match read(text) {
+        Ok(model) => panic!("was read as {model:?}, expected {words:?}"),
+        Err(error) => {
+            assert_words(&error.to_string(), words);
+            assert!(!error.diagnosis().remedy.is_empty());
+            error
+        }
+    }
+}
+
+fn assert_words(message: &str, words: &[&str]) {
+    assert!(message.starts_with("trap.urdf: "), "{message}");
+    for word in words {
+        assert!(message.contains(word), "{message:?} lacks {word:?}");
+    }
+}
+
+#[test]
+fn the_text_must_be_a_urdf() {
+    let error = refused(
+        "<robot>\n <link name='a'></robot>",
+        &["line 2", "column", "not well-formed XML"],
+    );
+    assert!(matches!(error, RobotError::Syntax(_)));
+    refused("", &["not well-formed XML"]);
+    refused(
+        "<mujoco model='m'/>",
+        &[
+            "<mujoco>",
+            "the root element of a URDF is <robot>",
+            "export",
+        ],
+    );
+    refused(
+        r#"<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+           <xacro:property name="x" value="1"/></robot>"#,
+        &["<property> on line 2", "xacro", "expand"],
+    );
+    refused("<robot name='r'/>", &["has no links", "add a <link>"]);
+}
+
+#[test]
+fn a_missing_file_is_named() {
+    let error = load(Path::new("no/such.urdf"), &LoadOptions::default()).unwrap_err();
+    assert!(matches!(error, RobotError::Read(_)));
+    assert!(error.to_string().starts_with("no/such.urdf: "));
+}
+
+#[test]
+fn names_are_unique_among_links_and_among_joints() {
+    refused(
+        &robot(&(link("a") + &link("a"))),
+        &["link \"a\"", "defined twice", "rename"],
+    );
+    let twice = joint("j", "fixed", "a", "b", "") + &joint("j", "fixed", "a", "c", "");
+    refused(
+        &robot(&(link("a") + &link("b") + &link("c") + &twice)),
+        &["joint \"j\"", "defined twice"],
+    );
+    refused(&robot("<link/>"), &["<link> on line 1", "no name"]);
+    // a link and a joint may share one
+    let shared = link("a") + &link("b") + &joint("b", "fixed", "a", "b", "");
+    assert_eq!(loaded(&robot(&shared)).links[0].merged, ["b"]);
+}
+
+#[test]
+fn joints_form_one_tree() {
+    refused(
+        &robot(&(link("base") + &link("leg") + &joint("j", "fixed", "bse", "leg", ""))),
+        &[
+            "joint \"j\"",
+            "parent link \"bse\"",
+            "did you mean \"base\"",
+        ],
+    );
+    refused(
+        &robot(&(link("a") + &joint("j", "fixed", "a", "nowhere", ""))),
+        &["joint \"j\"", "child link \"nowhere\"", "known are: a"],
+    );
+    let three = link("a") + &link("b") + &link("c");
+    refused(
+        &robot(
+            &(three.clone()
+                + &joint("i", "fixed", "a", "c", "")
+                + &joint("j", "fixed", "b", "c", "")),
+        ),
+        &["link \"c\"", "two joints, \"i\" and \"j\""],
+    );
+    refused(&robot(&three), &["3 root links: a, b, c"]);
+    refused(
+        &robot(
+            &(link("a")
+                + &link("b")
+                + &joint("i", "fixed", "a", "b", "")
+                + &joint("j", "fixed", "b", "a", "")),
+        ),
+        &["form a loop"],
+    );
+    refused(
+        &robot(&(three + &joint("i", "fixed", "b", "c", "") + &joint("j", "fixed", "c", "b", ""))),
+        &["link \"b\"", "loop", "does not hang on the root"],
+    );
+}
+
+#[test]
+fn numbers_are_numbers() {
+    for (xyz, what) in [
+        ("1 2", "two"),
+        ("1 2 3 4", "four"),
+        ("1 x 2 3", "a word among three"),
+        ("1,2,3", "commas"),
+        ("0 0 nan", "not a number"),
+        ("0 0 1e999", "overflow"),
+        ("", "nothing"),
+        ("${a} 0 0", "a macro"),
+    ] {
+        let text = pair("fixed", &format!("<origin xyz=\"{xyz}\"/>"));
+        let error = refused(&text, &["joint \"j\", <origin xyz>", "3 finite number(s)"]);
+        assert!(matches!(error, RobotError::Value(_)), "{what}");
+    }
+    refused(
+        &with_part(&MASS.replace("value=\"1\"", "value=\"-1\"")),
+        &["link \"part\", <mass value>", "negative mass -1"],
+    );
+    refused(
+        &with_part("<inertial><mass value=\"1\"/></inertial>"),
+        &["link \"part\"", "<inertial> lacks <inertia>"],
+    );
+    refused(
+        &pair("revolute", "<limit lower=\"a\"/>"),
+        &["joint \"j\", <limit lower>", "\"a\""],
+    );
+    refused(
+        &pair("fixed", "<origin/><origin/>"),
+        &["<origin>", "more than once"],
+    );
+    refused(
+        "<robot><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/></joint></robot>",
+        &["joint \"j\"", "lacks <child>"],
+    );
+}
+
+#[test]
+fn origins_may_be_spaced_out_partial_or_missing() {
+    let spaced = loaded(&pair(
+        "revolute",
+        &format!("<origin  xyz=' 1   2\n 3 '/>{LIMIT}"),
+    ));
+    assert_eq!(
+        spaced.joints[0].origin.translation.to_array(),
+        [1.0, 2.0, 3.0]
+    );
+    let turned = loaded(&pair(
+        "revolute",
+        &format!("<origin rpy='0 0 1.5707963267948966'/>{LIMIT}"),
+    ));
+    assert!((turned.joints[0].origin.rotation.x_axis.y - 1.0).abs() < 1e-15);
+    let none = loaded(&pair("revolute", LIMIT));
+    assert_eq!(none.joints[0].origin, polypod::robot::Pose::IDENTITY);
+}
+
+#[test]
+fn quaternions_need_the_version_that_has_them() {
+    let inside = format!("<origin quat_xyzw='0 0 1 0'/>{LIMIT}");
+    refused(
+        &pair("revolute", &inside),
+        &["<origin quat_xyzw>", "version=\"1.1\""],
+    );
+    let versioned = pair("revolute", &inside).replace("<robot", "<robot version='1.1'");
+    let x_axis = loaded(&versioned).joints[0].origin.rotation.x_axis;
+    assert!((x_axis.x + 1.0).abs() < 1e-12, "{x_axis}");
+    let unknown = pair("revolute", LIMIT).replace("<robot", "<robot version='7'");
+    warned(&unknown, &["<robot version>", "\"7\""]);
+}
+
+#[test]
+fn missing_limits_are_infinite() {
+    let none = warned(
+        &pair("revolute", ""),
+        &["joint \"j\"", "-inf .. inf", "<limit>"],
+    );
+    let j = &none.joints[0];
+    assert_eq!((j.lower, j.upper), (f64::NEG_INFINITY, f64::INFINITY));
+    assert_eq!((j.effort, j.velocity), (f64::INFINITY, f64::INFINITY));
+    let half = warned(
+        &pair("revolute", "<limit lower='-1' effort='1'/>"),
+        &["-1 .. inf"],
+    );
+    assert_eq!(half.joints[0].velocity, f64::INFINITY);
+    let turning = loaded(&pair("continuous", LIMIT));
+    assert!(turning.warnings.is_empty());
+    assert_eq!(turning.joints[0].kind, JointKind::Continuous);
+    assert_eq!(turning.joints[0].upper, f64::INFINITY);
+    assert_eq!(turning.joints[0].effort, 3.0);
+}
+
+#[test]
+fn limits_make_sense() {
+    let limit = |values: &str| pair("revolute", &format!("<limit {values}/>"));
+    refused(
+        &limit("lower='1' upper='-1' effort='1' velocity='1'"),
+        &["joint \"j\"", "lower limit 1 is above its upper limit -1"],
+    );
+    refused(
+        &limit("lower='-1' upper='1' effort='-5' velocity='1'"),
+        &["negative effort -5"],
+    );
+    warned(
+        &limit("lower='-1' upper='1' effort='0' velocity='1'"),
+        &["joint \"j\"", "zero effort", "cannot be driven"],
+    );
+    warned(
+        &limit("lower='-1' upper='1' effort='1' velocity='0'"),
+        &["zero velocity"],
+    );
+    let extra = loaded(&limit(
+        "lower='-1' upper='1' effort='1' velocity='1' command_effort='x' current='40'",
+    ));
+    assert!(extra.warnings.is_empty());
+    refused(
+        &pair("revolute", &format!("{LIMIT}<dynamics damping='-1'/>")),
+        &["negative damping -1"],
+    );
+}
+
+#[test]
+fn axes_are_unit_vectors_where_it_matters() {
+    assert_eq!(
+        loaded(&pair("revolute", LIMIT)).joints[0].axis.to_array(),
+        [1.0, 0.0, 0.0]
+    );
+    assert!(
+        loaded(&pair("fixed", "<axis xyz='0 0 0'/>"))
+            .warnings
+            .is_empty()
+    );
+    refused(
+        &pair("revolute", &format!("{LIMIT}<axis xyz='0 0 0'/>")),
+        &["joint \"j\", <axis xyz>", "no direction", "unit vector"],
+    );
+    let long = warned(
+        &pair("revolute", &format!("{LIMIT}<axis xyz='0 -2 0'/>")),
+        &["length 2", "normalised"],
+    );
+    assert_eq!(long.joints[0].axis.to_array(), [0.0, -1.0, 0.0]);
+}
+
+#[test]
+fn joints_that_are_not_modelled_are_refused() {
+    for kind in ["floating", "planar", "spherical"] {
+        let error = refused(&pair(kind, ""), &["joint \"j\"", kind, "not modelled"]);
+        assert!(matches!(error, RobotError::Unsupported(_)));
+    }
+    refused(
+        &pair("Revolute", LIMIT),
+        &[
+            "unknown joint type \"Revolute\"",
+            "did you mean \"revolute\"",
+        ],
+    );
+    let mimic = link("a")
+        + &link("b")
+        + &link("c")
+        + &joint("j", "revolute", "a", "b", LIMIT)
+        + &joint(
+            "k",
+            "revolute",
+            "a",
+            "c",
+            &format!("{LIMIT}<mimic joint='j'/>"),
+        );
+    refused(
+        &robot(&mimic),
+        &["joint \"k\"", "mimics \"j\"", "lock the joint"],
+    );
+    let locked = LoadOptions {
+        locked_joints: BTreeMap::from([("k".to_string(), 0.0)]),
+        ..LoadOptions::default()
+    };
+    let model = load_str(&robot(&mimic), Path::new("trap.urdf"), &locked).unwrap();
+    assert_eq!(model.joints.len(), 1);
+}
+
+#[test]
+fn an_empty_floating_root_is_dropped() {
+    let text = robot(
+        &("<link name='world'/>".to_string()
+            + &link("base")
+            + &link("leg")
+            + &joint("free", "floating", "world", "base", "")
+            + &joint("hip", "revolute", "base", "leg", LIMIT)),
+    );
+    let model = warned(
+        &text,
+        &["joint \"free\"", "\"world\"", "\"base\" is the base"],
+    );
+    assert_eq!(model.links[0].name, "base");
+    assert_eq!(model.joints.len(), 1);
+}
+
+#[test]
+fn links_come_in_any_order() {
+    let text = robot(
+        &(joint("knee", "revolute", "thigh", "shank", LIMIT)
+            + &link("shank")
+            + &joint("other", "revolute", "base", "head", LIMIT)
+            + &link("head")
+            + &joint("hip", "revolute", "base", "thigh", LIMIT)
+            + &link("thigh")
+            + &link("base")),
+    );
+    let model = loaded(&text);
+    let links: Vec<&str> = model.links.iter().map(|link| link.name.as_str()).collect();
+    assert_eq!(links, ["base", "head", "thigh", "shank"]);
+    let joints: Vec<&str> = model
+        .joints
+        .iter()
+        .map(|joint| joint.name.as_str())
+        .collect();
+    assert_eq!(joints, ["other", "hip", "knee"]);
+    assert_eq!(model.depth_first(), [0, 1, 2, 3]);
+    assert_eq!(model.parent(3), Some(2));
+}
+
+#[test]
+fn sensors_without_mass_merge() {
+    let nothing = "<inertial><mass value='0'/>\
+        <inertia ixx='0' ixy='0' ixz='0' iyy='0' iyz='0' izz='0'/></inertial>";
+    for inside in ["", nothing] {
+        let model = loaded(&with_part(inside));
+        assert!(model.warnings.is_empty(), "{:?}", model.warnings);
+        assert_eq!(model.links[0].merged, ["part"]);
+        assert_eq!(model.total_mass(), 1.0);
+    }
+    // the mass of the base may sit in a fixed child
+    let hollow = "<link name='base'/>".to_string()
+        + &link("inside")
+        + &joint("f", "fixed", "base", "inside", "");
+    assert_eq!(loaded(&robot(&hollow)).links[0].mass, 1.0);
+    warned(
+        &with_part(&MASS.replace("value=\"1\"", "value=\"0\"")),
+        &["link \"part\"", "an inertia, but no mass"],
+    );
+}
+
+#[test]
+fn what_moves_has_a_mass_and_a_sound_inertia() {
+    let moving = |inside: &str| {
+        let part = format!("<link name='b'>{inside}</link>");
+        robot(&(link("a") + &part + &joint("j", "revolute", "a", "b", LIMIT)))
+    };
+    let error = refused(&moving(""), &["link \"b\"", "has a mass", "<inertial>"]);
+    assert!(matches!(error, RobotError::Inertia(_)));
+    refused(&robot("<link name='a'/>"), &["link \"a\"", "has a mass"]);
+    refused(
+        &moving(&MASS.replace("0.1", "0")),
+        &["link \"b\"", "not positive definite"],
+    );
+    refused(
+        &moving(&MASS.replace("ixy=\"0\"", "ixy=\"0.2\"")),
+        &["link \"b\"", "not positive definite"],
+    );
+    let flat = MASS.replace("izz=\"0.1\"", "izz=\"0.3\"");
+    warned(&moving(&flat), &["link \"b\"", "triangle inequality"]);
+    // of a part that is merged, it is only worth a warning
+    let singular = MASS
+        .replace("\"0\"", "\"0.001\"")
+        .replace("\"0.1\"", "\"0.001\"");
+    warned(
+        &with_part(&singular),
+        &["link \"part\"", "not positive definite", "merged as it is"],
+    );
+}
+
+#[test]
+fn fixed_parts_merge_by_the_parallel_axis_theorem() {
+    // a rod of 2 kg along the part's x, turned along the base's y, 1 m ahead of the 1 kg base
+    let rod = "<inertial><origin rpy='0 0 1.5707963267948966'/><mass value='2'/>\
+        <inertia ixx='0.01' ixy='0' ixz='0' iyy='0.5' iyz='0' izz='0.5'/></inertial>";
+    let text = robot(
+        &(link("a")
+            + &format!("<link name='rod'>{rod}</link>")
+            + &joint("f", "fixed", "a", "rod", "<origin xyz='3 0 0'/>")),
+    );
+    let base = &loaded(&text).links[0];
+    assert_eq!(base.mass, 3.0);
+    assert_eq!(base.com.to_array(), [2.0, 0.0, 0.0]);
+    // 1 kg at 2 m and 2 kg at 1 m: 6 kg m^2 across
+    let expected = [[0.6, 0.0, 0.0], [0.0, 6.11, 0.0], [0.0, 0.0, 6.6]];
+    for (column, wanted) in base.inertia.to_cols_array_2d().iter().zip(expected) {
+        for (value, wanted) in column.iter().zip(wanted) {
+            assert!((value - wanted).abs() < 1e-12, "{}", base.inertia);
+        }
+    }
+}
+
+#[test]
+fn locked_joints_hold_their_position() {
+    let text = robot(
+        &(link("a")
+            + &link("b")
+            + &link("c")
+            + &joint(
+                "pan",
+                "revolute",
+                "a",
+                "b",
+                &format!("{LIMIT}<axis xyz='0 0 1'/>"),
+            )
+            + &joint(
+                "tilt",
+                "revolute",
+                "b",
+                "c",
+                &format!("{LIMIT}<origin xyz='1 0 0'/>"),
+            )),
+    );
+    let lock = |name: &str, position: f64| {
+        let options = LoadOptions {
+            locked_joints: BTreeMap::from([(name.to_string(), position)]),
+            ..LoadOptions::default()
+        };
+        load_str(&text, Path::new("trap.urdf"), &options)
+    };
+    let model = lock("pan", std::f64::consts::FRAC_PI_2).unwrap();
+    assert_eq!(model.links[0].merged, ["b"]);
+    let origin = model.joints[0].origin;
+    assert!((origin.translation - glam::DVec3::Y).length() < 1e-15);
+    assert_eq!(lock("pan", 9.0).unwrap().warnings.len(), 1);
+    let unknown = lock("pann", 0.0).unwrap_err().to_string();
+    assert_words(&unknown, &["locked joint \"pann\"", "did you mean \"pan\""]);
+    assert!(lock("pan", f64::NAN).is_err());
+}
+
+#[test]
+fn contact_bodies_outlive_merging() {
+    let sphere = "<collision><origin xyz='0 0 0.1'/><geometry><sphere radius='0.02'/></geometry></collision>";
+    let text = robot(
+        &(link("a")
+            + &format!(
+                "<link name='shank'>{MASS}{sphere}</link><link name='foot'>{sphere}</link>"
+            )
+            + &joint("knee", "revolute", "a", "shank", LIMIT)
+            + &joint("sole", "fixed", "shank", "foot", "<origin xyz='0 0 -1'/>")
+                .replace("<joint", "<joint dont_collapse='true'")),
+    );
+    let model = loaded(&text);
+    assert!(model.warnings.is_empty());
+    let bodies: Vec<(&str, usize)> = model
+        .bodies
+        .iter()
+        .map(|b| (b.name.as_str(), b.link))
+        .collect();
+    assert_eq!(bodies, [("shank", 1), ("foot", 1)]);
+    assert_eq!(model.bodies[1].shapes[0].origin.translation.z, -0.9);
+}
+
+#[test]
+fn shapes_have_sizes() {
+    let collision = |shape: &str| {
+        with_part(&format!(
+            "<collision><geometry>{shape}</geometry></collision>"
+        ))
+    };
+    let capsule = loaded(&collision("<capsule radius='0.1' length='0.5'/>"));
+    assert_eq!(
+        capsule.bodies[0].shapes[0].geometry,
+        Geometry::Capsule {
+            radius: 0.1,
+            length: 0.5
+        }
+    );
+    refused(
+        &collision("<sphere radius='0'/>"),
+        &["link \"part\", <collision>, <sphere radius>", "0"],
+    );
+    refused(
+        &collision("<box size='1 1 -1'/>"),
+        &["<box size>", "-1 is no length"],
+    );
+    refused(
+        &collision("<cylinder radius='1'/>"),
+        &["<cylinder> lacks \"length\""],
+    );
+    refused(&collision("<ball radius='1'/>"), &["unknown shape <ball>"]);
+    refused(&collision(""), &["<geometry>", "no shape"]);
+}
+
+#[test]
+fn meshes_are_found_without_ros() {
+    let mesh = |name: &str| format!("<geometry><mesh filename='{name}'/></geometry>");
+    let collision = |name: &str| with_part(&format!("<collision>{}</collision>", mesh(name)));
+    let lost = warned(
+        &collision("package://body/foot.stl"),
+        &[
+            "link \"part\", <collision>",
+            "\"package://body/foot.stl\" is not found",
+            "package_dirs",
+        ],
+    );
+    assert!(lost.bodies.is_empty());
+    warned(
+        &collision("meshes/foot.stl"),
+        &["meshes/foot.stl", "is not found", "put the file there"],
+    );
+    let visual = loaded(&with_part(&format!(
+        "<visual>{}</visual>",
+        mesh("package://body/foot.dae")
+    )));
+    assert!(visual.warnings.is_empty());
+
+    // this package's own manifest stands in for a mesh
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let options = LoadOptions {
+        package_dirs: BTreeMap::from([("body".to_string(), root.to_path_buf())]),
+        ..LoadOptions::default()
+    };
+    let model = load_str(
+        &collision("package://body/Cargo.toml"),
+        Path::new("trap.urdf"),
+        &options,
+    )
+    .unwrap();
+    let wanted = root.join("Cargo.toml");
+    assert!(
+        matches!(&model.bodies[0].shapes[0].geometry, Geometry::Mesh { path, .. } if *path == wanted)
+    );
+    let above = collision("package://src/lib.rs");
+    let deep = root.join("assets/robots/trap/robot.urdf");
+    assert!(
+        load_str(&above, &deep, &LoadOptions::default())
+            .unwrap()
+            .warnings
+            .is_empty()
+    );
+}
+
+#[test]
+fn what_is_not_the_body_is_passed_over() {
+    let text = format!(
+        "<?xml version='1.1'?><!-- <link name='x'/> --><robot name='Käfer' xmlns='http://robot' xmlns:g='http://g'>
+         <material name='灰'><color rgba='x'/></material><gazebo><joint name='j'/></gazebo>
+         <transmission name='t'><joint name='j'/></transmission><g:link name='ghost'/>
+         <link name='Rümpf &amp; \"Kopf\"'>{MASS}<visual><material name='1'/><material name='2'/></visual></link>
+         </robot>"
+    );
+    let model = loaded(&text);
+    assert!(model.warnings.is_empty(), "{:?}", model.warnings);
+    assert_eq!(model.name, "Käfer");
+    assert_eq!(model.links[0].name, "Rümpf & \"Kopf\"");
+    warned(
+        &robot(&(link("a") + "<loop_joint name='l'/><loop_joint name='m'/>")),
+        &["<loop_joint> inside <robot> is not read (2 in the file)"],
+    );
+}
