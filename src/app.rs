@@ -80,6 +80,8 @@ pub struct SimOptions {
     pub autoreset: Autoreset,
     /// Directories laid out like the project in which configs and assets are looked for first.
     pub roots: Vec<PathBuf>,
+    /// Instruction set of the physics; the fastest one, or what `POLYPOD_SIMD` says, when absent.
+    pub simd: Option<Simd>,
 }
 
 impl SimOptions {
@@ -94,6 +96,7 @@ impl SimOptions {
             overrides: Vec::new(),
             autoreset: Autoreset::SameStep,
             roots: Vec::new(),
+            simd: None,
         }
     }
 }
@@ -149,7 +152,7 @@ impl Sim {
         let compiled = CompiledTask::new(&task.config, &morphologies, registry)?;
         let counts = distribute(options.num_envs, robots.len());
         let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
-        let simd = Simd::choose()?;
+        let simd = Simd::choose(options.simd)?;
 
         let mut app = App::empty();
         app.add_plugins((WorldPlugin::new(&task.config), PipelinePlugin));

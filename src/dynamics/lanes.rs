@@ -506,9 +506,9 @@ pub enum Simd {
     Portable,
 }
 
-/// `POLYPOD_SIMD` names an instruction set that this machine does not have, or none at all.
+/// An instruction set was asked for that this machine does not have, or that does not exist.
 #[derive(Debug, thiserror::Error)]
-#[error("POLYPOD_SIMD: `{0}` is not available here; use one of: {1}, or leave it unset")]
+#[error("instruction set: `{0}` is not available here; use one of {1}, or leave POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
 impl Simd {
@@ -553,20 +553,22 @@ impl Simd {
         }
     }
 
-    /// The fastest one, or the one that the environment variable `POLYPOD_SIMD` names.
+    /// The one asked for, else the one that the environment variable `POLYPOD_SIMD` names, else the fastest.
     ///
     /// # Errors
-    /// When the variable names an instruction set that is unknown or that this machine lacks.
-    pub fn choose() -> Result<Simd, SimdError> {
+    /// When it is unknown or this machine lacks it.
+    pub fn choose(wanted: Option<Simd>) -> Result<Simd, SimdError> {
         let available = Self::available();
-        match std::env::var("POLYPOD_SIMD") {
-            Ok(name) if !name.is_empty() => {
-                available.iter().copied().find(|s| s.name() == name.to_lowercase()).ok_or_else(|| {
-                    SimdError(name, available.iter().map(|s| s.name()).collect::<Vec<_>>().join(", "))
-                })
-            }
-            _ => Ok(available.first().copied().unwrap_or(Simd::Portable)),
-        }
+        let wanted = match wanted {
+            Some(simd) => Some(simd.name().to_string()),
+            None => std::env::var("POLYPOD_SIMD").ok().filter(|name| !name.is_empty()),
+        };
+        let Some(name) = wanted else {
+            return Ok(available.first().copied().unwrap_or(Simd::Portable));
+        };
+        available.iter().copied().find(|simd| simd.name() == name.to_lowercase()).ok_or_else(|| {
+            SimdError(name, available.iter().map(|simd| simd.name()).collect::<Vec<_>>().join(", "))
+        })
     }
 }
 

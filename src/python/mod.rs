@@ -50,7 +50,7 @@ fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("version", env!("CARGO_PKG_VERSION"))?;
-    dict.set_item("simd", Simd::choose().map_err(|error| to_python(py, error.into()))?.name())?;
+    dict.set_item("simd", Simd::choose(None).map_err(|error| to_python(py, error.into()))?.name())?;
     dict.set_item("threads", std::thread::available_parallelism().map_or(1, Into::into))?;
     Ok(dict)
 }

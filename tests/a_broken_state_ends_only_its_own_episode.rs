@@ -1,0 +1,91 @@
+//! A state that is not finite, or runs away, ends the episode of its env and touches no other.
+
+mod common;
+
+use bevy_ecs::prelude::Mut;
+use common::{assert_same, busy, step};
+use polypod::components::{BasePose, BaseVelocity, EnvId, Episode, JointState};
+use polypod::morphology::Morphologies;
+use polypod::systems::{CompiledTask, Logs};
+use polypod::{Sim, SimOptions};
+
+const NUM_ENVS: usize = 40;
+const BROKEN: usize = 5;
+
+/// Two robots; no episode ends by itself within the test, so that what ends is known.
+fn options() -> SimOptions {
+    let mut options = busy(&["anymal_d", "spot"], NUM_ENVS);
+    options.overrides.extend(["sim.episode_length_s=20.0", "terminations.base_contact.threshold=1e6"].map(String::from));
+    options
+}
+
+fn damage(sim: &mut Sim, change: impl Fn(&mut BasePose, &mut BaseVelocity, &mut JointState)) {
+    let world = sim.world_mut();
+    let mut query = world.query::<(&EnvId, &mut BasePose, &mut BaseVelocity, &mut JointState)>();
+    for (env, mut pose, mut velocity, mut joints) in query.iter_mut(world) {
+        if env.0 as usize == BROKEN {
+            change(&mut pose, &mut velocity, &mut joints);
+        }
+    }
+}
+
+fn log(sim: &mut Sim, key: &str) -> f64 {
+    sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {
+        logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>()).get(key).copied().unwrap_or(0.0)
+    })
+}
+
+fn check(what: &str, change: impl Fn(&mut BasePose, &mut BaseVelocity, &mut JointState)) {
+    let (mut sim, mut twin) = (Sim::new(&options()).unwrap(), Sim::new(&options()).unwrap());
+    for t in 0..10 {
+        step(&mut sim, t);
+        step(&mut twin, t);
+    }
+    damage(&mut sim, change);
+    for t in 10..60 {
+        step(&mut sim, t);
+        step(&mut twin, t);
+        let when = format!("{what}, step {t}");
+        assert_same(&mut sim, 0..BROKEN, &mut twin, 0..BROKEN, &when);
+        assert_same(&mut sim, BROKEN + 1..NUM_ENVS, &mut twin, BROKEN + 1..NUM_ENVS, &when);
+        let batch = sim.batch();
+        let finite = [&batch.observations, &batch.final_observations, &batch.rewards].map(|x| x.iter().all(|x| x.is_finite()));
+        assert_eq!(finite, [true; 3], "{when}");
+        let at_once = t == 10;
+        assert_eq!((batch.terminated[BROKEN], batch.has_final[BROKEN]), (at_once, at_once), "{when}");
+        assert!(!batch.truncated[BROKEN], "{when}");
+        if at_once {
+            assert_eq!(batch.rewards[BROKEN], 0.0, "{when}");
+            let (from, to) = (BROKEN * batch.num_obs, (BROKEN + 1) * batch.num_obs);
+            assert!(batch.final_observations[from..to].iter().all(|&x| x == 0.0), "{when}");
+            assert!(batch.observations[from..to].iter().any(|&x| x != 0.0), "{when}: the new episode is not observed");
+        }
+    }
+    let world = sim.world_mut();
+    let length = world.query::<(&EnvId, &Episode)>().iter(world).find(|(env, _)| env.0 as usize == BROKEN);
+    assert_eq!(length.map(|(_, episode)| episode.length), Some(49), "{what}");
+    assert_eq!(log(&mut sim, "Episode_Termination/anymal_d/illegal_state"), 1.0, "{what}");
+    assert_eq!(log(&mut twin, "Episode_Termination/anymal_d/illegal_state"), 0.0, "{what}");
+}
+
+#[test]
+fn a_velocity_that_is_not_finite() {
+    check("NaN base velocity", |_, velocity, _| velocity.linear[1] = f32::NAN);
+    check("infinite base turn", |_, velocity, _| velocity.angular[2] = f32::INFINITY);
+    check("NaN joint velocity", |_, _, joints| joints.velocity[4] = f32::NAN);
+}
+
+#[test]
+fn a_pose_that_is_not_finite() {
+    check("NaN height", |pose, _, _| pose.position[2] = f32::NAN);
+    check("NaN orientation", |pose, _, _| pose.rotation = [f32::NAN; 4]);
+    check("infinite joint position", |_, _, joints| joints.position[0] = f32::NEG_INFINITY);
+}
+
+#[test]
+fn a_state_that_runs_away() {
+    check("base as fast as a bullet", |_, velocity, _| velocity.linear = [900.0, 0.0, 0.0]);
+    check("base beyond all numbers", |_, velocity, _| velocity.linear = [f32::MAX; 3]);
+    check("base turning madly", |_, velocity, _| velocity.angular = [1e6, -1e6, 1e6]);
+    check("joint beyond all numbers", |_, _, joints| joints.velocity[7] = f32::MAX);
+}

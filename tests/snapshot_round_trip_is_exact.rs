@@ -1,0 +1,93 @@
+//! A restored snapshot goes on as the simulation that it was taken from, to the last bit; nothing else is restored.
+
+mod common;
+
+use common::{ROBOTS, assert_all_same, busy, env_bits, step};
+use polypod::{Sim, SimError, SimOptions};
+
+/// A simulation somewhere in the middle of its episodes.
+fn under_way(options: &SimOptions) -> Sim {
+    let mut sim = Sim::new(options).unwrap();
+    (0..37).for_each(|t| step(&mut sim, t));
+    sim
+}
+
+/// Fifty further steps: the bits of all envs after each of them, and the last snapshot.
+fn fifty_steps(sim: &mut Sim) -> (Vec<Vec<Vec<u32>>>, Vec<u8>) {
+    let steps = (100..150)
+        .map(|t| {
+            step(sim, t);
+            env_bits(sim)
+        })
+        .collect();
+    (steps, sim.snapshot().unwrap())
+}
+
+#[test]
+fn a_restored_simulation_goes_on_as_if_nothing_had_happened() {
+    let options = busy(&ROBOTS, 27);
+    let mut sim = under_way(&options);
+    let snapshot = sim.snapshot().unwrap();
+    let expected = fifty_steps(&mut sim);
+
+    sim.restore(&snapshot).unwrap();
+    assert!(sim.snapshot().unwrap() == snapshot);
+    assert!(fifty_steps(&mut sim) == expected, "restored where it was taken");
+
+    let mut fresh = Sim::new(&SimOptions { seed: 8, threads: Some(2), ..options }).unwrap();
+    fresh.restore(&snapshot).unwrap();
+    assert_eq!(fresh.seed(), 7);
+    assert!(fresh.snapshot().unwrap() == snapshot);
+    assert!(fifty_steps(&mut fresh) == expected, "restored into another simulation");
+}
+
+#[track_caller]
+fn assert_refused(sim: &mut Sim, bytes: &[u8], word: &str) {
+    let before = sim.snapshot().unwrap();
+    let error = sim.restore(bytes).unwrap_err();
+    assert!(matches!(error, SimError::Snapshot(_)), "{error}");
+    assert!(error.to_string().starts_with("snapshot: ") && error.to_string().contains(word), "{error}");
+    assert!(sim.snapshot().unwrap() == before, "a refused snapshot has changed the simulation");
+}
+
+#[test]
+fn a_snapshot_of_another_simulation_is_refused() {
+    let options = busy(&["unitree_a1", "spot"], 6);
+    let mut sim = under_way(&options);
+    let mut twin = under_way(&options);
+    let mut decimation = options.clone();
+    decimation.overrides.push("sim.decimation=2".into());
+    for (other, word) in [
+        (decimation, "another simulation"),
+        (busy(&["unitree_a1", "spot"], 7), "another simulation"),
+        (busy(&["spot", "unitree_a1"], 6), "another simulation"),
+        (busy(&["unitree_a1", "unitree_go1"], 6), "another simulation"),
+    ] {
+        assert_refused(&mut sim, &under_way(&other).snapshot().unwrap(), word);
+    }
+    (50..60).for_each(|t| {
+        step(&mut sim, t);
+        step(&mut twin, t);
+    });
+    assert_all_same(&mut sim, &mut twin, "after refused snapshots");
+}
+
+#[test]
+fn damaged_bytes_are_refused() {
+    let mut sim = under_way(&busy(&["spot"], 3));
+    let snapshot = sim.snapshot().unwrap();
+    step(&mut sim, 40);
+    let garbage: Vec<u8> = (0..1000u32).map(|i| (i * 167 + 13) as u8).collect();
+    for bytes in [&[][..], &[0xff; 64], &garbage, &snapshot[..1], &snapshot[..snapshot.len() / 2]] {
+        assert_refused(&mut sim, bytes, "");
+    }
+    assert_refused(&mut sim, &snapshot[..snapshot.len() - 1], "");
+    assert_refused(&mut sim, &[&snapshot[..], &[0]].concat(), "");
+    // a flipped bit anywhere, be it in a length or in a number
+    for at in (0..snapshot.len()).step_by(97) {
+        let mut flipped = snapshot.clone();
+        flipped[at] ^= 1 << (at % 8);
+        assert_refused(&mut sim, &flipped, "");
+    }
+    sim.restore(&snapshot).unwrap();
+}
