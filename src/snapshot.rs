@@ -9,10 +9,13 @@ use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor,
     EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
 };
+use crate::config::fnv1a;
 use crate::systems::Logs;
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
+/// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
+const CHECKSUM: usize = size_of::<u64>();
 
 #[derive(Serialize, Deserialize, PartialEq, Debug)]
 struct Header {
@@ -101,13 +104,16 @@ impl Sim {
     /// # Errors
     /// When it cannot be encoded.
     pub fn snapshot(&mut self) -> Result<Vec<u8>, SimError> {
-        postcard::to_stdvec(&Snapshot::take(self)).map_err(|error| SimError::Snapshot(error.to_string()))
+        let mut bytes =
+            postcard::to_stdvec(&Snapshot::take(self)).map_err(|error| SimError::Snapshot(error.to_string()))?;
+        bytes.extend(fnv1a(&bytes).to_le_bytes());
+        Ok(bytes)
     }
 
     /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs.
     ///
     /// # Errors
-    /// When the bytes are no snapshot or one of another simulation; the simulation is then as it was.
+    /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
         let unreadable = |error: postcard::Error| SimError::Snapshot(format!("not a snapshot of polypod: {error}"));
         let (theirs, _) = postcard::take_from_bytes::<Header>(bytes).map_err(unreadable)?;
@@ -115,6 +121,11 @@ impl Sim {
         if theirs != ours {
             return Err(SimError::Snapshot(format!("it is of another simulation ({theirs:?}) than this one ({ours:?})")));
         }
-        postcard::from_bytes::<Snapshot>(bytes).map_err(unreadable)?.apply(self)
+        // a length that no longer fits would only be found in the middle of a later step
+        let intact = bytes.split_last_chunk::<CHECKSUM>().filter(|(data, sum)| fnv1a(data).to_le_bytes() == **sum);
+        let Some((data, _)) = intact else {
+            return Err(SimError::Snapshot("it is damaged: its checksum does not fit; take it again".into()));
+        };
+        postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?.apply(self)
     }
 }

@@ -8,8 +8,8 @@ use polypod::{Sim, SimOptions};
 
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
-    // five envs per robot: no instruction set's packs are full
-    let options = busy(&ROBOTS, 40);
+    // eleven envs per robot: one pack or several, and the last one is not full
+    let options = busy(&ROBOTS, 88);
     let make = |simd| Sim::new(&SimOptions { simd: Some(simd), ..options.clone() }).unwrap();
     let mut reference = make(Simd::Portable);
     let mut others: Vec<Sim> = Simd::available().into_iter().filter(|&s| s != Simd::Portable).map(make).collect();
@@ -23,9 +23,13 @@ fn every_instruction_set_gives_the_same_bits() {
             assert_all_same(&mut reference, sim, &format!("step {t}, {name}"));
         }
     }
-    assert!(episodes >= 40, "resets must have been part of it");
+    assert!(episodes >= 88, "resets must have been part of it");
     let snapshot = reference.snapshot().unwrap();
     for mut sim in others {
-        assert!(sim.snapshot().unwrap() == snapshot, "{}: state that the batches do not show differs", sim.simd().name());
+        assert!(
+            sim.snapshot().unwrap() == snapshot,
+            "{}: state that the batches do not show differs",
+            sim.simd().name()
+        );
     }
 }

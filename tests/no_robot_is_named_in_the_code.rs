@@ -45,7 +45,9 @@ fn lines_that_name_a_robot(text: &str) -> Vec<(usize, &str)> {
         // rustfmt puts a top-level module's closing brace at the start of a line
         in_tests = if in_tests { line != "}" } else { line.starts_with("#[cfg(test)]") };
         let words = line.split(|c: char| !c.is_alphanumeric()).map(str::to_lowercase);
-        if !in_tests && words.into_iter().any(|word| ["anymal", "unitree"].iter().any(|n| word.starts_with(n)) || word == "spot") {
+        if !in_tests
+            && words.into_iter().any(|word| ["anymal", "unitree"].iter().any(|n| word.starts_with(n)) || word == "spot")
+        {
             found.push((i + 1, line));
         }
     }

@@ -6,6 +6,12 @@ use common::{ROBOTS, assert_all_same, assert_same, busy, env_bits, step};
 use polypod::components::{Command, EnvId};
 use polypod::{Sim, SimError, SimOptions};
 
+/// Heading commands: drawn at every reset.
+fn headings(sim: &mut Sim) -> Vec<f32> {
+    let world = sim.world_mut();
+    world.query::<(&EnvId, &Command)>().iter(world).map(|(_, command)| command.heading).collect()
+}
+
 fn seeded(seed: u64) -> Sim {
     Sim::new(&SimOptions { seed, ..busy(&ROBOTS, 24) }).unwrap()
 }
@@ -28,15 +34,10 @@ fn another_seed_gives_other_draws_in_every_env() {
     for (env, (x, y)) in env_bits(&mut a).iter().zip(&env_bits(&mut b)).enumerate() {
         assert_ne!(x, y, "env {env}");
     }
-    let commands = |sim: &mut Sim| {
-        let world = sim.world_mut();
-        let all = world.query::<(&EnvId, &Command)>().iter(world).map(|(_, c)| common::bits(&[c.heading]));
-        all.collect::<Vec<_>>()
-    };
-    let (of_a, of_b) = (commands(&mut a), commands(&mut b));
+    let (of_a, of_b) = (headings(&mut a), headings(&mut b));
     assert!(of_a.iter().zip(&of_b).all(|(x, y)| x != y));
     let mut distinct = of_a;
-    distinct.sort();
+    distinct.sort_by(f32::total_cmp);
     distinct.dedup();
     assert_eq!(distinct.len(), 24, "two envs share their draws");
 }
@@ -68,17 +69,11 @@ fn a_reset_without_a_seed_goes_on_with_the_streams() {
     let mut mask = [false; 24];
     mask[7] = true;
     sim.reset(None, Some(&mask)).unwrap();
-    let (before, after) = (state(&mut twin), state(&mut sim));
+    let (before, after) = (headings(&mut twin), headings(&mut sim));
     for env in 0..24 {
         assert_eq!(before[env] != after[env], mask[env], "env {env}");
     }
     assert!(matches!(sim.reset(Some(1), Some(&mask)), Err(SimError::Argument { element: "seed", .. })));
-}
-
-/// Heading commands: drawn at every reset.
-fn state(sim: &mut Sim) -> Vec<f32> {
-    let world = sim.world_mut();
-    world.query::<(&EnvId, &Command)>().iter(world).map(|(_, command)| command.heading).collect()
 }
 
 #[test]

@@ -81,8 +81,8 @@ fn damaged_bytes_are_refused() {
     for bytes in [&[][..], &[0xff; 64], &garbage, &snapshot[..1], &snapshot[..snapshot.len() / 2]] {
         assert_refused(&mut sim, bytes, "");
     }
-    assert_refused(&mut sim, &snapshot[..snapshot.len() - 1], "");
-    assert_refused(&mut sim, &[&snapshot[..], &[0]].concat(), "");
+    assert_refused(&mut sim, &snapshot[..snapshot.len() - 1], "damaged");
+    assert_refused(&mut sim, &[&snapshot[..], &[0]].concat(), "damaged");
     // a flipped bit anywhere, be it in a length or in a number
     for at in (0..snapshot.len()).step_by(97) {
         let mut flipped = snapshot.clone();

@@ -26,6 +26,7 @@ class RunConfig:
     max_iterations: int
     num_steps_per_env: int
     save_interval: int
+    normalize_reward_per_robot: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +103,7 @@ class TrainConfig:
         return {
             "num_steps_per_env": self.run.num_steps_per_env,
             "save_interval": self.run.save_interval,
+            "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
             "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
             "algorithm": {"class_name": "PPO", **algorithm},
             "actor": self.actor.model_cfg(),

@@ -20,6 +20,7 @@ from polypod.rsl_rl import VecEnv
 from polypod.training import run_dir
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
+from polypod.training.reward_scale import RewardScale
 
 STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
@@ -53,6 +54,11 @@ class Runner(OnPolicyRunner):
         self.run = run
         self.reporter = reporter
         self.interrupted = False
+        self.reward_scale: RewardScale | None = None
+        if cfg["normalize_reward_per_robot"]:
+            sim = env.unwrapped.sim
+            blocks = [sim.env_ids(robot) for robot in sim.robots]
+            self.reward_scale = RewardScale(blocks, cfg["algorithm"]["gamma"], device)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Runs `num_learning_iterations` more iterations, or fewer after Ctrl-C, which sets `interrupted`.
@@ -102,7 +108,8 @@ class Runner(OnPolicyRunner):
             actions = self.alg.act(observations)
             observations, rewards, dones, extras = self.env.step(actions)
             check_nan(observations, rewards, dones)
-            self.alg.process_env_step(observations, rewards, dones, extras)
+            scaled = rewards if self.reward_scale is None else self.reward_scale(rewards, dones)
+            self.alg.process_env_step(observations, scaled, dones, extras)
             self.logger.process_env_step(rewards, dones, extras)
         return observations
 
@@ -116,6 +123,7 @@ class Runner(OnPolicyRunner):
             "rng": torch.get_rng_state(),
             "cuda_rng": torch.cuda.get_rng_state_all() if torch.device(self.device).type == "cuda" else [],
             "logger": self.logger.state(),
+            "reward_scale": self.reward_scale.state() if self.reward_scale is not None else {},
         }
         run_dir.write_atomically(Path(path), lambda file: torch.save(state, file))
 
@@ -135,6 +143,8 @@ class Runner(OnPolicyRunner):
         if infos["cuda_rng"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state_all([stream.cpu() for stream in infos["cuda_rng"]])
         self.logger.restore(infos["logger"])
+        if self.reward_scale is not None:
+            self.reward_scale.restore(infos["reward_scale"])
         self.current_learning_iteration = state["iter"]
         return infos
 

@@ -1,0 +1,55 @@
+"""Rewards of different robots brought to one scale, so that no robot drowns the others in a shared learner."""
+
+from typing import Any
+
+import torch
+
+EPSILON = 1e-8
+
+
+class RewardScale:
+    """Divides each robot's rewards by the running standard deviation of that robot's discounted return.
+
+    The reward sets of different robots differ in scale by more than ten, while one critic fits all returns and one
+    update averages over all advantages. Scaling changes no robot's own preferences: its rewards keep their proportions.
+    """
+
+    def __init__(self, blocks: list[tuple[int, int]], gamma: float, device: str) -> None:
+        """`blocks`: the env range [start, stop) of each robot; `gamma`: the discount of the learner."""
+        self.blocks = blocks
+        self.gamma = gamma
+        num_envs = max(stop for _, stop in blocks)
+        self.returns = torch.zeros(num_envs, device=device)
+        self.count = torch.full((len(blocks),), EPSILON, dtype=torch.float64, device=device)
+        self.mean = torch.zeros(len(blocks), dtype=torch.float64, device=device)
+        self.variance = torch.ones(len(blocks), dtype=torch.float64, device=device)
+        sizes = torch.tensor([stop - start for start, stop in blocks], device=device)
+        self.robot_of_env = torch.repeat_interleave(torch.arange(len(blocks), device=device), sizes)
+
+    def __call__(self, rewards: torch.Tensor, dones: torch.Tensor) -> torch.Tensor:
+        """The scaled rewards of one step, float32 [num_envs]; the statistics take them in first."""
+        self.returns = self.returns * self.gamma + rewards
+        for robot, (start, stop) in enumerate(self.blocks):
+            self._update(robot, self.returns[start:stop].double())
+        self.returns = self.returns * (dones == 0)
+        scale = torch.rsqrt(self.variance + EPSILON).float()
+        return rewards * scale[self.robot_of_env]
+
+    def _update(self, robot: int, sample: torch.Tensor) -> None:
+        # the parallel form of Welford's update (Chan, Golub and LeVeque)
+        n = sample.numel()
+        delta = sample.mean() - self.mean[robot]
+        total = self.count[robot] + n
+        spread = self.variance[robot] * self.count[robot] + sample.var(correction=0) * n
+        self.variance[robot] = (spread + delta**2 * self.count[robot] * n / total) / total
+        self.mean[robot] += delta * n / total
+        self.count[robot] = total
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"returns": self.returns, "count": self.count, "mean": self.mean, "variance": self.variance}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes over a `state`."""
+        for name, value in state.items():
+            getattr(self, name).copy_(value)
