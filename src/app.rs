@@ -144,6 +144,7 @@ impl Sim {
             ));
         }
         let robots = names.iter().map(|name| library.robot(name)).collect::<Result<Vec<_>, _>>()?;
+        check_distinct(&robots)?;
         let morphologies = robots.iter().map(MorphologyModel::new).collect::<Result<Vec<_>, _>>()?;
         for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
             tracing::warn!("{warning}");
@@ -393,9 +394,6 @@ fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -
     if robots.is_empty() {
         return Err(argument("robots", "the list is empty", "name at least one robot"));
     }
-    if let Some((i, name)) = robots.iter().enumerate().find(|(i, name)| robots[..*i].contains(name)) {
-        return Err(argument("robots", format!("`{name}` is listed twice, last at place {i}"), "name each robot once"));
-    }
     if robots.len() > num_envs {
         return Err(argument(
             "num_envs",
@@ -407,6 +405,17 @@ fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -
         return Err(argument("threads", "0 threads", "ask for at least one, or leave it out for all cores"));
     }
     Ok(())
+}
+
+/// A name and a path may mean the same robot: what counts is the name in its config.
+fn check_distinct(robots: &[LoadedRobot]) -> Result<(), SimError> {
+    let name = |i: usize| robots[i].config.name.as_str();
+    match (0..robots.len()).find(|&i| (0..i).any(|j| name(j) == name(i))) {
+        Some(i) => {
+            Err(argument("robots", format!("`{}` is listed twice, last at place {i}", name(i)), "name each robot once"))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Spawns envs, robots and sensors, each kind in the order of env ids and in one table.

@@ -2,6 +2,7 @@
 
 mod cli;
 
+use std::io::ErrorKind::BrokenPipe;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -17,6 +18,10 @@ fn main() -> ExitCode {
         .init();
     match cli::Cli::parse().run() {
         Ok(()) => ExitCode::SUCCESS,
+        // whoever reads the output has seen enough
+        Err(error) if error.downcast_ref().is_some_and(|e: &std::io::Error| e.kind() == BrokenPipe) => {
+            ExitCode::SUCCESS
+        }
         Err(error) => {
             eprintln!("error: {error:#}");
             // what polypod itself refuses is bad input; anything else is a fault of the machine or of the program

@@ -10,7 +10,7 @@ use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, Rob
 use crate::dynamics::{
     Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
 };
-use crate::robot::{self, BodyGroup, Geometry, JointKind, Model, Roles, RobotError, Shape};
+use crate::robot::{self, BodyGroup, Geometry, JointKind, Model, RobotError, Roles, Shape};
 
 /// Stands for "no limit" in the engine, where an infinity could meet a zero.
 const UNLIMITED: f64 = 1e9;
@@ -179,9 +179,7 @@ fn articulation(
     let zero = vec![0.0; model.joints.len()];
     // turns a link's own axes into base-aligned ones
     let align: Vec<DMat3> = model.forward_kinematics(&zero).iter().map(|pose| pose.rotation).collect();
-    let actuator_of = |joint: usize| {
-        roles.joint_of_slot.iter().position(|&j| j == joint).map(|slot| actuators[slot].1)
-    };
+    let actuator_of = |joint: usize| roles.joint_of_slot.iter().position(|&j| j == joint).map(|slot| actuators[slot].1);
     let joints = model
         .joints
         .iter()
@@ -346,9 +344,9 @@ fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
     let at = |p: DVec3| shape.origin.transform_point(p);
     match &shape.geometry {
         Geometry::Sphere { radius } => vec![Candidate::point(link, body, at(DVec3::ZERO), *radius)],
-        Geometry::Capsule { radius, length } => [-0.5, 0.5]
-            .map(|end| Candidate::point(link, body, at(DVec3::Z * (end * length)), *radius))
-            .into(),
+        Geometry::Capsule { radius, length } => {
+            [-0.5, 0.5].map(|end| Candidate::point(link, body, at(DVec3::Z * (end * length)), *radius)).into()
+        }
         Geometry::Box { size } => (0..8)
             .map(|corner| {
                 let sign = |bit: usize| if corner & bit == 0 { -0.5 } else { 0.5 };

@@ -83,9 +83,8 @@ impl Workers {
     /// `threads` of them, at least one.
     pub fn new(threads: usize) -> Self {
         let threads = threads.max(1);
-        let pool = (threads > 1).then(|| {
-            TaskPoolBuilder::new().num_threads(threads - 1).thread_name("polypod".to_string()).build()
-        });
+        let pool = (threads > 1)
+            .then(|| TaskPoolBuilder::new().num_threads(threads - 1).thread_name("polypod".to_string()).build());
         Self { pool, threads }
     }
 
@@ -145,8 +144,11 @@ impl Workers {
 
 /// One component of all entities that a query matches, as a slice in the order of their env ids.
 ///
-/// [`check_rows`] has made sure that they lie in one table in that order; without any such entity the slice is empty.
-pub fn read_rows<'w, C: Component, F: bevy_ecs::query::ArchetypeFilter>(query: &'w Query<'_, '_, &'static C, F>) -> &'w [C] {
+/// [`Sim`](crate::Sim) spawns the entities of a kind in that order and with the same components, so that they lie in one
+/// table; without any such entity the slice is empty.
+pub fn read_rows<'w, C: Component, F: bevy_ecs::query::ArchetypeFilter>(
+    query: &'w Query<'_, '_, &'static C, F>,
+) -> &'w [C] {
     query.contiguous_iter().ok().and_then(|mut tables| tables.next()).unwrap_or_default()
 }
 

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::app::{Sim, SimError};
 use crate::batch::Batch;
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor,
-    EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, EnvId,
+    EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
 };
 use crate::config::fnv1a;
 use crate::systems::Logs;
@@ -119,7 +119,9 @@ impl Sim {
         let (theirs, _) = postcard::take_from_bytes::<Header>(bytes).map_err(unreadable)?;
         let ours = header(self);
         if theirs != ours {
-            return Err(SimError::Snapshot(format!("it is of another simulation ({theirs:?}) than this one ({ours:?})")));
+            return Err(SimError::Snapshot(format!(
+                "it is of another simulation ({theirs:?}) than this one ({ours:?})"
+            )));
         }
         // a length that no longer fits would only be found in the middle of a later step
         let intact = bytes.split_last_chunk::<CHECKSUM>().filter(|(data, sum)| fnv1a(data).to_le_bytes() == **sum);

@@ -20,12 +20,8 @@ pub(super) fn apply_actions(
 ) {
     let tags = read_rows(&tags);
     let width = batch.num_actions;
-    let rows = (
-        tags,
-        write_rows(&mut actions),
-        write_rows(&mut targets),
-        MatrixRows { data: &mut batch.actions[..], width },
-    );
+    let rows =
+        (tags, write_rows(&mut actions), write_rows(&mut targets), MatrixRows { data: &mut batch.actions[..], width });
     workers.for_each_chunk(rows, tags.len(), |_, n, (tags, actions, targets, mut raw)| {
         for i in 0..n {
             let morphology = morphologies.get(tags[i]);

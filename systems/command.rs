@@ -43,8 +43,7 @@ pub(super) fn heading([w, x, y, z]: &[f32; 4]) -> f32 {
 /// Draws a new command and restarts its time.
 pub(super) fn draw_command(config: &VelocityCommandConfig, command: &mut Command, rng: &mut EnvRng) {
     let range = |r: [f64; 2]| r.map(|x| x as f32);
-    command.velocity =
-        [config.lin_vel_x, config.lin_vel_y, config.ang_vel_z].map(|r| rng.uniform(range(r)));
+    command.velocity = [config.lin_vel_x, config.lin_vel_y, config.ang_vel_z].map(|r| rng.uniform(range(r)));
     command.heading = rng.uniform(range(config.heading));
     command.holds_heading = rng.unit() < config.rel_heading_envs as f32 && config.heading_command;
     command.standing = rng.unit() < config.rel_standing_envs as f32;
@@ -77,7 +76,16 @@ fn atan2(y: f32, x: f32) -> f32 {
     let (small, large) = if ay < ax { (ay, ax) } else { (ax, ay) };
     let t = if large > 0.0 { small / large } else { 0.0 };
     let t2 = t * t;
-    let series = [0.002_866_225_7, -0.016_165_737, 0.042_909_614, -0.075_289_64, 0.106_562_64, -0.142_088_99, 0.199_935_51, -0.333_331_45];
+    let series = [
+        0.002_866_225_7,
+        -0.016_165_737,
+        0.042_909_614,
+        -0.075_289_64,
+        0.106_562_64,
+        -0.142_089,
+        0.199_935_51,
+        -0.333_331_45,
+    ];
     let p = series.iter().fold(0.0f32, |p, &c: &f32| p.mul_add(t2, c));
     let a = (p * t2).mul_add(t, t);
     let a = if ay < ax { a } else { FRAC_PI_2 - a };

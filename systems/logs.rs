@@ -128,10 +128,7 @@ pub struct Logs {
 impl Logs {
     /// Empty, for a task and its robots.
     pub fn new(task: &CompiledTask) -> Self {
-        let mut logs = Self::default();
-        logs.recent = Self::empty(task);
-        logs.all = Self::empty(task);
-        logs
+        Self { recent: Self::empty(task), all: Self::empty(task) }
     }
 
     fn empty(task: &CompiledTask) -> Vec<RobotLog> {

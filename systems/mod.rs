@@ -23,8 +23,9 @@ use crate::app::SimError;
 pub use logs::{EpisodeStats, Logs, RobotLog};
 pub use physics::PhysicsEngine;
 pub(crate) use physics::history_length;
-pub use startup::randomise_at_startup;
-pub use terms::{CompiledTask, Registry, TermError};
+pub use reset::NewState;
+pub use startup::{NewBody, randomise_at_startup};
+pub use terms::{CompiledTask, EventBody, Registry, TermError};
 pub use view::RobotView;
 
 /// One control step of all envs.

@@ -67,7 +67,14 @@ impl SplitRows for PhysicsRows<'_> {
 
 impl PhysicsEngine {
     /// An engine for robots of these kinds, `counts[m]` of kind `m` in contiguous blocks.
-    pub fn new(simd: Simd, task: &CompiledTask, morphologies: &Morphologies, counts: &[usize], ground: &Ground, workers: &Workers) -> Self {
+    pub fn new(
+        simd: Simd,
+        task: &CompiledTask,
+        morphologies: &Morphologies,
+        counts: &[usize],
+        ground: &Ground,
+        workers: &Workers,
+    ) -> Self {
         let config = &task.config;
         let settings = StepSettings {
             dt: config.sim.dt,
@@ -105,7 +112,6 @@ pub(super) fn upload_bodies(
 }
 
 /// One control step of physics.
-#[allow(clippy::too_many_arguments)]
 pub(super) fn step_physics(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
@@ -174,9 +180,8 @@ impl<L: Lanes> Packs<L> {
                 first_env += count;
             }
         }
-        let workspaces = (0..chunks)
-            .map(|_| morphologies.0.iter().map(|model| Workspace::new(&model.topology)).collect())
-            .collect();
+        let workspaces =
+            (0..chunks).map(|_| morphologies.0.iter().map(|model| Workspace::new(&model.topology)).collect()).collect();
         Self { settings, packs, workspaces }
     }
 }

@@ -149,8 +149,7 @@ pub(super) fn reset_envs(
 impl ContactSensor {
     fn clear(&mut self) {
         self.peak_force.fill(0.0);
-        for times in
-            [&mut self.contact_time, &mut self.air_time, &mut self.last_contact_time, &mut self.last_air_time]
+        for times in [&mut self.contact_time, &mut self.air_time, &mut self.last_contact_time, &mut self.last_air_time]
         {
             times.fill(0.0);
         }

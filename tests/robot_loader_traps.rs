@@ -23,9 +23,7 @@ fn link(name: &str) -> String {
 }
 
 fn joint(name: &str, kind: &str, parent: &str, child: &str, inside: &str) -> String {
-    format!(
-        r#"<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>"#
-    )
+    format!(r#"<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>"#)
 }
 
 /// Two links and one joint between them.
@@ -72,20 +70,10 @@ fn assert_words(message: &str, words: &[&str]) {
 
 #[test]
 fn the_text_must_be_a_urdf() {
-    let error = refused(
-        "<robot>\n <link name='a'></robot>",
-        &["line 2", "column", "not well-formed XML"],
-    );
+    let error = refused("<robot>\n <link name='a'></robot>", &["line 2", "column", "not well-formed XML"]);
     assert!(matches!(error, RobotError::Syntax(_)));
     refused("", &["not well-formed XML"]);
-    refused(
-        "<mujoco model='m'/>",
-        &[
-            "<mujoco>",
-            "the root element of a URDF is <robot>",
-            "export",
-        ],
-    );
+    refused("<mujoco model='m'/>", &["<mujoco>", "the root element of a URDF is <robot>", "export"]);
     refused(
         r#"<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
            <xacro:property name="x" value="1"/></robot>"#,
@@ -103,15 +91,9 @@ fn a_missing_file_is_named() {
 
 #[test]
 fn names_are_unique_among_links_and_among_joints() {
-    refused(
-        &robot(&(link("a") + &link("a"))),
-        &["link \"a\"", "defined twice", "rename"],
-    );
+    refused(&robot(&(link("a") + &link("a"))), &["link \"a\"", "defined twice", "rename"]);
     let twice = joint("j", "fixed", "a", "b", "") + &joint("j", "fixed", "a", "c", "");
-    refused(
-        &robot(&(link("a") + &link("b") + &link("c") + &twice)),
-        &["joint \"j\"", "defined twice"],
-    );
+    refused(&robot(&(link("a") + &link("b") + &link("c") + &twice)), &["joint \"j\"", "defined twice"]);
     refused(&robot("<link/>"), &["<link> on line 1", "no name"]);
     // a link and a joint may share one
     let shared = link("a") + &link("b") + &joint("b", "fixed", "a", "b", "");
@@ -122,11 +104,7 @@ fn names_are_unique_among_links_and_among_joints() {
 fn joints_form_one_tree() {
     refused(
         &robot(&(link("base") + &link("leg") + &joint("j", "fixed", "bse", "leg", ""))),
-        &[
-            "joint \"j\"",
-            "parent link \"bse\"",
-            "did you mean \"base\"",
-        ],
+        &["joint \"j\"", "parent link \"bse\"", "did you mean \"base\""],
     );
     refused(
         &robot(&(link("a") + &joint("j", "fixed", "a", "nowhere", ""))),
@@ -134,21 +112,12 @@ fn joints_form_one_tree() {
     );
     let three = link("a") + &link("b") + &link("c");
     refused(
-        &robot(
-            &(three.clone()
-                + &joint("i", "fixed", "a", "c", "")
-                + &joint("j", "fixed", "b", "c", "")),
-        ),
+        &robot(&(three.clone() + &joint("i", "fixed", "a", "c", "") + &joint("j", "fixed", "b", "c", ""))),
         &["link \"c\"", "two joints, \"i\" and \"j\""],
     );
     refused(&robot(&three), &["3 root links: a, b, c"]);
     refused(
-        &robot(
-            &(link("a")
-                + &link("b")
-                + &joint("i", "fixed", "a", "b", "")
-                + &joint("j", "fixed", "b", "a", "")),
-        ),
+        &robot(&(link("a") + &link("b") + &joint("i", "fixed", "a", "b", "") + &joint("j", "fixed", "b", "a", ""))),
         &["form a loop"],
     );
     refused(
@@ -177,18 +146,9 @@ fn numbers_are_numbers() {
         &with_part(&MASS.replace("value=\"1\"", "value=\"-1\"")),
         &["link \"part\", <mass value>", "negative mass -1"],
     );
-    refused(
-        &with_part("<inertial><mass value=\"1\"/></inertial>"),
-        &["link \"part\"", "<inertial> lacks <inertia>"],
-    );
-    refused(
-        &pair("revolute", "<limit lower=\"a\"/>"),
-        &["joint \"j\", <limit lower>", "\"a\""],
-    );
-    refused(
-        &pair("fixed", "<origin/><origin/>"),
-        &["<origin>", "more than once"],
-    );
+    refused(&with_part("<inertial><mass value=\"1\"/></inertial>"), &["link \"part\"", "<inertial> lacks <inertia>"]);
+    refused(&pair("revolute", "<limit lower=\"a\"/>"), &["joint \"j\", <limit lower>", "\"a\""]);
+    refused(&pair("fixed", "<origin/><origin/>"), &["<origin>", "more than once"]);
     refused(
         "<robot><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/></joint></robot>",
         &["joint \"j\"", "lacks <child>"],
@@ -197,18 +157,9 @@ fn numbers_are_numbers() {
 
 #[test]
 fn origins_may_be_spaced_out_partial_or_missing() {
-    let spaced = loaded(&pair(
-        "revolute",
-        &format!("<origin  xyz=' 1   2\n 3 '/>{LIMIT}"),
-    ));
-    assert_eq!(
-        spaced.joints[0].origin.translation.to_array(),
-        [1.0, 2.0, 3.0]
-    );
-    let turned = loaded(&pair(
-        "revolute",
-        &format!("<origin rpy='0 0 1.5707963267948966'/>{LIMIT}"),
-    ));
+    let spaced = loaded(&pair("revolute", &format!("<origin  xyz=' 1   2\n 3 '/>{LIMIT}")));
+    assert_eq!(spaced.joints[0].origin.translation.to_array(), [1.0, 2.0, 3.0]);
+    let turned = loaded(&pair("revolute", &format!("<origin rpy='0 0 1.5707963267948966'/>{LIMIT}")));
     assert!((turned.joints[0].origin.rotation.x_axis.y - 1.0).abs() < 1e-15);
     let none = loaded(&pair("revolute", LIMIT));
     assert_eq!(none.joints[0].origin, polypod::robot::Pose::IDENTITY);
@@ -217,10 +168,7 @@ fn origins_may_be_spaced_out_partial_or_missing() {
 #[test]
 fn quaternions_need_the_version_that_has_them() {
     let inside = format!("<origin quat_xyzw='0 0 1 0'/>{LIMIT}");
-    refused(
-        &pair("revolute", &inside),
-        &["<origin quat_xyzw>", "version=\"1.1\""],
-    );
+    refused(&pair("revolute", &inside), &["<origin quat_xyzw>", "version=\"1.1\""]);
     let versioned = pair("revolute", &inside).replace("<robot", "<robot version='1.1'");
     let x_axis = loaded(&versioned).joints[0].origin.rotation.x_axis;
     assert!((x_axis.x + 1.0).abs() < 1e-12, "{x_axis}");
@@ -230,17 +178,11 @@ fn quaternions_need_the_version_that_has_them() {
 
 #[test]
 fn missing_limits_are_infinite() {
-    let none = warned(
-        &pair("revolute", ""),
-        &["joint \"j\"", "-inf .. inf", "<limit>"],
-    );
+    let none = warned(&pair("revolute", ""), &["joint \"j\"", "-inf .. inf", "<limit>"]);
     let j = &none.joints[0];
     assert_eq!((j.lower, j.upper), (f64::NEG_INFINITY, f64::INFINITY));
     assert_eq!((j.effort, j.velocity), (f64::INFINITY, f64::INFINITY));
-    let half = warned(
-        &pair("revolute", "<limit lower='-1' effort='1'/>"),
-        &["-1 .. inf"],
-    );
+    let half = warned(&pair("revolute", "<limit lower='-1' effort='1'/>"), &["-1 .. inf"]);
     assert_eq!(half.joints[0].velocity, f64::INFINITY);
     let turning = loaded(&pair("continuous", LIMIT));
     assert!(turning.warnings.is_empty());
@@ -256,47 +198,23 @@ fn limits_make_sense() {
         &limit("lower='1' upper='-1' effort='1' velocity='1'"),
         &["joint \"j\"", "lower limit 1 is above its upper limit -1"],
     );
-    refused(
-        &limit("lower='-1' upper='1' effort='-5' velocity='1'"),
-        &["negative effort -5"],
-    );
-    warned(
-        &limit("lower='-1' upper='1' effort='0' velocity='1'"),
-        &["joint \"j\"", "zero effort", "cannot be driven"],
-    );
-    warned(
-        &limit("lower='-1' upper='1' effort='1' velocity='0'"),
-        &["zero velocity"],
-    );
-    let extra = loaded(&limit(
-        "lower='-1' upper='1' effort='1' velocity='1' command_effort='x' current='40'",
-    ));
+    refused(&limit("lower='-1' upper='1' effort='-5' velocity='1'"), &["negative effort -5"]);
+    warned(&limit("lower='-1' upper='1' effort='0' velocity='1'"), &["joint \"j\"", "zero effort", "cannot be driven"]);
+    warned(&limit("lower='-1' upper='1' effort='1' velocity='0'"), &["zero velocity"]);
+    let extra = loaded(&limit("lower='-1' upper='1' effort='1' velocity='1' command_effort='x' current='40'"));
     assert!(extra.warnings.is_empty());
-    refused(
-        &pair("revolute", &format!("{LIMIT}<dynamics damping='-1'/>")),
-        &["negative damping -1"],
-    );
+    refused(&pair("revolute", &format!("{LIMIT}<dynamics damping='-1'/>")), &["negative damping -1"]);
 }
 
 #[test]
 fn axes_are_unit_vectors_where_it_matters() {
-    assert_eq!(
-        loaded(&pair("revolute", LIMIT)).joints[0].axis.to_array(),
-        [1.0, 0.0, 0.0]
-    );
-    assert!(
-        loaded(&pair("fixed", "<axis xyz='0 0 0'/>"))
-            .warnings
-            .is_empty()
-    );
+    assert_eq!(loaded(&pair("revolute", LIMIT)).joints[0].axis.to_array(), [1.0, 0.0, 0.0]);
+    assert!(loaded(&pair("fixed", "<axis xyz='0 0 0'/>")).warnings.is_empty());
     refused(
         &pair("revolute", &format!("{LIMIT}<axis xyz='0 0 0'/>")),
         &["joint \"j\", <axis xyz>", "no direction", "unit vector"],
     );
-    let long = warned(
-        &pair("revolute", &format!("{LIMIT}<axis xyz='0 -2 0'/>")),
-        &["length 2", "normalised"],
-    );
+    let long = warned(&pair("revolute", &format!("{LIMIT}<axis xyz='0 -2 0'/>")), &["length 2", "normalised"]);
     assert_eq!(long.joints[0].axis.to_array(), [0.0, -1.0, 0.0]);
 }
 
@@ -306,32 +224,14 @@ fn joints_that_are_not_modelled_are_refused() {
         let error = refused(&pair(kind, ""), &["joint \"j\"", kind, "not modelled"]);
         assert!(matches!(error, RobotError::Unsupported(_)));
     }
-    refused(
-        &pair("Revolute", LIMIT),
-        &[
-            "unknown joint type \"Revolute\"",
-            "did you mean \"revolute\"",
-        ],
-    );
+    refused(&pair("Revolute", LIMIT), &["unknown joint type \"Revolute\"", "did you mean \"revolute\""]);
     let mimic = link("a")
         + &link("b")
         + &link("c")
         + &joint("j", "revolute", "a", "b", LIMIT)
-        + &joint(
-            "k",
-            "revolute",
-            "a",
-            "c",
-            &format!("{LIMIT}<mimic joint='j'/>"),
-        );
-    refused(
-        &robot(&mimic),
-        &["joint \"k\"", "mimics \"j\"", "lock the joint"],
-    );
-    let locked = LoadOptions {
-        locked_joints: BTreeMap::from([("k".to_string(), 0.0)]),
-        ..LoadOptions::default()
-    };
+        + &joint("k", "revolute", "a", "c", &format!("{LIMIT}<mimic joint='j'/>"));
+    refused(&robot(&mimic), &["joint \"k\"", "mimics \"j\"", "lock the joint"]);
+    let locked = LoadOptions { locked_joints: BTreeMap::from([("k".to_string(), 0.0)]), ..LoadOptions::default() };
     let model = load_str(&robot(&mimic), Path::new("trap.urdf"), &locked).unwrap();
     assert_eq!(model.joints.len(), 1);
 }
@@ -345,10 +245,7 @@ fn an_empty_floating_root_is_dropped() {
             + &joint("free", "floating", "world", "base", "")
             + &joint("hip", "revolute", "base", "leg", LIMIT)),
     );
-    let model = warned(
-        &text,
-        &["joint \"free\"", "\"world\"", "\"base\" is the base"],
-    );
+    let model = warned(&text, &["joint \"free\"", "\"world\"", "\"base\" is the base"]);
     assert_eq!(model.links[0].name, "base");
     assert_eq!(model.joints.len(), 1);
 }
@@ -367,11 +264,7 @@ fn links_come_in_any_order() {
     let model = loaded(&text);
     let links: Vec<&str> = model.links.iter().map(|link| link.name.as_str()).collect();
     assert_eq!(links, ["base", "head", "thigh", "shank"]);
-    let joints: Vec<&str> = model
-        .joints
-        .iter()
-        .map(|joint| joint.name.as_str())
-        .collect();
+    let joints: Vec<&str> = model.joints.iter().map(|joint| joint.name.as_str()).collect();
     assert_eq!(joints, ["other", "hip", "knee"]);
     assert_eq!(model.depth_first(), [0, 1, 2, 3]);
     assert_eq!(model.parent(3), Some(2));
@@ -388,14 +281,9 @@ fn sensors_without_mass_merge() {
         assert_eq!(model.total_mass(), 1.0);
     }
     // the mass of the base may sit in a fixed child
-    let hollow = "<link name='base'/>".to_string()
-        + &link("inside")
-        + &joint("f", "fixed", "base", "inside", "");
+    let hollow = "<link name='base'/>".to_string() + &link("inside") + &joint("f", "fixed", "base", "inside", "");
     assert_eq!(loaded(&robot(&hollow)).links[0].mass, 1.0);
-    warned(
-        &with_part(&MASS.replace("value=\"1\"", "value=\"0\"")),
-        &["link \"part\"", "an inertia, but no mass"],
-    );
+    warned(&with_part(&MASS.replace("value=\"1\"", "value=\"0\"")), &["link \"part\"", "an inertia, but no mass"]);
 }
 
 #[test]
@@ -407,24 +295,13 @@ fn what_moves_has_a_mass_and_a_sound_inertia() {
     let error = refused(&moving(""), &["link \"b\"", "has a mass", "<inertial>"]);
     assert!(matches!(error, RobotError::Inertia(_)));
     refused(&robot("<link name='a'/>"), &["link \"a\"", "has a mass"]);
-    refused(
-        &moving(&MASS.replace("0.1", "0")),
-        &["link \"b\"", "not positive definite"],
-    );
-    refused(
-        &moving(&MASS.replace("ixy=\"0\"", "ixy=\"0.2\"")),
-        &["link \"b\"", "not positive definite"],
-    );
+    refused(&moving(&MASS.replace("0.1", "0")), &["link \"b\"", "not positive definite"]);
+    refused(&moving(&MASS.replace("ixy=\"0\"", "ixy=\"0.2\"")), &["link \"b\"", "not positive definite"]);
     let flat = MASS.replace("izz=\"0.1\"", "izz=\"0.3\"");
     warned(&moving(&flat), &["link \"b\"", "triangle inequality"]);
     // of a part that is merged, it is only worth a warning
-    let singular = MASS
-        .replace("\"0\"", "\"0.001\"")
-        .replace("\"0.1\"", "\"0.001\"");
-    warned(
-        &with_part(&singular),
-        &["link \"part\"", "not positive definite", "merged as it is"],
-    );
+    let singular = MASS.replace("\"0\"", "\"0.001\"").replace("\"0.1\"", "\"0.001\"");
+    warned(&with_part(&singular), &["link \"part\"", "not positive definite", "merged as it is"]);
 }
 
 #[test]
@@ -455,26 +332,12 @@ fn locked_joints_hold_their_position() {
         &(link("a")
             + &link("b")
             + &link("c")
-            + &joint(
-                "pan",
-                "revolute",
-                "a",
-                "b",
-                &format!("{LIMIT}<axis xyz='0 0 1'/>"),
-            )
-            + &joint(
-                "tilt",
-                "revolute",
-                "b",
-                "c",
-                &format!("{LIMIT}<origin xyz='1 0 0'/>"),
-            )),
+            + &joint("pan", "revolute", "a", "b", &format!("{LIMIT}<axis xyz='0 0 1'/>"))
+            + &joint("tilt", "revolute", "b", "c", &format!("{LIMIT}<origin xyz='1 0 0'/>"))),
     );
     let lock = |name: &str, position: f64| {
-        let options = LoadOptions {
-            locked_joints: BTreeMap::from([(name.to_string(), position)]),
-            ..LoadOptions::default()
-        };
+        let options =
+            LoadOptions { locked_joints: BTreeMap::from([(name.to_string(), position)]), ..LoadOptions::default() };
         load_str(&text, Path::new("trap.urdf"), &options)
     };
     let model = lock("pan", std::f64::consts::FRAC_PI_2).unwrap();
@@ -492,51 +355,26 @@ fn contact_bodies_outlive_merging() {
     let sphere = "<collision><origin xyz='0 0 0.1'/><geometry><sphere radius='0.02'/></geometry></collision>";
     let text = robot(
         &(link("a")
-            + &format!(
-                "<link name='shank'>{MASS}{sphere}</link><link name='foot'>{sphere}</link>"
-            )
+            + &format!("<link name='shank'>{MASS}{sphere}</link><link name='foot'>{sphere}</link>")
             + &joint("knee", "revolute", "a", "shank", LIMIT)
             + &joint("sole", "fixed", "shank", "foot", "<origin xyz='0 0 -1'/>")
                 .replace("<joint", "<joint dont_collapse='true'")),
     );
     let model = loaded(&text);
     assert!(model.warnings.is_empty());
-    let bodies: Vec<(&str, usize)> = model
-        .bodies
-        .iter()
-        .map(|b| (b.name.as_str(), b.link))
-        .collect();
+    let bodies: Vec<(&str, usize)> = model.bodies.iter().map(|b| (b.name.as_str(), b.link)).collect();
     assert_eq!(bodies, [("shank", 1), ("foot", 1)]);
     assert_eq!(model.bodies[1].shapes[0].origin.translation.z, -0.9);
 }
 
 #[test]
 fn shapes_have_sizes() {
-    let collision = |shape: &str| {
-        with_part(&format!(
-            "<collision><geometry>{shape}</geometry></collision>"
-        ))
-    };
+    let collision = |shape: &str| with_part(&format!("<collision><geometry>{shape}</geometry></collision>"));
     let capsule = loaded(&collision("<capsule radius='0.1' length='0.5'/>"));
-    assert_eq!(
-        capsule.bodies[0].shapes[0].geometry,
-        Geometry::Capsule {
-            radius: 0.1,
-            length: 0.5
-        }
-    );
-    refused(
-        &collision("<sphere radius='0'/>"),
-        &["link \"part\", <collision>, <sphere radius>", "0"],
-    );
-    refused(
-        &collision("<box size='1 1 -1'/>"),
-        &["<box size>", "-1 is no length"],
-    );
-    refused(
-        &collision("<cylinder radius='1'/>"),
-        &["<cylinder> lacks \"length\""],
-    );
+    assert_eq!(capsule.bodies[0].shapes[0].geometry, Geometry::Capsule { radius: 0.1, length: 0.5 });
+    refused(&collision("<sphere radius='0'/>"), &["link \"part\", <collision>, <sphere radius>", "0"]);
+    refused(&collision("<box size='1 1 -1'/>"), &["<box size>", "-1 is no length"]);
+    refused(&collision("<cylinder radius='1'/>"), &["<cylinder> lacks \"length\""]);
     refused(&collision("<ball radius='1'/>"), &["unknown shape <ball>"]);
     refused(&collision(""), &["<geometry>", "no shape"]);
 }
@@ -547,21 +385,11 @@ fn meshes_are_found_without_ros() {
     let collision = |name: &str| with_part(&format!("<collision>{}</collision>", mesh(name)));
     let lost = warned(
         &collision("package://body/foot.stl"),
-        &[
-            "link \"part\", <collision>",
-            "\"package://body/foot.stl\" is not found",
-            "package_dirs",
-        ],
+        &["link \"part\", <collision>", "\"package://body/foot.stl\" is not found", "package_dirs"],
     );
     assert!(lost.bodies.is_empty());
-    warned(
-        &collision("meshes/foot.stl"),
-        &["meshes/foot.stl", "is not found", "put the file there"],
-    );
-    let visual = loaded(&with_part(&format!(
-        "<visual>{}</visual>",
-        mesh("package://body/foot.dae")
-    )));
+    warned(&collision("meshes/foot.stl"), &["meshes/foot.stl", "is not found", "put the file there"]);
+    let visual = loaded(&with_part(&format!("<visual>{}</visual>", mesh("package://body/foot.dae"))));
     assert!(visual.warnings.is_empty());
 
     // this package's own manifest stands in for a mesh
@@ -570,24 +398,12 @@ fn meshes_are_found_without_ros() {
         package_dirs: BTreeMap::from([("body".to_string(), root.to_path_buf())]),
         ..LoadOptions::default()
     };
-    let model = load_str(
-        &collision("package://body/Cargo.toml"),
-        Path::new("trap.urdf"),
-        &options,
-    )
-    .unwrap();
+    let model = load_str(&collision("package://body/Cargo.toml"), Path::new("trap.urdf"), &options).unwrap();
     let wanted = root.join("Cargo.toml");
-    assert!(
-        matches!(&model.bodies[0].shapes[0].geometry, Geometry::Mesh { path, .. } if *path == wanted)
-    );
+    assert!(matches!(&model.bodies[0].shapes[0].geometry, Geometry::Mesh { path, .. } if *path == wanted));
     let above = collision("package://src/lib.rs");
     let deep = root.join("assets/robots/trap/robot.urdf");
-    assert!(
-        load_str(&above, &deep, &LoadOptions::default())
-            .unwrap()
-            .warnings
-            .is_empty()
-    );
+    assert!(load_str(&above, &deep, &LoadOptions::default()).unwrap().warnings.is_empty());
 }
 
 #[test]

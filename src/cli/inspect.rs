@@ -1,5 +1,7 @@
 //! `polypod-sim inspect`
 
+use std::io::Write;
+
 use clap::Args;
 use polypod::SimError;
 use polypod::config::Library;
@@ -16,11 +18,13 @@ pub(super) struct Inspect {
 
 impl Inspect {
     pub(super) fn run(self) -> anyhow::Result<()> {
+        let mut out = std::io::stdout().lock();
         let loaded = Library::new(Vec::new()).robot(&self.robot).map_err(SimError::from)?;
         let robot = MorphologyModel::new(&loaded).map_err(SimError::from)?;
         let model = &robot.model;
-        println!("{} ({}), {}", robot.name(), robot.config.title, loaded.urdf_path.display());
-        println!(
+        writeln!(out, "{} ({}), {}", robot.name(), robot.config.title, loaded.urdf_path.display())?;
+        writeln!(
+            out,
             "{:.3} kg, {} links, {} joints, base {:.3} m above the ground in the default pose, reward set `{}`, action scale {}",
             model.total_mass(),
             model.links.len(),
@@ -28,21 +32,23 @@ impl Inspect {
             robot.describe().base_height,
             robot.config.reward_set,
             robot.action_scale
-        );
-        println!("\nlinks");
+        )?;
+        writeln!(out, "\nlinks")?;
         for link in &model.links {
             let c = link.com;
-            println!("  {:<24} {:>9.4} kg, com ({:+.4}, {:+.4}, {:+.4}) m", link.name, link.mass, c.x, c.y, c.z);
+            writeln!(out, "  {:<24} {:>9.4} kg, com ({:+.4}, {:+.4}, {:+.4}) m", link.name, link.mass, c.x, c.y, c.z)?;
         }
-        println!("\njoints (physical order)");
-        println!(
+        writeln!(out, "\njoints (physical order)")?;
+        writeln!(
+            out,
             "  {:<18} {:<8} {:<20} {:>18} {:>8} {:>8} {:>8} {:>9} {:>9}",
             "joint", "slot", "parent", "limits (rad)", "default", "kp", "kd", "armature", "effort"
-        );
+        )?;
         let description = robot.describe();
         for (j, joint) in model.joints.iter().enumerate() {
             let slot = robot.joint_of_slot.iter().position(|&k| k == j).map_or("-", |slot| CANONICAL_JOINT_NAMES[slot]);
-            println!(
+            writeln!(
+                out,
                 "  {:<18} {:<8} {:<20} {:>8.3} .. {:>6.3} {:>8.3} {:>8.2} {:>8.2} {:>9.4} {:>9.2}",
                 joint.name,
                 slot,
@@ -54,16 +60,23 @@ impl Inspect {
                 robot.nominal.damping[j],
                 robot.nominal.armature[j],
                 description.effort_limit[j]
-            );
+            )?;
         }
-        println!("\ncontact bodies");
+        writeln!(out, "\ncontact bodies")?;
         for (body, group) in model.bodies.iter().zip(&robot.body_groups) {
             let shapes: Vec<&str> = body.shapes.iter().map(|shape| name(&shape.geometry)).collect();
             let link = &model.links[body.link].name;
-            println!("  {:<24} on {:<24} {:<6} {}", body.name, link, format!("{group:?}").to_lowercase(), shapes.join(", "));
+            writeln!(
+                out,
+                "  {:<24} on {:<24} {:<6} {}",
+                body.name,
+                link,
+                format!("{group:?}").to_lowercase(),
+                shapes.join(", ")
+            )?;
         }
         for warning in &model.warnings {
-            println!("\nwarning: {warning}");
+            writeln!(out, "\nwarning: {warning}")?;
         }
         Ok(())
     }

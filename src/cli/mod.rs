@@ -3,6 +3,8 @@
 mod inspect;
 mod rollout;
 
+use std::io::Write;
+
 use clap::{Parser, Subcommand};
 use polypod::SimError;
 use polypod::config::Library;
@@ -38,14 +40,15 @@ impl Cli {
 }
 
 fn list() -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
     let library = Library::new(Vec::new());
-    println!("robots");
+    writeln!(out, "robots")?;
     for robot in library.robots().map_err(SimError::from)? {
-        println!("  {:<14} {}", robot.name, robot.title);
+        writeln!(out, "  {:<14} {}", robot.name, robot.title)?;
     }
-    println!("tasks");
+    writeln!(out, "tasks")?;
     for task in library.tasks().map_err(SimError::from)? {
-        println!("  {:<44} {}", task.name, task.aliases.join(", "));
+        writeln!(out, "  {:<44} {}", task.name, task.aliases.join(", "))?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! `polypod-sim rollout`
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::time::Instant;
 
 use clap::{Args, ValueEnum};
@@ -49,6 +49,7 @@ enum Actions {
 
 impl Rollout {
     pub(super) fn run(self) -> anyhow::Result<()> {
+        let mut out = std::io::stdout().lock();
         let options = SimOptions {
             robots: self.robots,
             seed: self.seed,
@@ -58,15 +59,16 @@ impl Rollout {
         };
         let began = Instant::now();
         let mut sim = Sim::new(&options)?;
-        println!(
-            "{}: {} envs of {} robots, {} threads, {}, started in {:.2} s",
+        writeln!(
+            out,
+            "{}: {} envs ({}), {} threads, {}, started in {:.2} s",
             sim.task().config.name,
             sim.num_envs(),
-            sim.morphologies().len(),
+            sim.morphologies().iter().map(|robot| robot.name()).collect::<Vec<_>>().join(", "),
             sim.threads(),
             sim.simd().name(),
             began.elapsed().as_secs_f64()
-        );
+        )?;
         let progress = if std::io::stderr().is_terminal() {
             let style = ProgressStyle::with_template("{bar:40} {pos}/{len} steps, {eta} left")?;
             ProgressBar::new(self.steps as u64).with_style(style)
@@ -86,32 +88,38 @@ impl Rollout {
             progress.inc(1);
         }
         progress.finish_and_clear();
-        report(&mut sim, self.steps, seconds);
-        Ok(())
+        report(&mut out, &mut sim, self.steps, seconds)
     }
 }
 
-fn report(sim: &mut Sim, steps: usize, seconds: f64) {
+fn report(out: &mut impl Write, sim: &mut Sim, steps: usize, seconds: f64) -> anyhow::Result<()> {
     let rate = (sim.num_envs() * steps) as f64 / seconds;
     let decimation = f64::from(sim.task().config.sim.decimation);
-    println!("{steps} control steps in {seconds:.2} s: {rate:.0} env-steps/s ({:.0} env-physics-steps/s)", rate * decimation);
-    println!("finished episodes per robot:");
-    println!(
+    writeln!(
+        out,
+        "{steps} control steps in {seconds:.2} s: {rate:.0} env-steps/s ({:.0} env-physics-steps/s)",
+        rate * decimation
+    )?;
+    writeln!(out, "finished episodes per robot:")?;
+    writeln!(
+        out,
         "  {:<14} {:>6} {:>9} {:>10} {:>12} {:>15} {:>17}",
         "robot", "envs", "episodes", "fall rate", "length (s)", "error xy (m/s)", "error yaw (rad/s)"
-    );
+    )?;
     let stats = sim.world_mut().resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
         logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), false)
     });
     for (i, (robot, s)) in stats.iter().enumerate() {
         let falls = if s.episodes == 0 { "-".into() } else { format!("{:.3}", s.falls as f64 / s.episodes as f64) };
-        println!(
+        writeln!(
+            out,
             "  {robot:<14} {:>6} {:>9} {falls:>10} {:>12.2} {:>15.3} {:>17.3}",
             sim.env_ids(i).len(),
             s.episodes,
             s.episode_length_s,
             s.error_vel_xy,
             s.error_vel_yaw
-        );
+        )?;
     }
+    Ok(())
 }

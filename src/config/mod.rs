@@ -13,6 +13,7 @@ mod task;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
+pub(crate) use library::fnv1a;
 pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE};
 pub use names::{RobotEntry, TaskEntry};
 pub use parse::parse_params;
@@ -20,7 +21,6 @@ pub use robot::{
     ActuatorConfig, ActuatorModel, BaseComOffset, BodiesConfig, JointPositionMode, JointPositionReset,
     RandomizationConfig, RangeConfig, ResetConfig, RobotConfig,
 };
-pub(crate) use library::fnv1a;
 pub(crate) use suggest::did_you_mean;
 pub use task::{
     CommandsConfig, EngineKind, EventConfig, EventMode, FrictionCombine, GroundConfig, MaterialConfig, ObservationTerm,

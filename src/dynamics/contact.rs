@@ -210,8 +210,8 @@ pub fn build_contacts<S: Real>(
             }
             let row = contact_rows(topology, factor, axes, at, &frame, c, &local, parameters.contact_radius[c], rows);
             let zero = S::zero();
-            let push = (gap * S::splat(-settings.correction) * inverse_dt)
-                .min(S::splat(settings.max_depenetration_velocity));
+            let push =
+                (gap * S::splat(-settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity));
             let mut target = S::select(gap.lt(zero), push, -(gap * inverse_dt));
             if S::any(zero.lt(parameters.restitution)) {
                 let approach = rows.normal_velocity(topology.path(link), depth, &row);
@@ -229,7 +229,6 @@ pub fn build_contacts<S: Real>(
 }
 
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 fn contact_rows<S: Real>(
     topology: &Topology,
     factor: &Factor<S>,

@@ -77,11 +77,8 @@ pub fn forward_kinematics<S: Real>(
     work: &mut Workspace<S>,
 ) {
     let (z, one) = (S::zero(), S::one());
-    work.links[0] = LinkState {
-        rotation: [[one, z, z], [z, one, z], [z, z, one]],
-        position: [z; 3],
-        velocity: *base_velocity,
-    };
+    work.links[0] =
+        LinkState { rotation: [[one, z, z], [z, one, z], [z, z, one]], position: [z; 3], velocity: *base_velocity };
     for (j, joint) in topology.joints.iter().enumerate() {
         let parent = &work.links[joint.parent];
         let offset = &parameters.joint_offset[j];
@@ -127,7 +124,8 @@ pub fn bias_forces<S: Real>(topology: &Topology, velocity: &[S], gravity: &Vec3<
     let minus_gravity = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
     work.acceleration[0] = minus_gravity;
     for (j, joint) in topology.joints.iter().enumerate() {
-        let relative = Spatial { ang: scale(&work.axes[j].ang, velocity[j]), lin: scale(&work.axes[j].lin, velocity[j]) };
+        let relative =
+            Spatial { ang: scale(&work.axes[j].ang, velocity[j]), lin: scale(&work.axes[j].lin, velocity[j]) };
         work.acceleration[j + 1] =
             work.acceleration[joint.parent].plus(&work.links[j + 1].velocity.cross_motion(&relative));
     }

@@ -566,9 +566,11 @@ impl Simd {
         let Some(name) = wanted else {
             return Ok(available.first().copied().unwrap_or(Simd::Portable));
         };
-        available.iter().copied().find(|simd| simd.name() == name.to_lowercase()).ok_or_else(|| {
-            SimdError(name, available.iter().map(|simd| simd.name()).collect::<Vec<_>>().join(", "))
-        })
+        available
+            .iter()
+            .copied()
+            .find(|simd| simd.name() == name.to_lowercase())
+            .ok_or_else(|| SimdError(name, available.iter().map(|simd| simd.name()).collect::<Vec<_>>().join(", ")))
     }
 }
 

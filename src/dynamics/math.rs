@@ -12,11 +12,7 @@ pub type Sym3<S> = [S; 6];
 /// `a x b`.
 #[inline(always)]
 pub fn cross<S: Real>(a: &Vec3<S>, b: &Vec3<S>) -> Vec3<S> {
-    [
-        a[1].mul_add(b[2], -(a[2] * b[1])),
-        a[2].mul_add(b[0], -(a[0] * b[2])),
-        a[0].mul_add(b[1], -(a[1] * b[0])),
-    ]
+    [a[1].mul_add(b[2], -(a[2] * b[1])), a[2].mul_add(b[0], -(a[0] * b[2])), a[0].mul_add(b[1], -(a[1] * b[0]))]
 }
 
 /// `a . b`.
@@ -79,14 +75,7 @@ pub fn mul_sym<S: Real>(s: &Sym3<S>, v: &Vec3<S>) -> Vec3<S> {
 #[inline(always)]
 pub fn rotate_sym<S: Real>(r: &Mat3<S>, s: &Sym3<S>) -> Sym3<S> {
     let t = [mul_sym(s, &r[0]), mul_sym(s, &r[1]), mul_sym(s, &r[2])];
-    [
-        dot(&t[0], &r[0]),
-        dot(&t[1], &r[1]),
-        dot(&t[2], &r[2]),
-        dot(&t[0], &r[1]),
-        dot(&t[0], &r[2]),
-        dot(&t[1], &r[2]),
-    ]
+    [dot(&t[0], &r[0]), dot(&t[1], &r[1]), dot(&t[2], &r[2]), dot(&t[0], &r[1]), dot(&t[0], &r[2]), dot(&t[1], &r[2])]
 }
 
 /// The rotation matrix of a unit quaternion (w, x, y, z).

@@ -9,7 +9,9 @@ pub mod math;
 pub mod state;
 pub mod step;
 
-pub use articulation::{Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology};
+pub use articulation::{
+    Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
+};
 pub use contact::ContactSettings;
 pub use lanes::{Lanes, Real, Simd};
 pub use state::{Drive, Report, State, Workspace};

@@ -1,8 +1,8 @@
 //! The moving numbers of a pack, and the scratch memory of a step.
 
 use super::articulation::Topology;
-use super::factor::Factor;
 use super::contact::ContactWork;
+use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, SpatialInertia, Vec3};
 

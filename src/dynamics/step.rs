@@ -118,7 +118,6 @@ fn actuate<S: Real>(topology: &Topology, parameters: &Parameters<S>, dt: S, stat
 }
 
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 fn physics_step<S: Real>(
     topology: &Topology,
     settings: &StepSettings,
@@ -137,14 +136,7 @@ fn physics_step<S: Real>(
     let gravity = mul_vec_transposed(&work.base_rotation, &settings.gravity.map(S::splat));
     // bias forces do not depend on the base's linear velocity: see `bias_forces`
     let turning = Spatial { ang: state.angular_velocity, lin: [z; 3] };
-    kinematics::forward_kinematics(
-        topology,
-        parameters,
-        &state.joint_position,
-        &state.joint_velocity,
-        &turning,
-        work,
-    );
+    kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &turning, work);
     kinematics::link_inertias(topology, parameters, work);
     kinematics::bias_forces(topology, &state.joint_velocity, &gravity, work);
     kinematics::composite_inertias(topology, work);
@@ -229,8 +221,7 @@ fn report_sites<S: Real>(
     work: &mut Workspace<S>,
 ) {
     let rotation = quat_to_mat(&state.rotation);
-    let base =
-        Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) };
+    let base = Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) };
     kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &base, work);
     for (s, &link) in topology.sites.iter().enumerate() {
         let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position[s]);

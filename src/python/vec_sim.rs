@@ -11,9 +11,9 @@ use pyo3::types::PyBytes;
 use super::exceptions::{to_python, type_error, value_error};
 use crate::app::{Sim, SimOptions};
 use crate::components::{Command, EnvId, Episode};
+use crate::morphology::Morphologies;
 use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::systems::{Autoreset, CompiledTask, Logs};
-use crate::morphology::Morphologies;
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {
@@ -109,7 +109,6 @@ impl VecSim {
 impl VecSim {
     #[new]
     #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step"))]
-    #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         task: String,

@@ -15,35 +15,11 @@ use super::error::{Diagnosis, RobotError, Warning, nearest_name};
 use super::reader::{Reader, line};
 
 /// Children of `<robot>` that say nothing about the body and are passed over in silence.
-const OTHER_ROOT_TAGS: [&str; 6] = [
-    "material",
-    "gazebo",
-    "transmission",
-    "ros2_control",
-    "sensor",
-    "mujoco",
-];
+const OTHER_ROOT_TAGS: [&str; 6] = ["material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"];
 const LINK_TAGS: [&str; 3] = ["inertial", "visual", "collision"];
-const JOINT_TAGS: [&str; 9] = [
-    "origin",
-    "parent",
-    "child",
-    "axis",
-    "limit",
-    "dynamics",
-    "mimic",
-    "calibration",
-    "safety_controller",
-];
-const JOINT_TYPES: [&str; 7] = [
-    "revolute",
-    "continuous",
-    "prismatic",
-    "fixed",
-    "floating",
-    "planar",
-    "spherical",
-];
+const JOINT_TAGS: [&str; 9] =
+    ["origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"];
+const JOINT_TYPES: [&str; 7] = ["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical"];
 const SHAPES: [&str; 5] = ["sphere", "box", "cylinder", "capsule", "mesh"];
 
 /// What the first pass hands on.
@@ -74,10 +50,7 @@ pub(super) fn canonical(text: &str, file: &Path) -> Result<Canonical, RobotError
     })?;
     let root = document.root_element();
     let mut writer = Writer {
-        read: Reader {
-            file,
-            namespace: root.tag_name().namespace(),
-        },
+        read: Reader { file, namespace: root.tag_name().namespace() },
         quaternions: false,
         out: String::with_capacity(text.len() / 2),
         unread: BTreeMap::new(),
@@ -149,9 +122,7 @@ impl Writer<'_> {
                 },
             )));
         }
-        let macros = root
-            .descendants()
-            .find(|n| n.is_element() && n.tag_name().namespace().is_some_and(is_xacro));
+        let macros = root.descendants().find(|n| n.is_element() && n.tag_name().namespace().is_some_and(is_xacro));
         match macros {
             Some(node) => Err(RobotError::Syntax(Diagnosis::new(
                 self.read.file,
@@ -168,10 +139,8 @@ impl Writer<'_> {
         let Some(text) = root.attribute("version") else {
             return (1, 0);
         };
-        let version = text
-            .trim()
-            .split_once('.')
-            .and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)));
+        let version =
+            text.trim().split_once('.').and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)));
         if !matches!(version, Some((1, 0..=2))) {
             self.warnings.push(Warning::new(
                 self.read.file,
@@ -270,10 +239,7 @@ impl Writer<'_> {
 
     fn mesh(&mut self, node: Node<'_, '_>, owner: &str) -> Result<(), RobotError> {
         let filename = self.read.required_text(node, "filename", owner)?;
-        let scale = self
-            .read
-            .optional_numbers(node, "scale", owner)?
-            .unwrap_or([1.0; 3]);
+        let scale = self.read.optional_numbers(node, "scale", owner)?.unwrap_or([1.0; 3]);
         if scale.contains(&0.0) {
             return Err(self.read.value_error(
                 format!("{owner}, <mesh scale>"),
@@ -335,24 +301,13 @@ impl Writer<'_> {
             }
         }
         let limits = limits.map(|(name, value)| (name, number(value)));
-        let attributes = limits
-            .each_ref()
-            .map(|(name, value)| (*name, value.as_str()));
+        let attributes = limits.each_ref().map(|(name, value)| (*name, value.as_str()));
         self.open("limit", &attributes, true);
 
         if let Some(dynamics) = self.read.only_child(node, "dynamics", owner)? {
-            let [damping] = self
-                .read
-                .optional_numbers(dynamics, "damping", owner)?
-                .unwrap_or([0.0]);
-            let [friction] = self
-                .read
-                .optional_numbers(dynamics, "friction", owner)?
-                .unwrap_or([0.0]);
-            let attributes = [
-                ("damping", &*number(damping)),
-                ("friction", &*number(friction)),
-            ];
+            let [damping] = self.read.optional_numbers(dynamics, "damping", owner)?.unwrap_or([0.0]);
+            let [friction] = self.read.optional_numbers(dynamics, "friction", owner)?.unwrap_or([0.0]);
+            let attributes = [("damping", &*number(damping)), ("friction", &*number(friction))];
             self.open("dynamics", &attributes, true);
         }
         if let Some(mimic) = self.read.only_child(node, "mimic", owner)? {
@@ -368,18 +323,12 @@ impl Writer<'_> {
             self.open("origin", &[("xyz", "0 0 0"), ("rpy", "0 0 0")], true);
             return Ok(());
         };
-        let xyz: [f64; 3] = self
-            .read
-            .optional_numbers(origin, "xyz", owner)?
-            .unwrap_or_default();
+        let xyz: [f64; 3] = self.read.optional_numbers(origin, "xyz", owner)?.unwrap_or_default();
         let rpy: Option<[f64; 3]> = self.read.optional_numbers(origin, "rpy", owner)?;
-        let quaternion: Option<[f64; 4]> =
-            self.read.optional_numbers(origin, "quat_xyzw", owner)?;
+        let quaternion: Option<[f64; 4]> = self.read.optional_numbers(origin, "quat_xyzw", owner)?;
         let rotation = match (rpy, quaternion) {
             (rpy, None) => ("rpy", numbers(&rpy.unwrap_or_default())),
-            (None, Some(q)) if self.quaternions && q.iter().any(|v| *v != 0.0) => {
-                ("quat_xyzw", numbers(&q))
-            }
+            (None, Some(q)) if self.quaternions && q.iter().any(|v| *v != 0.0) => ("quat_xyzw", numbers(&q)),
             _ => {
                 return Err(self.read.value_error(
                     format!("{owner}, <origin quat_xyzw>"),
@@ -388,21 +337,11 @@ impl Writer<'_> {
                 ));
             }
         };
-        self.open(
-            "origin",
-            &[("xyz", &numbers(&xyz)), (rotation.0, &rotation.1)],
-            true,
-        );
+        self.open("origin", &[("xyz", &numbers(&xyz)), (rotation.0, &rotation.1)], true);
         Ok(())
     }
 
-    fn note_unknown_children(
-        &mut self,
-        node: Node<'_, '_>,
-        parent: &'static str,
-        known: &[&str],
-        owner: &str,
-    ) {
+    fn note_unknown_children(&mut self, node: Node<'_, '_>, parent: &'static str, known: &[&str], owner: &str) {
         for child in node.children().filter(Node::is_element) {
             let tag = child.tag_name();
             if tag.namespace() == self.read.namespace && !known.contains(&tag.name()) {
@@ -412,10 +351,7 @@ impl Writer<'_> {
     }
 
     fn note_unread(&mut self, parent: &'static str, tag: &str, owner: &str) {
-        self.unread
-            .entry((parent, tag.to_string()))
-            .or_insert_with(|| (owner.to_string(), 0))
-            .1 += 1;
+        self.unread.entry((parent, tag.to_string())).or_insert_with(|| (owner.to_string(), 0)).1 += 1;
     }
 
     fn open(&mut self, tag: &str, attributes: &[(&str, &str)], empty: bool) {
@@ -436,11 +372,7 @@ fn is_xacro(namespace: &str) -> bool {
 }
 
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-        .replace('\'', "&apos;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;").replace('\'', "&apos;")
 }
 
 /// Shortest text that reads back as the same number.
@@ -449,9 +381,5 @@ fn number(value: f64) -> String {
 }
 
 fn numbers(values: &[f64]) -> String {
-    values
-        .iter()
-        .map(|value| number(*value))
-        .collect::<Vec<_>>()
-        .join(" ")
+    values.iter().map(|value| number(*value)).collect::<Vec<_>>().join(" ")
 }

@@ -17,10 +17,7 @@ pub(super) struct ZeroPose<'a> {
 
 impl<'a> ZeroPose<'a> {
     pub fn new(model: &'a Model) -> Self {
-        Self {
-            model,
-            links: model.forward_kinematics(&[]),
-        }
+        Self { model, links: model.forward_kinematics(&[]) }
     }
 
     /// Origin of a joint in the base frame, m.
@@ -44,9 +41,7 @@ impl<'a> ZeroPose<'a> {
     pub fn chain_to(&self, link: usize) -> Vec<usize> {
         let above = |link: &usize| self.model.parent(*link).filter(|parent| *parent != 0);
         let first = Some(link).filter(|link| *link != 0);
-        let mut joints: Vec<usize> = std::iter::successors(first, above)
-            .map(|link| link - 1)
-            .collect();
+        let mut joints: Vec<usize> = std::iter::successors(first, above).map(|link| link - 1).collect();
         joints.reverse();
         joints
     }
@@ -60,21 +55,11 @@ impl<'a> ZeroPose<'a> {
         if by_axes.len() == wanted {
             return by_axes;
         }
-        let by_order = self.candidates(chains, |turning| {
-            self.by_axes(turning).or_else(|| turning.try_into().ok())
-        });
-        if by_order.len() == wanted {
-            by_order
-        } else {
-            by_axes
-        }
+        let by_order = self.candidates(chains, |turning| self.by_axes(turning).or_else(|| turning.try_into().ok()));
+        if by_order.len() == wanted { by_order } else { by_axes }
     }
 
-    fn candidates(
-        &self,
-        chains: &[Vec<usize>],
-        pick: impl Fn(&[usize]) -> Option<[usize; 3]>,
-    ) -> Vec<[usize; 3]> {
+    fn candidates(&self, chains: &[Vec<usize>], pick: impl Fn(&[usize]) -> Option<[usize; 3]>) -> Vec<[usize; 3]> {
         let mut legs = Vec::new();
         for chain in chains {
             let turns = |joint: &usize| self.model.joints[*joint].kind != JointKind::Prismatic;
@@ -122,15 +107,7 @@ impl<'a> ZeroPose<'a> {
                 format!("{name} about ({:.2}, {:.2}, {:.2})", axis.x, axis.y, axis.z)
             })
             .collect();
-        let at = chain
-            .first()
-            .map_or(DVec3::ZERO, |joint| self.position(*joint));
-        format!(
-            "[{}] from ({:.3}, {:.3}, {:.3})",
-            joints.join(" -> "),
-            at.x,
-            at.y,
-            at.z
-        )
+        let at = chain.first().map_or(DVec3::ZERO, |joint| self.position(*joint));
+        format!("[{}] from ({:.3}, {:.3}, {:.3})", joints.join(" -> "), at.x, at.y, at.z)
     }
 }

@@ -25,25 +25,13 @@ impl Diagnosis {
         problem: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self {
-            file: file.to_path_buf(),
-            element: element.into(),
-            problem: problem.into(),
-            remedy: remedy.into(),
-        }
+        Self { file: file.to_path_buf(), element: element.into(), problem: problem.into(), remedy: remedy.into() }
     }
 }
 
 impl fmt::Display for Diagnosis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{}: {}: {}; {}",
-            self.file.display(),
-            self.element,
-            self.problem,
-            self.remedy
-        )
+        write!(f, "{}: {}: {}; {}", self.file.display(), self.element, self.problem, self.remedy)
     }
 }
 
@@ -100,10 +88,7 @@ impl RobotError {
 }
 
 /// `did you mean "x"`, or the known names when none is close.
-pub(super) fn nearest_name<'a>(
-    wanted: &str,
-    known: impl IntoIterator<Item = &'a str> + Clone,
-) -> String {
+pub(super) fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str> + Clone) -> String {
     let closest = known
         .clone()
         .into_iter()

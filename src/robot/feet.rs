@@ -55,16 +55,10 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
             }
         }
     }
-    let farthest = |feet: &mut dyn Iterator<Item = &Foot>| {
-        feet.max_by(|a, b| a.reach.total_cmp(&b.reach)).copied()
-    };
+    let farthest = |feet: &mut dyn Iterator<Item = &Foot>| feet.max_by(|a, b| a.reach.total_cmp(&b.reach)).copied();
     let any = farthest(&mut feet.iter())?;
     let sphere = farthest(&mut feet.iter().filter(|foot| foot.is_sphere));
-    Some(
-        sphere
-            .filter(|foot| foot.reach >= SPHERE_REACH * any.reach)
-            .unwrap_or(any),
-    )
+    Some(sphere.filter(|foot| foot.reach >= SPHERE_REACH * any.reach).unwrap_or(any))
 }
 
 /// Centres (link frame) and radii of the balls with which a shape can touch ground that lies in
@@ -74,11 +68,7 @@ fn contact_balls(shape: &Shape, down: DVec3) -> Vec<(DVec3, f64)> {
     let down = shape.origin.rotation.transpose() * down;
     // A direction along a face or edge leaves its middle.
     let along = |component: f64, half: f64| {
-        if component.abs() < FLAT {
-            0.0
-        } else {
-            half * component.signum()
-        }
+        if component.abs() < FLAT { 0.0 } else { half * component.signum() }
     };
     let balls = match shape.geometry {
         Geometry::Sphere { radius } => vec![(DVec3::ZERO, radius)],
@@ -88,26 +78,15 @@ fn contact_balls(shape: &Shape, down: DVec3) -> Vec<(DVec3, f64)> {
         }
         Geometry::Box { size } => {
             let half = 0.5 * size;
-            let corner = DVec3::new(
-                along(down.x, half.x),
-                along(down.y, half.y),
-                along(down.z, half.z),
-            );
+            let corner = DVec3::new(along(down.x, half.x), along(down.y, half.y), along(down.z, half.z));
             vec![(corner, 0.0)]
         }
         Geometry::Cylinder { radius, length } => {
             let sideways = DVec3::new(down.x, down.y, 0.0);
-            let rim = if sideways.length() < FLAT {
-                DVec3::ZERO
-            } else {
-                sideways.normalize_or_zero() * radius
-            };
+            let rim = if sideways.length() < FLAT { DVec3::ZERO } else { sideways.normalize_or_zero() * radius };
             vec![(rim + DVec3::Z * along(down.z, 0.5 * length), 0.0)]
         }
         Geometry::Mesh { .. } => Vec::new(),
     };
-    balls
-        .into_iter()
-        .map(|(point, radius)| (shape.origin.transform_point(point), radius))
-        .collect()
+    balls.into_iter().map(|(point, radius)| (shape.origin.transform_point(point), radius)).collect()
 }

@@ -20,11 +20,7 @@ pub(super) struct MassProperties {
 }
 
 impl MassProperties {
-    pub const ZERO: Self = Self {
-        mass: 0.0,
-        com: DVec3::ZERO,
-        inertia: DMat3::ZERO,
-    };
+    pub const ZERO: Self = Self { mass: 0.0, com: DVec3::ZERO, inertia: DMat3::ZERO };
 
     /// The same body seen from the frame in which `pose` places the present one.
     pub fn transformed(&self, pose: &Pose) -> Self {
@@ -40,17 +36,9 @@ impl MassProperties {
     /// Both bodies as one, by the parallel-axis theorem about the common centre of mass.
     pub fn joined(&self, other: &Self) -> Self {
         let mass = self.mass + other.mass;
-        let com = if mass > 0.0 {
-            (self.com * self.mass + other.com * other.mass) / mass
-        } else {
-            DVec3::ZERO
-        };
+        let com = if mass > 0.0 { (self.com * self.mass + other.com * other.mass) / mass } else { DVec3::ZERO };
         let about_com = |part: &Self| part.inertia + point_inertia(part.mass, part.com - com);
-        Self {
-            mass,
-            com,
-            inertia: about_com(self) + about_com(other),
-        }
+        Self { mass, com, inertia: about_com(self) + about_com(other) }
     }
 
     pub fn is_finite(&self) -> bool {
@@ -115,33 +103,20 @@ mod tests {
 
     #[test]
     fn two_points_make_a_dumbbell() {
-        let point = |mass, x| MassProperties {
-            mass,
-            com: DVec3::new(x, 0.0, 0.0),
-            inertia: DMat3::ZERO,
-        };
+        let point = |mass, x| MassProperties { mass, com: DVec3::new(x, 0.0, 0.0), inertia: DMat3::ZERO };
         // reduced mass 1 * 3 / 4 at distance 2: 0.75 * 4 = 3
         let both = point(1.0, -1.0).joined(&point(3.0, 1.0));
         assert_eq!(both.mass, 4.0);
         assert_eq!(both.com, DVec3::new(0.5, 0.0, 0.0));
-        assert_eq!(
-            both.inertia,
-            DMat3::from_diagonal(DVec3::new(0.0, 3.0, 3.0))
-        );
+        assert_eq!(both.inertia, DMat3::from_diagonal(DVec3::new(0.0, 3.0, 3.0)));
     }
 
     #[test]
     fn a_turned_body_has_the_same_principal_moments() {
-        let body = MassProperties {
-            mass: 1.0,
-            com: DVec3::ZERO,
-            inertia: DMat3::from_diagonal(DVec3::new(2.0, 1.0, 2.5)),
-        };
+        let body =
+            MassProperties { mass: 1.0, com: DVec3::ZERO, inertia: DMat3::from_diagonal(DVec3::new(2.0, 1.0, 2.5)) };
         let turned = body.transformed(&Pose::from_xyz_rpy(DVec3::X, DVec3::new(0.4, -1.1, 2.2)));
-        for (moment, expected) in principal_moments(&turned.inertia)
-            .iter()
-            .zip([1.0, 2.0, 2.5])
-        {
+        for (moment, expected) in principal_moments(&turned.inertia).iter().zip([1.0, 2.0, 2.5]) {
             assert!((moment - expected).abs() < 1e-14, "{moment} {expected}");
         }
         assert_eq!(turned.inertia_fault(), None);
@@ -149,19 +124,10 @@ mod tests {
 
     #[test]
     fn faults_are_told_apart() {
-        let with = |inertia| MassProperties {
-            inertia,
-            ..MassProperties::ZERO
-        };
+        let with = |inertia| MassProperties { inertia, ..MassProperties::ZERO };
         let flat = with(DMat3::from_diagonal(DVec3::new(1.0, 1.0, 3.0)));
-        assert!(matches!(
-            flat.inertia_fault(),
-            Some(InertiaFault::TriangleInequality(_))
-        ));
+        assert!(matches!(flat.inertia_fault(), Some(InertiaFault::TriangleInequality(_))));
         let singular = with(DMat3::from_cols_array(&[1e-3; 9]));
-        assert!(matches!(
-            singular.inertia_fault(),
-            Some(InertiaFault::NotPositiveDefinite(_))
-        ));
+        assert!(matches!(singular.inertia_fault(), Some(InertiaFault::NotPositiveDefinite(_))));
     }
 }

@@ -77,16 +77,10 @@ impl Merger<'_> {
             };
             let Some(kind) = moving_kind(&joint.joint_type) else {
                 let problem = format!("a {:?} joint cannot be locked", joint.joint_type);
-                return error(
-                    problem.to_lowercase(),
-                    "lock revolute, continuous or prismatic joints".into(),
-                );
+                return error(problem.to_lowercase(), "lock revolute, continuous or prismatic joints".into());
             };
             if !position.is_finite() {
-                return error(
-                    format!("its position {position} is not finite"),
-                    "write rad or m".into(),
-                );
+                return error(format!("its position {position} is not finite"), "write rad or m".into());
             }
             let (lower, upper) = (joint.limit.lower, joint.limit.upper);
             if kind != JointKind::Continuous && !(lower..=upper).contains(&position) {
@@ -114,10 +108,7 @@ impl Merger<'_> {
         }
         // The earliest joint of the file whose parent is there already; as the joints form a
         // tree there always is one.
-        while let Some(next) = pending
-            .iter()
-            .position(|(joint, _)| self.places[self.tree.ends[*joint].0].is_some())
-        {
+        while let Some(next) = pending.iter().position(|(joint, _)| self.places[self.tree.ends[*joint].0].is_some()) {
             let (index, kind) = pending.remove(next);
             let (parent, child) = self.tree.ends[index];
             if let Some(place) = self.places[parent] {
@@ -193,10 +184,7 @@ impl Merger<'_> {
             return Err(RobotError::Unsupported(Diagnosis::new(
                 self.file,
                 element,
-                format!(
-                    "it mimics \"{}\"; coupled joints are not modelled",
-                    mimic.joint
-                ),
+                format!("it mimics \"{}\"; coupled joints are not modelled", mimic.joint),
                 "remove <mimic>, or lock the joint",
             )));
         }
@@ -212,17 +200,11 @@ impl Merger<'_> {
             Err(RobotError::Value(diagnosis))
         };
         if lower > upper {
-            return value_error(
-                format!("its lower limit {lower} is above its upper limit {upper}"),
-                "swap them",
-            );
+            return value_error(format!("its lower limit {lower} is above its upper limit {upper}"), "swap them");
         }
-        for (name, value) in [
-            ("effort", effort),
-            ("velocity", velocity),
-            ("damping", dynamics.damping),
-            ("friction", dynamics.friction),
-        ] {
+        for (name, value) in
+            [("effort", effort), ("velocity", velocity), ("damping", dynamics.damping), ("friction", dynamics.friction)]
+        {
             if value < 0.0 {
                 return value_error(format!("negative {name} {value}"), "write its magnitude");
             }
@@ -232,39 +214,23 @@ impl Merger<'_> {
             return value_error("its origin overflows".into(), "write metres");
         }
         let mut warn = |problem: String, remedy: &str| {
-            self.warnings
-                .push(Warning::new(self.file, element.clone(), problem, remedy));
+            self.warnings.push(Warning::new(self.file, element.clone(), problem, remedy));
         };
         let length = DVec3::from_array(*joint.axis.xyz).length();
         if (length - 1.0).abs() > 1e-6 {
-            warn(
-                format!("its axis has length {length} and is normalised"),
-                "write a unit vector",
-            );
+            warn(format!("its axis has length {length} and is normalised"), "write a unit vector");
         }
         if kind != JointKind::Continuous && (lower.is_infinite() || upper.is_infinite()) {
-            warn(
-                format!("its position limits are {lower} .. {upper}"),
-                "give <limit> a lower and an upper",
-            );
+            warn(format!("its position limits are {lower} .. {upper}"), "give <limit> a lower and an upper");
         }
         if lower == upper {
-            warn(
-                format!("it can only stay at {lower}"),
-                "make it fixed, or lock it",
-            );
+            warn(format!("it can only stay at {lower}"), "make it fixed, or lock it");
         }
         if effort == 0.0 {
-            warn(
-                "zero effort: the joint cannot be driven".into(),
-                "write its effort limit",
-            );
+            warn("zero effort: the joint cannot be driven".into(), "write its effort limit");
         }
         if velocity == 0.0 {
-            warn(
-                "zero velocity: the joint may not move".into(),
-                "write its velocity limit",
-            );
+            warn("zero velocity: the joint may not move".into(), "write its velocity limit");
         }
         Ok(Joint {
             name: joint.name.clone(),
@@ -285,10 +251,7 @@ impl Merger<'_> {
     fn links(&mut self) -> Result<Vec<Link>, RobotError> {
         let mut links = Vec::with_capacity(self.parts.len());
         for parts in std::mem::take(&mut self.parts) {
-            let with_mass = parts
-                .iter()
-                .filter(|part| self.robot.links[**part].inertial.mass.value > 0.0)
-                .count();
+            let with_mass = parts.iter().filter(|part| self.robot.links[**part].inertial.mass.value > 0.0).count();
             let mut whole = MassProperties::ZERO;
             for &part in &parts {
                 let own = mass_properties(&self.robot.links[part].inertial);
@@ -299,9 +262,7 @@ impl Merger<'_> {
                     whole = whole.joined(&own.transformed(&place));
                 }
             }
-            let names = parts
-                .iter()
-                .map(|part| self.robot.links[*part].name.clone());
+            let names = parts.iter().map(|part| self.robot.links[*part].name.clone());
             let mut names = names.collect::<Vec<_>>().into_iter();
             let link = Link {
                 name: names.next().unwrap_or_default(),
@@ -350,10 +311,9 @@ impl Merger<'_> {
             );
         }
         match whole.inertia_fault() {
-            Some(fault @ InertiaFault::NotPositiveDefinite(_)) => error(
-                describe(fault),
-                "write the inertia about the centre of mass, in kg m^2",
-            ),
+            Some(fault @ InertiaFault::NotPositiveDefinite(_)) => {
+                error(describe(fault), "write the inertia about the centre of mass, in kg m^2")
+            }
             Some(fault) => {
                 self.warnings.push(Warning::new(
                     self.file,
@@ -391,11 +351,7 @@ fn mass_properties(inertial: &urdf_rs::Inertial) -> MassProperties {
     let about_com = MassProperties {
         mass: inertial.mass.value,
         com: DVec3::ZERO,
-        inertia: DMat3::from_cols_array_2d(&[
-            [i.ixx, i.ixy, i.ixz],
-            [i.ixy, i.iyy, i.iyz],
-            [i.ixz, i.iyz, i.izz],
-        ]),
+        inertia: DMat3::from_cols_array_2d(&[[i.ixx, i.ixy, i.ixz], [i.ixy, i.iyy, i.iyz], [i.ixz, i.iyz, i.izz]]),
     };
     about_com.transformed(&Pose::from_urdf(&inertial.origin))
 }
@@ -403,14 +359,10 @@ fn mass_properties(inertial: &urdf_rs::Inertial) -> MassProperties {
 fn describe(fault: InertiaFault) -> String {
     match fault {
         InertiaFault::NotPositiveDefinite([a, b, c]) => {
-            format!(
-                "its inertia is not positive definite (principal moments {a:.3e}, {b:.3e}, {c:.3e} kg m^2)"
-            )
+            format!("its inertia is not positive definite (principal moments {a:.3e}, {b:.3e}, {c:.3e} kg m^2)")
         }
         InertiaFault::TriangleInequality([a, b, c]) => {
-            format!(
-                "its inertia violates the triangle inequality (principal moments {a:.3e}, {b:.3e}, {c:.3e} kg m^2)"
-            )
+            format!("its inertia violates the triangle inequality (principal moments {a:.3e}, {b:.3e}, {c:.3e} kg m^2)")
         }
     }
 }

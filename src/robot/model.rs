@@ -170,11 +170,7 @@ impl Model {
 
     /// Indices of the links whose parent is `link`, in joint order.
     pub fn children(&self, link: usize) -> impl Iterator<Item = usize> {
-        self.joints
-            .iter()
-            .enumerate()
-            .filter(move |(_, joint)| joint.parent == link)
-            .map(|(index, _)| index + 1)
+        self.joints.iter().enumerate().filter(move |(_, joint)| joint.parent == link).map(|(index, _)| index + 1)
     }
 
     /// Index of the link that `link` hangs on; `None` for the base.

@@ -15,52 +15,35 @@ pub struct Pose {
 
 impl Pose {
     /// The frame itself.
-    pub const IDENTITY: Self = Self {
-        rotation: DMat3::IDENTITY,
-        translation: DVec3::ZERO,
-    };
+    pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
 
     /// URDF `<origin>`: `xyz` in m, `rpy` in rad about the fixed x, y and z axes, in this order
     /// (`R = Rz(yaw) Ry(pitch) Rx(roll)`).
     pub fn from_xyz_rpy(xyz: DVec3, rpy: DVec3) -> Self {
         Self {
-            rotation: DMat3::from_rotation_z(rpy.z)
-                * DMat3::from_rotation_y(rpy.y)
-                * DMat3::from_rotation_x(rpy.x),
+            rotation: DMat3::from_rotation_z(rpy.z) * DMat3::from_rotation_y(rpy.y) * DMat3::from_rotation_x(rpy.x),
             translation: xyz,
         }
     }
 
     pub(super) fn from_urdf(origin: &urdf_rs::Pose) -> Self {
-        Self::from_xyz_rpy(
-            DVec3::from_array(*origin.xyz),
-            DVec3::from_array(*origin.rpy),
-        )
+        Self::from_xyz_rpy(DVec3::from_array(*origin.xyz), DVec3::from_array(*origin.rpy))
     }
 
     /// Rotation by `angle` (rad) about the unit vector `axis`.
     pub fn from_axis_angle(axis: DVec3, angle: f64) -> Self {
-        Self {
-            rotation: DMat3::from_axis_angle(axis, angle),
-            translation: DVec3::ZERO,
-        }
+        Self { rotation: DMat3::from_axis_angle(axis, angle), translation: DVec3::ZERO }
     }
 
     /// Pure translation, m.
     pub fn from_translation(translation: DVec3) -> Self {
-        Self {
-            rotation: DMat3::IDENTITY,
-            translation,
-        }
+        Self { rotation: DMat3::IDENTITY, translation }
     }
 
     /// The transform the other way round.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
-        Self {
-            rotation,
-            translation: -(rotation * self.translation),
-        }
+        Self { rotation, translation: -(rotation * self.translation) }
     }
 
     /// A point of the child frame, in the parent frame.
@@ -78,10 +61,7 @@ impl Mul for Pose {
     type Output = Pose;
 
     fn mul(self, child: Pose) -> Pose {
-        Pose {
-            rotation: self.rotation * child.rotation,
-            translation: self.transform_point(child.translation),
-        }
+        Pose { rotation: self.rotation * child.rotation, translation: self.transform_point(child.translation) }
     }
 }
 

@@ -29,9 +29,8 @@ impl Reader<'_> {
 
     pub fn children<'n, 'd>(&self, node: Node<'n, 'd>, tag: &'static str) -> Vec<Node<'n, 'd>> {
         let namespace = self.namespace;
-        let wanted = |n: &Node<'_, '_>| {
-            n.is_element() && n.tag_name().name() == tag && n.tag_name().namespace() == namespace
-        };
+        let wanted =
+            |n: &Node<'_, '_>| n.is_element() && n.tag_name().name() == tag && n.tag_name().namespace() == namespace;
         node.children().filter(wanted).collect()
     }
 
@@ -44,11 +43,7 @@ impl Reader<'_> {
         match self.children(node, tag)[..] {
             [] => Ok(None),
             [child] => Ok(Some(child)),
-            _ => Err(self.value_error(
-                format!("{owner}, <{tag}>"),
-                "is there more than once",
-                "keep one",
-            )),
+            _ => Err(self.value_error(format!("{owner}, <{tag}>"), "is there more than once", "keep one")),
         }
     }
 
@@ -64,12 +59,7 @@ impl Reader<'_> {
         })
     }
 
-    pub fn required_text<'n>(
-        &self,
-        node: Node<'n, '_>,
-        attribute: &str,
-        owner: &str,
-    ) -> Result<&'n str, RobotError> {
+    pub fn required_text<'n>(&self, node: Node<'n, '_>, attribute: &str, owner: &str) -> Result<&'n str, RobotError> {
         node.attribute(attribute)
             .filter(|text| !text.trim().is_empty())
             .ok_or_else(|| self.missing(node, attribute, owner))
@@ -81,8 +71,7 @@ impl Reader<'_> {
         attribute: &str,
         owner: &str,
     ) -> Result<[f64; N], RobotError> {
-        self.optional_numbers(node, attribute, owner)?
-            .ok_or_else(|| self.missing(node, attribute, owner))
+        self.optional_numbers(node, attribute, owner)?.ok_or_else(|| self.missing(node, attribute, owner))
     }
 
     pub fn lengths<const N: usize>(

@@ -17,8 +17,8 @@ pub const ROLES: [&str; 3] = ["HAA", "HFE", "KFE"];
 
 /// Canonical joints in slot order: role-major, legs inside (`slot = 4 * role + leg`).
 pub const CANONICAL_JOINT_NAMES: [&str; 12] = [
-    "LF_HAA", "LH_HAA", "RF_HAA", "RH_HAA", "LF_HFE", "LH_HFE", "RF_HFE", "RH_HFE", "LF_KFE",
-    "LH_KFE", "RF_KFE", "RH_KFE",
+    "LF_HAA", "LH_HAA", "RF_HAA", "RH_HAA", "LF_HFE", "LH_HFE", "RF_HFE", "RH_HFE", "LF_KFE", "LH_KFE", "RF_KFE",
+    "RH_KFE",
 ];
 
 /// How a quadruped's joints and bodies map to canonical ones.
@@ -68,10 +68,7 @@ pub fn detect(
     joint_overrides: &BTreeMap<String, String>,
     foot_overrides: &BTreeMap<String, String>,
 ) -> Result<Roles, RobotError> {
-    let detector = Detector {
-        model,
-        pose: ZeroPose::new(model),
-    };
+    let detector = Detector { model, pose: ZeroPose::new(model) };
     let named_joints = detector.named_joints(joint_overrides)?;
     let named_feet = detector.named_feet(foot_overrides)?;
     let mut legs = detector.legs(&named_joints)?;
@@ -82,12 +79,8 @@ pub fn detect(
     }
     detector.refuse_shared_joints(&legs)?;
 
-    let mut roles = Roles {
-        joint_of_slot: [0; 12],
-        foot_body: [0; 4],
-        foot_point: [DVec3::ZERO; 4],
-        foot_radius: [0.0; 4],
-    };
+    let mut roles =
+        Roles { joint_of_slot: [0; 12], foot_body: [0; 4], foot_point: [DVec3::ZERO; 4], foot_radius: [0.0; 4] };
     for (index, leg) in legs.iter().enumerate() {
         for (role, joint) in leg.iter().enumerate() {
             roles.joint_of_slot[4 * role + index] = *joint;
@@ -130,10 +123,7 @@ struct Detector<'a> {
 }
 
 impl Detector<'_> {
-    fn named_joints(
-        &self,
-        overrides: &BTreeMap<String, String>,
-    ) -> Result<[Option<usize>; 12], RobotError> {
+    fn named_joints(&self, overrides: &BTreeMap<String, String>) -> Result<[Option<usize>; 12], RobotError> {
         let mut named = [None; 12];
         for (canonical, name) in overrides {
             let slot = CANONICAL_JOINT_NAMES.iter().position(|n| n == canonical);
@@ -151,15 +141,13 @@ impl Detector<'_> {
         Ok(named)
     }
 
-    fn named_feet(
-        &self,
-        overrides: &BTreeMap<String, String>,
-    ) -> Result<[Option<usize>; 4], RobotError> {
+    fn named_feet(&self, overrides: &BTreeMap<String, String>) -> Result<[Option<usize>; 4], RobotError> {
         let mut named = [None; 4];
         for (leg, name) in overrides {
-            let index = LEGS.iter().position(|known| known == leg).ok_or_else(|| {
-                self.option_error("feet", leg, "is no leg", nearest_name(leg, LEGS))
-            })?;
+            let index = LEGS
+                .iter()
+                .position(|known| known == leg)
+                .ok_or_else(|| self.option_error("feet", leg, "is no leg", nearest_name(leg, LEGS)))?;
             let bodies = &self.model.bodies;
             let body = bodies.iter().position(|body| body.name == *name);
             let body = body.ok_or_else(|| {
@@ -185,10 +173,7 @@ impl Detector<'_> {
             let legs = found.len() + 4 - wanted;
             return Err(self.roles_error(
                 "<robot>",
-                format!(
-                    "{legs} legs were found instead of 4: {}",
-                    self.list(&chains)
-                ),
+                format!("{legs} legs were found instead of 4: {}", self.list(&chains)),
                 "name all joints of the legs in joint_roles, or lock the joints that are no legs'",
             ));
         }
@@ -199,16 +184,11 @@ impl Detector<'_> {
             None => self.pose.position(leg[2]),
         };
         // Where the hips do not tell the corners apart, the feet may.
-        let corners = self
-            .corners(&legs, &found, &hip)
-            .or_else(|| self.corners(&legs, &found, &foot));
+        let corners = self.corners(&legs, &found, &hip).or_else(|| self.corners(&legs, &found, &foot));
         let Some(corners) = corners else {
             return Err(self.roles_error(
                 "<robot>",
-                format!(
-                    "the legs are not one at each corner of the base: {}",
-                    self.list(&found)
-                ),
+                format!("the legs are not one at each corner of the base: {}", self.list(&found)),
                 "let the base frame have x forward and y left, or name the joints in joint_roles",
             ));
         };
@@ -261,12 +241,7 @@ impl Detector<'_> {
         Ok(())
     }
 
-    fn foot(
-        &self,
-        leg: usize,
-        joints: &LegJoints,
-        named: Option<usize>,
-    ) -> Result<Foot, RobotError> {
+    fn foot(&self, leg: usize, joints: &LegJoints, named: Option<usize>) -> Result<Foot, RobotError> {
         if let Some(body) = named
             && !self.pose.is_below(self.model.bodies[body].link, joints[0])
         {
@@ -275,16 +250,11 @@ impl Detector<'_> {
             return Err(self.option_error("feet", LEGS[leg], problem, remedy));
         }
         feet::find(&self.pose, joints[2], named).ok_or_else(|| {
-            let shank = named.map_or_else(
-                || &self.model.links[joints[2] + 1].name,
-                |body| &self.model.bodies[body].name,
-            );
+            let shank =
+                named.map_or_else(|| &self.model.links[joints[2] + 1].name, |body| &self.model.bodies[body].name);
             self.roles_error(
                 format!("link \"{shank}\""),
-                format!(
-                    "leg {} has no collision shape for a foot there, or only meshes",
-                    LEGS[leg]
-                ),
+                format!("leg {} has no collision shape for a foot there, or only meshes", LEGS[leg]),
                 "add a <collision> with a <sphere>, or name the foot's link in feet",
             )
         })
@@ -294,20 +264,11 @@ impl Detector<'_> {
         if chains.is_empty() {
             return "it has no chains of moving joints".to_string();
         }
-        let listed: Vec<String> = chains
-            .iter()
-            .map(|chain| self.pose.describe(chain.as_ref()))
-            .collect();
+        let listed: Vec<String> = chains.iter().map(|chain| self.pose.describe(chain.as_ref())).collect();
         listed.join(", ")
     }
 
-    fn option_error(
-        &self,
-        table: &str,
-        key: &str,
-        problem: impl Into<String>,
-        remedy: String,
-    ) -> RobotError {
+    fn option_error(&self, table: &str, key: &str, problem: impl Into<String>, remedy: String) -> RobotError {
         let element = format!("{table}.{key}");
         RobotError::Options(Diagnosis::new(&self.model.source, element, problem, remedy))
     }

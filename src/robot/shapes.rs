@@ -26,30 +26,17 @@ pub(super) fn bodies(
         let mut shapes = Vec::with_capacity(link.collision.len());
         for collision in &link.collision {
             match geometry(&collision.geometry, file, options) {
-                Ok(geometry) => shapes.push(Shape {
-                    geometry,
-                    origin: place * Pose::from_urdf(&collision.origin),
-                }),
+                Ok(geometry) => shapes.push(Shape { geometry, origin: place * Pose::from_urdf(&collision.origin) }),
                 Err(missing) => warnings.push(Warning::new(
                     file,
                     format!("link \"{}\", <collision>", link.name),
-                    format!(
-                        "mesh \"{}\" is not found; the shape is left out",
-                        missing.filename
-                    ),
-                    format!(
-                        "{}, or use a sphere, box, cylinder or capsule",
-                        missing.remedy
-                    ),
+                    format!("mesh \"{}\" is not found; the shape is left out", missing.filename),
+                    format!("{}, or use a sphere, box, cylinder or capsule", missing.remedy),
                 )),
             }
         }
         if !shapes.is_empty() {
-            bodies.push(Body {
-                name: link.name.clone(),
-                link: merged,
-                shapes,
-            });
+            bodies.push(Body { name: link.name.clone(), link: merged, shapes });
         }
     }
     bodies
@@ -61,24 +48,12 @@ struct MissingMesh {
     remedy: String,
 }
 
-fn geometry(
-    geometry: &urdf_rs::Geometry,
-    file: &Path,
-    options: &LoadOptions,
-) -> Result<Geometry, MissingMesh> {
+fn geometry(geometry: &urdf_rs::Geometry, file: &Path, options: &LoadOptions) -> Result<Geometry, MissingMesh> {
     Ok(match geometry {
         urdf_rs::Geometry::Sphere { radius } => Geometry::Sphere { radius: *radius },
-        urdf_rs::Geometry::Box { size } => Geometry::Box {
-            size: DVec3::from_array(**size),
-        },
-        urdf_rs::Geometry::Cylinder { radius, length } => Geometry::Cylinder {
-            radius: *radius,
-            length: *length,
-        },
-        urdf_rs::Geometry::Capsule { radius, length } => Geometry::Capsule {
-            radius: *radius,
-            length: *length,
-        },
+        urdf_rs::Geometry::Box { size } => Geometry::Box { size: DVec3::from_array(**size) },
+        urdf_rs::Geometry::Cylinder { radius, length } => Geometry::Cylinder { radius: *radius, length: *length },
+        urdf_rs::Geometry::Capsule { radius, length } => Geometry::Capsule { radius: *radius, length: *length },
         urdf_rs::Geometry::Mesh { filename, scale } => Geometry::Mesh {
             path: resolve(filename, file, options).ok_or_else(|| MissingMesh {
                 filename: filename.clone(),
@@ -106,9 +81,7 @@ fn resolve(filename: &str, source: &Path, options: &LoadOptions) -> Option<PathB
     match package_of(filename) {
         Some((package, rest)) => match options.package_dirs.get(package) {
             Some(root) => existing(root.join(rest)),
-            None => directory
-                .ancestors()
-                .find_map(|ancestor| existing(ancestor.join(package).join(rest))),
+            None => directory.ancestors().find_map(|ancestor| existing(ancestor.join(package).join(rest))),
         },
         None => {
             let path = filename.strip_prefix("file://").unwrap_or(filename);
@@ -119,8 +92,5 @@ fn resolve(filename: &str, source: &Path, options: &LoadOptions) -> Option<PathB
 
 /// Splits `package://<package>/<rest>`.
 fn package_of(filename: &str) -> Option<(&str, &str)> {
-    filename
-        .strip_prefix("package://")
-        .or_else(|| filename.strip_prefix("model://"))?
-        .split_once('/')
+    filename.strip_prefix("package://").or_else(|| filename.strip_prefix("model://"))?.split_once('/')
 }

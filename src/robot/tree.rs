@@ -24,22 +24,12 @@ impl Tree {
     /// # Errors
     /// [`RobotError::Structure`] for repeated names, unknown or twice hung links, loops, and
     /// anything but one root.
-    pub fn build(
-        robot: &urdf_rs::Robot,
-        file: &Path,
-        warnings: &mut Vec<Warning>,
-    ) -> Result<Self, RobotError> {
+    pub fn build(robot: &urdf_rs::Robot, file: &Path, warnings: &mut Vec<Warning>) -> Result<Self, RobotError> {
         let error = |element: String, problem: String, remedy: &str| {
-            Err(RobotError::Structure(Diagnosis::new(
-                file, element, problem, remedy,
-            )))
+            Err(RobotError::Structure(Diagnosis::new(file, element, problem, remedy)))
         };
         if robot.links.is_empty() {
-            return error(
-                "<robot>".into(),
-                "has no links".into(),
-                "add a <link> for each rigid part",
-            );
+            return error("<robot>".into(), "has no links".into(), "add a <link> for each rigid part");
         }
         let mut link_of: HashMap<&str, usize> = HashMap::new();
         for (index, link) in robot.links.iter().enumerate() {
@@ -58,16 +48,11 @@ impl Tree {
         for (index, joint) in robot.joints.iter().enumerate() {
             let element = format!("joint \"{}\"", joint.name);
             if names.insert(&joint.name, index).is_some() {
-                return error(
-                    element,
-                    "is defined twice".into(),
-                    "rename or remove one of them",
-                );
+                return error(element, "is defined twice".into(), "rename or remove one of them");
             }
             let mut end = [0; 2];
-            for (slot, (role, name)) in end
-                .iter_mut()
-                .zip([("parent", &joint.parent.link), ("child", &joint.child.link)])
+            for (slot, (role, name)) in
+                end.iter_mut().zip([("parent", &joint.parent.link), ("child", &joint.child.link)])
             {
                 let Some(&link) = link_of.get(name.as_str()) else {
                     let known = robot.links.iter().map(|link| link.name.as_str());
@@ -80,10 +65,7 @@ impl Tree {
             if let Some(other) = joint_above[child].replace(index) {
                 return error(
                     format!("link \"{}\"", robot.links[child].name),
-                    format!(
-                        "hangs on two joints, \"{}\" and \"{}\"",
-                        robot.joints[other].name, joint.name
-                    ),
+                    format!("hangs on two joints, \"{}\" and \"{}\"", robot.joints[other].name, joint.name),
                     "cut the loop: a link has one parent",
                 );
             }
@@ -91,16 +73,9 @@ impl Tree {
             ends.push((parent, child));
         }
 
-        let roots: Vec<usize> = (0..robot.links.len())
-            .filter(|link| joint_above[*link].is_none())
-            .collect();
+        let roots: Vec<usize> = (0..robot.links.len()).filter(|link| joint_above[*link].is_none()).collect();
         let mut tree = match roots[..] {
-            [root] => Self {
-                root,
-                ends,
-                joints_below,
-                dropped_joint: None,
-            },
+            [root] => Self { root, ends, joints_below, dropped_joint: None },
             [] => {
                 return error(
                     "<robot>".into(),
@@ -109,10 +84,7 @@ impl Tree {
                 );
             }
             _ => {
-                let names: Vec<&str> = roots
-                    .iter()
-                    .map(|r| robot.links[*r].name.as_str())
-                    .collect();
+                let names: Vec<&str> = roots.iter().map(|r| robot.links[*r].name.as_str()).collect();
                 return error(
                     "<robot>".into(),
                     format!("has {} root links: {}", roots.len(), names.join(", ")),
@@ -137,22 +109,13 @@ impl Tree {
         let mut stack = vec![self.root];
         while let Some(link) = stack.pop() {
             reached[link] = true;
-            stack.extend(
-                self.joints_below[link]
-                    .iter()
-                    .map(|joint| self.ends[*joint].1),
-            );
+            stack.extend(self.joints_below[link].iter().map(|joint| self.ends[*joint].1));
         }
         reached.iter().position(|reached| !reached)
     }
 
     /// The base floats anyway, so that an empty link above it on a floating joint says nothing.
-    fn drop_floating_root(
-        &mut self,
-        robot: &urdf_rs::Robot,
-        file: &Path,
-        warnings: &mut Vec<Warning>,
-    ) {
+    fn drop_floating_root(&mut self, robot: &urdf_rs::Robot, file: &Path, warnings: &mut Vec<Warning>) {
         let root = &robot.links[self.root];
         let [joint] = self.joints_below[self.root][..] else {
             return;

@@ -56,11 +56,9 @@ fn parse(canonical: &Canonical, file: &Path) -> Result<urdf_rs::Robot, RobotErro
             "compare the file with the URDF specification, or reduce it to find the element",
         ))
     };
-    let robot = catch_unwind(AssertUnwindSafe(|| {
-        urdf_rs::read_from_string(&canonical.text)
-    }))
-    .map_err(|_| failure("the URDF parser panicked".to_string()))?
-    .map_err(|error| failure(format!("the URDF parser refused it ({error})")))?;
+    let robot = catch_unwind(AssertUnwindSafe(|| urdf_rs::read_from_string(&canonical.text)))
+        .map_err(|_| failure("the URDF parser panicked".to_string()))?
+        .map_err(|error| failure(format!("the URDF parser refused it ({error})")))?;
     let links = robot.links.iter().map(|link| &link.name);
     let joints = robot.joints.iter().map(|joint| &joint.name);
     if !links.eq(&canonical.links) || !joints.eq(&canonical.joints) {
