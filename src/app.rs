@@ -228,6 +228,7 @@ impl Sim {
         }
         for (env, mut episode) in self.world.query::<(&EnvId, &mut Episode)>().iter_mut(&mut self.world) {
             episode.needs_reset = mask.is_none_or(|mask| mask[env.0 as usize]);
+            episode.fresh = false;
         }
         self.world.resource_mut::<ResetRequest>().0 = true;
         self.world.run_schedule(ResetEnvs);

@@ -86,6 +86,8 @@ pub struct Episode {
     pub invalid: bool,
     /// The logs have counted the episode.
     pub logged: bool,
+    /// It has just begun: no control step since the reset.
+    pub fresh: bool,
 }
 
 impl Episode {

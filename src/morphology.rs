@@ -1,12 +1,12 @@
 //! What a kind of robot is: its URDF and its config brought together, ready for the engine and the task.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use bevy_ecs::prelude::Resource;
 use glam::{DMat3, DVec3};
 
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
+use crate::dynamics::contact::MAX_DEPTH;
 use crate::dynamics::{
     Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
 };
@@ -92,6 +92,15 @@ impl MorphologyModel {
             default_position[joint] = default_pose[slot];
         }
         let (topology, nominal) = articulation(&model, &roles, &actuators);
+        if topology.max_depth() > MAX_DEPTH {
+            return Err(ConfigError::invalid(
+                config.name.clone(),
+                "urdf",
+                format!("a chain of {} moving joints", topology.max_depth()),
+                format!("lock joints with [locked_joints] until no chain has more than {MAX_DEPTH}"),
+            )
+            .into());
+        }
         let lowest_foot = lowest_foot(&model, &roles, &default_position);
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
@@ -372,14 +381,6 @@ fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
         }
         Geometry::Mesh { .. } => Vec::new(),
     }
-}
-
-/// Whether a URDF on disk makes a robot at all: its articulation without any config.
-///
-/// # Errors
-/// What is wrong with the URDF.
-pub fn load_articulation(path: &Path) -> Result<Model, RobotError> {
-    robot::load(path, &robot::LoadOptions::default())
 }
 
 /// What a deployment must know of a robot to run a policy on it; SI units, physical joint order unless said otherwise.

@@ -1,19 +1,20 @@
 //! Observations: the terms of the policy's observation, side by side, with their noise.
 
 use bevy_ecs::prelude::*;
-use serde::Deserialize;
 
-use super::terms::{CompiledTask, Registry};
+use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam, Views};
 use super::{Autoreset, ResetRequest};
 use crate::batch::Batch;
 use crate::components::{Env, EnvRng, Episode};
 use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
 
-/// Observes all envs.
+/// Observes all envs; after resets that the caller asked for only those that were reset, so that the others keep their
+/// observation and their random streams.
 pub(super) fn observe(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
+    request: Res<ResetRequest>,
     views: ViewParam,
     episodes: Query<&'static Episode>,
     mut batch: ResMut<Batch>,
@@ -25,6 +26,9 @@ pub(super) fn observe(
     let rows = (read_rows(&episodes), write_rows(&mut rngs), out);
     workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out)| {
         for i in 0..n {
+            if request.0 && !episodes[i].fresh {
+                continue;
+            }
             write_observation(&task, &views, first + i, &episodes[i], &mut rngs[i], out.row(i));
         }
     });
@@ -83,10 +87,6 @@ fn write_observation(
         rest = more;
     }
 }
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NoParams {}
 
 /// All built-in observation terms, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {

@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use super::command::{draw_command, steer};
 use super::sense::measure;
-use super::terms::{CompiledTask, Registry};
+use super::terms::{CompiledTask, NoParams, Registry};
 use super::{Autoreset, ResetRequest};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, Env,
@@ -141,7 +141,7 @@ pub(super) fn reset_envs(
                 steer(config, &mut commands[i], imus[i].heading);
             }
             sums[i].clear();
-            episodes[i] = Episode::default();
+            episodes[i] = Episode { fresh: true, ..Episode::default() };
         }
     });
 }
@@ -174,10 +174,6 @@ struct BaseRange {
     /// Range of its heading, rad.
     yaw: [f32; 2],
 }
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NoParams {}
 
 /// All built-in reset events.
 pub(super) fn register(registry: &mut Registry) {

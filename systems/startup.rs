@@ -3,7 +3,7 @@
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::terms::{CompiledTask, Registry};
+use super::terms::{CompiledTask, NoParams, Registry};
 use crate::components::{Body, Env, EnvRng, Morphology, Robot};
 use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -54,10 +54,6 @@ struct Buckets {
     /// Number of equally spaced materials that are drawn from.
     num_buckets: u32,
 }
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NoParams {}
 
 /// All built-in startup events, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {

@@ -4,7 +4,7 @@ use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
 use super::Autoreset;
-use super::terms::{CompiledTask, Registry};
+use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam};
 use crate::batch::Batch;
 use crate::components::Episode;
@@ -28,6 +28,7 @@ pub(super) fn end_episodes(
     workers.for_each_chunk(rows, views.len(), |first, n, (episodes, terminated, truncated)| {
         for i in 0..n {
             let episode = &mut episodes[i];
+            episode.fresh = false;
             let view = views.get(first + i);
             let pending = *autoreset == Autoreset::NextStep && episode.needs_reset;
             if pending {
@@ -90,10 +91,6 @@ impl StateLimits {
             && below(&view.effort.applied, 1e9)
     }
 }
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NoParams {}
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

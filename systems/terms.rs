@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 
 use bevy_ecs::prelude::Resource;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use toml::Table;
 
@@ -22,6 +23,11 @@ pub enum TermError {
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
+
+/// The parameters of a term that has none.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NoParams {}
 
 type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
 type RewardFn = Box<dyn Fn(&RobotView) -> f32 + Send + Sync>;

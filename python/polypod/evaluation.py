@@ -201,7 +201,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
     return evaluate(
         load_policy(state, manifest["policy"]),
         arguments.pop("task", None) or manifest["task"],
-        manifest["robots"] if robots is None else robots,
+        manifest["robot_sources"] if robots is None else robots,
         overrides=overrides,
         **arguments,
     )

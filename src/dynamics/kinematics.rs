@@ -2,7 +2,7 @@
 
 use super::articulation::{Axis, JointMotion, Parameters, Topology};
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, dot, mul_vec, rotate_sym, scale};
+use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, mul_vec, rotate_sym, scale};
 use super::state::{LinkState, Workspace};
 
 /// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
@@ -157,10 +157,4 @@ pub fn point_motion<S: Real>(link: &LinkState<S>, point: &Vec3<S>) -> (Vec3<S>, 
     let at = add(&link.position, &mul_vec(&link.rotation, point));
     let velocity = add(&link.velocity.lin, &cross(&link.velocity.ang, &at));
     (at, velocity)
-}
-
-/// Height of a point in base axes above the base origin, given the world's up direction in base axes.
-#[inline(always)]
-pub fn height<S: Real>(up: &Vec3<S>, point: &Vec3<S>) -> S {
-    dot(up, point)
 }

@@ -33,8 +33,6 @@ pub struct Drive<S> {
     pub targets: Vec<Vec<S>>,
     /// Delay of the targets in physics steps, `[joints]`.
     pub delay: Vec<S>,
-    /// Effort added to the actuators', N m, `[joints]`.
-    pub feedforward: Vec<S>,
 }
 
 /// What one control step reports.
@@ -74,11 +72,7 @@ impl<S: Real> Drive<S> {
     /// Targets zero, no delay, `ages` control steps remembered.
     pub fn zeros(topology: &Topology, ages: usize) -> Self {
         let joints = topology.num_joints();
-        Self {
-            targets: vec![vec![S::zero(); joints]; ages],
-            delay: vec![S::zero(); joints],
-            feedforward: vec![S::zero(); joints],
-        }
+        Self { targets: vec![vec![S::zero(); joints]; ages], delay: vec![S::zero(); joints] }
     }
 }
 

@@ -47,7 +47,7 @@ impl<S: Real> Kernel<S> for ControlStep<'_, S> {
         let Self { topology, settings, parameters, drive, state, report, work } = self;
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
-            physics_step(topology, settings, parameters, &drive.feedforward, state, report, substep, work);
+            physics_step(topology, settings, parameters, state, report, substep, work);
         }
         report_sites(topology, parameters, state, report, work);
     }
@@ -122,7 +122,6 @@ fn physics_step<S: Real>(
     topology: &Topology,
     settings: &StepSettings,
     parameters: &Parameters<S>,
-    feedforward: &[S],
     state: &mut State<S>,
     report: &mut Report<S>,
     substep: usize,
@@ -147,7 +146,7 @@ fn physics_step<S: Real>(
         let slope = work.effort_slope[j] + parameters.joint_damping[j];
         work.factor.inverse_diagonal[j] = slope.mul_add(dt, work.factor.inverse_diagonal[j]);
         let passive = parameters.joint_damping[j] * state.joint_velocity[j];
-        work.rhs_joint[j] = (work.effort[j] + feedforward[j] - passive - work.bias_joint[j]) * dt;
+        work.rhs_joint[j] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
     }
     work.factor.factorise(topology);
 

@@ -44,6 +44,12 @@ fn fill<T: Element + Copy, D: numpy::ndarray::Dimension>(
     Ok(())
 }
 
+/// A shape as Python writes it.
+fn tuple(shape: &[usize]) -> String {
+    let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
+    if let [size] = &sizes[..] { format!("({size},)") } else { format!("({})", sizes.join(", ")) }
+}
+
 /// An argument as a C-contiguous array of the right dtype and shape.
 fn array<'py, T: Element, D: numpy::ndarray::Dimension>(
     name: &str,
@@ -53,11 +59,11 @@ fn array<'py, T: Element, D: numpy::ndarray::Dimension>(
 ) -> PyResult<PyReadonlyArray<'py, T, D>> {
     let Ok(untyped) = value.cast::<PyUntypedArray>() else {
         let got = value.get_type().name()?;
-        return Err(type_error(format!("{name}: a {got}; pass a NumPy array of {dtype} with shape {shape:?}")));
+        return Err(type_error(format!("{name}: a {got}; pass a NumPy array of {dtype} of shape {}", tuple(shape))));
     };
     if untyped.shape() != shape {
-        let got = untyped.shape();
-        return Err(value_error(format!("{name}: shape {got:?}, not {shape:?}; pass one row per env")));
+        let (got, wanted) = (tuple(untyped.shape()), tuple(shape));
+        return Err(value_error(format!("{name}: shape {got}, not {wanted}; pass one row per env")));
     }
     let Ok(typed) = value.cast::<PyArray<T, D>>() else {
         let got = untyped.dtype();

@@ -4,7 +4,6 @@ mod contact_terms;
 mod motion_terms;
 
 use bevy_ecs::prelude::*;
-use serde::Deserialize;
 
 use super::Autoreset;
 use super::terms::{CompiledTask, Registry};
@@ -12,11 +11,6 @@ use super::view::ViewParam;
 use crate::batch::Batch;
 use crate::components::{Episode, EpisodeSums};
 use crate::rows::{Workers, read_rows, write_rows};
-
-/// A term without parameters.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NoParams {}
 
 /// `reward = sum of weight * value * step_dt`, summed per term for the logs.
 ///

@@ -4,8 +4,8 @@
 
 use serde::Deserialize;
 
-use super::{NoParams, exp, norm, sum_of_squares};
-use crate::systems::terms::Registry;
+use super::{exp, norm, sum_of_squares};
+use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
 
 /// Width of a tracking reward, in the units of what is tracked.

@@ -41,10 +41,10 @@ def actions() -> Callable[..., np.ndarray]:
 
 @pytest.fixture
 def cli(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Runs `polypod` with the given arguments in a temporary directory."""
+    """Runs `polypod` with the given arguments in a temporary directory, or in `cwd`."""
 
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, cwd: Path = tmp_path) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "polypod", *arguments]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=170, check=False)
+        return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=170, check=False)
 
     return run

@@ -21,7 +21,7 @@ from common import TASK
         ({"seed": -1}, polypod.ConfigError, "seed=-1"),
         ({"seed": [1, 2]}, TypeError, "seed must be one int"),
         ({"autoreset": "sometimes"}, polypod.ConfigError, "same_step, next_step, disabled"),
-        ({"overrides": ["sim.episode_lenght_s=1.0"]}, polypod.ConfigError, "sim.episode_length_s"),
+        ({"overrides": ["sim.episode_lenght_s=1.0"]}, polypod.ConfigError, "did you mean `episode_length_s`"),
     ],
     ids=lambda value: next(iter(value.items())).__repr__() if isinstance(value, dict) else "",
 )

@@ -87,7 +87,7 @@ def test_list_and_info(main):
         (("train", "--max-iterations", "0"), "--max-iterations"),
         (("train", "--seed", "-1"), "--seed"),
         (("train", "--threads", "0"), "--threads"),
-        (("train", "--set", "sim.episode_lenght_s=1"), "sim.episode_length_s"),
+        (("train", "--set", "sim.episode_lenght_s=1"), "did you mean `episode_length_s`"),
         (("train", "--train-config", "flatt"), "flat"),
         (("train", "--resume"), "no run with a checkpoint"),
         (("train", "--resume", "none"), "neither a checkpoint nor a run"),

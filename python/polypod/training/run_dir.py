@@ -117,19 +117,24 @@ def read_manifest(checkpoint: Path) -> dict[str, Any]:
     return manifest
 
 
-def write_params(run: Path, sim: _core.VecSim, config: TrainConfig, overrides: list[str]) -> None:
-    """Writes the manifest and `params/`."""
+def write_params(
+    run: Path, sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str]
+) -> None:
+    """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
-    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, overrides), indent=2) + "\n")
+    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, robots, overrides), indent=2) + "\n")
 
 
-def manifest_of(sim: _core.VecSim, config: TrainConfig, overrides: list[str]) -> dict[str, Any]:
+def manifest_of(
+    sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str]
+) -> dict[str, Any]:
     """What a policy of this run needs to be used elsewhere, and what made it."""
     return {
         "format": 1,
         "task": sim.task_name,
         "experiment": sim.experiment_name,
+        "robot_sources": [_source(robot) for robot in robots or sim.robots],
         "overrides": overrides,
         "seed": sim.seed,
         "num_envs": sim.num_envs,
@@ -203,3 +208,8 @@ def _git_state() -> dict[str, Any] | None:
         return None
     commit, changes = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
     return None if commit is None or changes is None else {"commit": commit, "dirty": bool(changes)}
+
+
+def _source(robot: str) -> str:
+    """How to find a robot again from any directory: its name, or the absolute path of its config."""
+    return str(Path(robot).resolve()) if robot.endswith(".toml") else robot

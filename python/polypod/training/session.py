@@ -71,7 +71,7 @@ def train(options: Options) -> int:
     reporter = Reporter()
     if plan.checkpoint is None:
         run = run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
-        run_dir.write_params(run, env.sim, plan.config, plan.overrides)
+        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides)
     else:
         run = plan.checkpoint.parent
     runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(), run, device, reporter)
@@ -130,7 +130,7 @@ def _resumed_plan(options: Options) -> _Plan:
         )
     manifest = run_dir.read_manifest(checkpoint)
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
-    return _Plan(train_config, manifest["robots"], manifest["seed"], manifest["overrides"], checkpoint)
+    return _Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint)
 
 
 def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
