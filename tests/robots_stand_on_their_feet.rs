@@ -3,10 +3,9 @@
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId};
 use polypod::{Sim, SimOptions};
 
-/// The flat task without anything random.
-fn calm(robots: Option<Vec<String>>, num_envs: usize) -> Sim {
+/// The flat task's Play variant, one env per robot, all at rest in the default pose.
+fn calm() -> Sim {
     let options = SimOptions {
-        robots,
         overrides: [
             "events.reset_base.x=[0.0, 0.0]",
             "events.reset_base.y=[0.0, 0.0]",
@@ -14,7 +13,7 @@ fn calm(robots: Option<Vec<String>>, num_envs: usize) -> Sim {
         ]
         .map(String::from)
         .to_vec(),
-        ..SimOptions::new("velocity_flat_play", num_envs)
+        ..SimOptions::new("velocity_flat_play", 8)
     };
     let mut sim = Sim::new(&options).unwrap();
     for mut velocity in sim.world_mut().query::<&mut BaseVelocity>().iter_mut(sim.world_mut()) {
@@ -25,7 +24,7 @@ fn calm(robots: Option<Vec<String>>, num_envs: usize) -> Sim {
 
 #[test]
 fn every_robot_stands_for_five_seconds_and_weighs_what_it_weighs() {
-    let mut sim = calm(None, 8);
+    let mut sim = calm();
     let actions = vec![0.0; sim.batch().actions.len()];
     for _ in 0..250 {
         sim.step(&actions).unwrap();
