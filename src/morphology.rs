@@ -3,19 +3,11 @@
 use std::collections::BTreeMap;
 
 use bevy_ecs::prelude::Resource;
-use glam::{DMat3, DVec3};
 
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::contact::MAX_DEPTH;
-use crate::dynamics::{
-    Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
-};
-use crate::robot::{self, BodyGroup, Geometry, JointKind, Model, RobotError, Roles, Shape};
-
-/// Stands for "no limit" in the engine, where an infinity could meet a zero.
-const UNLIMITED: f64 = 1e9;
-/// Rims of cylinders are represented by this many points each.
-const RIM_POINTS: usize = 3;
+use crate::dynamics::{EffortTable, Parameters, Topology};
+use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
 
 /// A robot could not be made from its URDF and config.
 #[derive(Debug, thiserror::Error)]
@@ -178,93 +170,21 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
     Ok(groups)
 }
 
-/// The engine's view of a model: link axes parallel to the base's when all joints are at zero, which leaves only joint
-/// offsets and axes.
+/// The engine's view of a model, with the config's actuators.
 fn articulation(
     model: &Model,
     roles: &Roles,
     actuators: &[(&str, &ActuatorConfig); 12],
 ) -> (Topology, Parameters<f32>) {
-    let zero = vec![0.0; model.joints.len()];
-    // turns a link's own axes into base-aligned ones
-    let align: Vec<DMat3> = model.forward_kinematics(&zero).iter().map(|pose| pose.rotation).collect();
-    let actuator_of = |joint: usize| roles.joint_of_slot.iter().position(|&j| j == joint).map(|slot| actuators[slot].1);
-    let joints = model
-        .joints
-        .iter()
-        .enumerate()
-        .map(|(j, joint)| JointTopology {
-            parent: joint.parent,
-            motion: match joint.kind {
-                JointKind::Prismatic => JointMotion::Prismatic,
-                JointKind::Revolute | JointKind::Continuous => JointMotion::Revolute,
-            },
-            axis: Axis::new((align[j + 1] * joint.axis).to_array()),
-            effort_table: actuator_of(j).and_then(|a| effort_table(&a.effort_table)),
-        })
+    let sites: Vec<Site> = (0..4)
+        .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
         .collect();
-
-    let mut candidates: Vec<Candidate> = model
-        .bodies
-        .iter()
-        .enumerate()
-        .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
-        .collect();
-    candidates.sort_by_key(|c| c.topology.link);
-    for c in &mut candidates {
-        c.align(align[c.topology.link]);
-    }
-    let sites: Vec<usize> = roles.foot_body.iter().map(|&body| model.bodies[body].link).collect();
-    let has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
-    let topology = Topology::new(
-        true,
-        joints,
-        candidates.iter().map(|c| c.topology).collect(),
-        model.bodies.len(),
-        sites,
-        has_delay,
-    );
-
-    let mut p = Parameters::<f64>::zeros(&topology);
-    for (l, link) in model.links.iter().enumerate() {
-        let inertia = align[l] * link.inertia * align[l].transpose();
-        p.mass[l] = link.mass;
-        p.com[l] = (align[l] * link.com).to_array();
-        p.inertia[l] = [
-            inertia.x_axis.x,
-            inertia.y_axis.y,
-            inertia.z_axis.z,
-            inertia.y_axis.x,
-            inertia.z_axis.x,
-            inertia.z_axis.y,
-        ];
-    }
-    for (j, joint) in model.joints.iter().enumerate() {
-        p.joint_offset[j] = (align[joint.parent] * joint.origin.translation).to_array();
-        p.lower[j] = joint.lower.max(-UNLIMITED);
-        p.upper[j] = joint.upper.min(UNLIMITED);
-        p.armature[j] = joint.armature;
-        p.joint_damping[j] = joint.damping;
-        p.joint_friction[j] = joint.friction;
-        p.effort_limit[j] = joint.effort.min(UNLIMITED);
-        p.saturation_effort[j] = UNLIMITED;
-        p.motor_velocity_limit[j] = UNLIMITED;
-        p.velocity_limit[j] = UNLIMITED;
-        if let Some(actuator) = actuator_of(j) {
-            apply_actuator(&mut p, j, actuator);
-        }
-    }
-    for (i, c) in candidates.iter().enumerate() {
-        p.contact_position[i] = c.position.to_array();
-        p.contact_radius[i] = c.radius;
-        p.contact_rim[i] = c.rim;
-        let reach = c.position.length() + c.radius + c.rim;
-        let link = c.topology.link;
-        p.contact_reach[link] = p.contact_reach[link].max(reach);
-    }
-    for (s, &body) in roles.foot_body.iter().enumerate() {
-        let link = model.bodies[body].link;
-        p.site_position[s] = (align[link] * roles.foot_point[s]).to_array();
+    let Articulation { mut topology, parameters: mut p, .. } = Articulation::new(model, true, &sites);
+    topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
+    for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
+        let actuator = actuators[slot].1;
+        topology.joints[j].effort_table = effort_table(&actuator.effort_table);
+        apply_actuator(&mut p, j, actuator);
     }
     let nominal = Parameters::from_scalars(&topology, &p);
     (topology, nominal)
@@ -323,64 +243,6 @@ fn lowest_foot(model: &Model, roles: &Roles, q: &[f64]) -> f64 {
             poses[link].transform_point(roles.foot_point[leg]).z - roles.foot_radius[leg]
         })
         .fold(f64::INFINITY, f64::min)
-}
-
-/// A contact candidate while it is being placed.
-struct Candidate {
-    topology: ContactTopology,
-    position: DVec3,
-    radius: f64,
-    rim: f64,
-}
-
-impl Candidate {
-    fn point(link: usize, body: usize, position: DVec3, radius: f64) -> Self {
-        Self { topology: ContactTopology { link, body, kind: ContactKind::Point }, position, radius, rim: 0.0 }
-    }
-
-    fn align(&mut self, rotation: DMat3) {
-        self.position = rotation * self.position;
-        if let ContactKind::Rim { across, .. } = &mut self.topology.kind {
-            *across = across.map(|u| (rotation * DVec3::from_array(u)).to_array());
-        }
-    }
-}
-
-/// The places of a shape that can touch a plane first, in the frame of its link.
-///
-/// Meshes have none: the loader has replaced those it could and has warned of the others.
-fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
-    let at = |p: DVec3| shape.origin.transform_point(p);
-    match &shape.geometry {
-        Geometry::Sphere { radius } => vec![Candidate::point(link, body, at(DVec3::ZERO), *radius)],
-        Geometry::Capsule { radius, length } => {
-            [-0.5, 0.5].map(|end| Candidate::point(link, body, at(DVec3::Z * (end * length)), *radius)).into()
-        }
-        Geometry::Box { size } => (0..8)
-            .map(|corner| {
-                let sign = |bit: usize| if corner & bit == 0 { -0.5 } else { 0.5 };
-                Candidate::point(link, body, at(DVec3::new(sign(1), sign(2), sign(4)) * *size), 0.0)
-            })
-            .collect(),
-        Geometry::Cylinder { radius, length } => {
-            let across = [DVec3::X, DVec3::Y].map(|u| (shape.origin.rotation * u).to_array());
-            [-0.5, 0.5]
-                .into_iter()
-                .flat_map(|end| (0..RIM_POINTS).map(move |i| (end, i)))
-                .map(|(end, i)| {
-                    let angle = std::f64::consts::TAU * i as f64 / RIM_POINTS as f64;
-                    let kind = ContactKind::Rim { across, turn: [angle.cos(), angle.sin()] };
-                    Candidate {
-                        topology: ContactTopology { link, body, kind },
-                        position: at(DVec3::Z * (end * length)),
-                        radius: 0.0,
-                        rim: *radius,
-                    }
-                })
-                .collect()
-        }
-        Geometry::Mesh { .. } => Vec::new(),
-    }
 }
 
 /// What a deployment must know of a robot to run a policy on it; SI units, physical joint order unless said otherwise.

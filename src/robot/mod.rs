@@ -1,5 +1,6 @@
 #![doc = include_str!("README.md")]
 
+mod articulation;
 mod canonical;
 mod chains;
 mod error;
@@ -14,6 +15,7 @@ mod shapes;
 mod tree;
 mod urdf;
 
+pub use articulation::{Articulation, Site, UNLIMITED, symmetric};
 pub use error::{Diagnosis, RobotError, Warning};
 pub use model::{Body, Geometry, Joint, JointKind, Link, Model, Shape};
 pub use pose::Pose;

@@ -1,0 +1,168 @@
+//! The engine's view of a model: which numbers of the articulation belong where.
+
+use glam::{DMat3, DVec3};
+
+use super::model::{Geometry, JointKind, Model, Shape};
+use crate::dynamics::{Axis, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology};
+
+/// Stands for "no limit" in the engine, where an infinity could meet a zero.
+pub const UNLIMITED: f64 = 1e9;
+/// Rims of cylinders are represented by this many points each.
+const RIM_POINTS: usize = 3;
+
+/// A point of a link whose motion is reported.
+#[derive(Clone, Copy, Debug)]
+pub struct Site {
+    /// Index in [`Model::links`].
+    pub link: usize,
+    /// Position in the link's own (URDF) frame, m.
+    pub position: DVec3,
+}
+
+/// A model in the engine's terms. Link axes are parallel to the base's when all joints are at zero, which leaves only
+/// joint offsets and axes; `align` leads there from the URDF's axes.
+#[derive(Clone, Debug)]
+pub struct Articulation {
+    /// What robots of the kind share.
+    pub topology: Topology,
+    /// Their numbers: those of the URDF, no gains, no friction with the ground.
+    pub parameters: Parameters<f64>,
+    /// Turns a link's own axes into base-aligned ones, `[links]`.
+    pub align: Vec<DMat3>,
+}
+
+impl Articulation {
+    /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the URDF as limits and
+    /// no actuator gains; velocity limits are left to actuators.
+    pub fn new(model: &Model, floating: bool, sites: &[Site]) -> Self {
+        let zero = vec![0.0; model.joints.len()];
+        let align: Vec<DMat3> = model.forward_kinematics(&zero).iter().map(|pose| pose.rotation).collect();
+        let joints = model
+            .joints
+            .iter()
+            .enumerate()
+            .map(|(j, joint)| JointTopology {
+                parent: joint.parent,
+                motion: match joint.kind {
+                    JointKind::Prismatic => JointMotion::Prismatic,
+                    JointKind::Revolute | JointKind::Continuous => JointMotion::Revolute,
+                },
+                axis: Axis::new((align[j + 1] * joint.axis).to_array()),
+                effort_table: None,
+            })
+            .collect();
+
+        let mut candidates: Vec<Candidate> = model
+            .bodies
+            .iter()
+            .enumerate()
+            .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
+            .collect();
+        candidates.sort_by_key(|c| c.topology.link);
+        for c in &mut candidates {
+            c.align(align[c.topology.link]);
+        }
+        let topology = Topology::new(
+            floating,
+            joints,
+            candidates.iter().map(|c| c.topology).collect(),
+            model.bodies.len(),
+            sites.iter().map(|site| site.link).collect(),
+            false,
+        );
+
+        let mut p = Parameters::<f64>::zeros(&topology);
+        for (l, link) in model.links.iter().enumerate() {
+            p.mass[l] = link.mass;
+            p.com[l] = (align[l] * link.com).to_array();
+            p.inertia[l] = symmetric(align[l] * link.inertia * align[l].transpose());
+        }
+        for (j, joint) in model.joints.iter().enumerate() {
+            p.joint_offset[j] = (align[joint.parent] * joint.origin.translation).to_array();
+            p.lower[j] = joint.lower.max(-UNLIMITED);
+            p.upper[j] = joint.upper.min(UNLIMITED);
+            p.armature[j] = joint.armature;
+            p.joint_damping[j] = joint.damping;
+            p.joint_friction[j] = joint.friction;
+            p.effort_limit[j] = joint.effort.min(UNLIMITED);
+            p.saturation_effort[j] = UNLIMITED;
+            p.motor_velocity_limit[j] = UNLIMITED;
+            p.velocity_limit[j] = UNLIMITED;
+        }
+        for (i, c) in candidates.iter().enumerate() {
+            p.contact_position[i] = c.position.to_array();
+            p.contact_radius[i] = c.radius;
+            p.contact_rim[i] = c.rim;
+            let reach = c.position.length() + c.radius + c.rim;
+            let link = c.topology.link;
+            p.contact_reach[link] = p.contact_reach[link].max(reach);
+        }
+        for (s, site) in sites.iter().enumerate() {
+            p.site_position[s] = (align[site.link] * site.position).to_array();
+        }
+        Self { topology, parameters: p, align }
+    }
+}
+
+/// xx, yy, zz, xy, xz, yz of a symmetric matrix.
+pub fn symmetric(m: DMat3) -> [f64; 6] {
+    [m.x_axis.x, m.y_axis.y, m.z_axis.z, m.y_axis.x, m.z_axis.x, m.z_axis.y]
+}
+
+/// A contact candidate while it is being placed.
+struct Candidate {
+    topology: ContactTopology,
+    position: DVec3,
+    radius: f64,
+    rim: f64,
+}
+
+impl Candidate {
+    fn point(link: usize, body: usize, position: DVec3, radius: f64) -> Self {
+        Self { topology: ContactTopology { link, body, kind: ContactKind::Point }, position, radius, rim: 0.0 }
+    }
+
+    fn align(&mut self, rotation: DMat3) {
+        self.position = rotation * self.position;
+        if let ContactKind::Rim { across, .. } = &mut self.topology.kind {
+            *across = across.map(|u| (rotation * DVec3::from_array(u)).to_array());
+        }
+    }
+}
+
+/// The places of a shape that can touch a plane first, in the frame of its link.
+///
+/// Meshes have none: the loader has replaced those it could and has warned of the others.
+fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
+    let at = |p: DVec3| shape.origin.transform_point(p);
+    match &shape.geometry {
+        Geometry::Sphere { radius } => vec![Candidate::point(link, body, at(DVec3::ZERO), *radius)],
+        Geometry::Capsule { radius, length } => {
+            [-0.5, 0.5].map(|end| Candidate::point(link, body, at(DVec3::Z * (end * length)), *radius)).into()
+        }
+        Geometry::Box { size } => (0..8)
+            .map(|corner| {
+                let sign = |bit: usize| if corner & bit == 0 { -0.5 } else { 0.5 };
+                Candidate::point(link, body, at(DVec3::new(sign(1), sign(2), sign(4)) * *size), 0.0)
+            })
+            .collect(),
+        Geometry::Cylinder { radius, length } => {
+            let across = [DVec3::X, DVec3::Y].map(|u| (shape.origin.rotation * u).to_array());
+            [-0.5, 0.5]
+                .into_iter()
+                .flat_map(|end| (0..RIM_POINTS).map(move |i| (end, i)))
+                .map(|(end, i)| {
+                    let angle = std::f64::consts::TAU * i as f64 / RIM_POINTS as f64;
+                    let kind = ContactKind::Rim { across, turn: [angle.cos(), angle.sin()] };
+                    Candidate {
+                        topology: ContactTopology { link, body, kind },
+                        position: at(DVec3::Z * (end * length)),
+                        radius: 0.0,
+                        rim: *radius,
+                    }
+                })
+                .collect()
+        }
+        Geometry::Mesh { .. } => Vec::new(),
+    }
+}
