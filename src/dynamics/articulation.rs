@@ -55,6 +55,9 @@ pub struct JointTopology {
     pub axis: Axis,
     /// A table of effort limits over the joint position, if the actuator has one: equally spaced.
     pub effort_table: Option<EffortTable>,
+    /// Whether the actuator's gains act on the beginning of a physics step (as a motor controller at the step's rate
+    /// would) instead of on its end.
+    pub explicit: bool,
 }
 
 /// Effort limits over a joint position, linear in between, constant beyond the ends.

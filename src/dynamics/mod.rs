@@ -12,7 +12,7 @@ pub mod step;
 pub use articulation::{
     Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
 };
-pub use contact::ContactSettings;
+pub use contact::{ContactSettings, Plane};
 pub use lanes::{Lanes, Real, Simd};
 pub use state::{Drive, Report, State, Workspace};
 pub use step::{ControlStep, StepSettings};
