@@ -22,6 +22,18 @@ fn more_envs_of_the_same_robot_change_nothing() {
 }
 
 #[test]
+fn an_env_alone_is_the_first_of_many() {
+    for robot in ["spot", "anymal_d"] {
+        let (mut alone, mut many) = (sim(&[robot], 1), sim(&[robot], 37));
+        for t in 0..STEPS {
+            step(&mut alone, t);
+            step(&mut many, t);
+            assert_same(&mut alone, 0..1, &mut many, 0..1, &format!("{robot}, step {t}"));
+        }
+    }
+}
+
+#[test]
 fn the_actions_of_others_change_nothing() {
     let (mut a, mut b) = (sim(&["spot"], 40), sim(&["spot"], 40));
     let is_watched = |env: usize| env.is_multiple_of(3);
@@ -55,5 +67,30 @@ fn the_place_in_the_pack_changes_nothing() {
         step(&mut a, t);
         step(&mut b, t);
         assert_same(&mut a, 20..30, &mut b, 20..30, &format!("step {t}"));
+    }
+}
+
+/// Env 39 of one robot, in every lane that a pack can have: the robots before it take more and more of the envs.
+#[test]
+fn every_lane_gives_the_same_bits() {
+    const ENV: usize = 39;
+    let before = ["anymal_b", "anymal_c", "anymal_d", "unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2"];
+    let mut sims: Vec<Sim> = (0..before.len())
+        .map(|n| [&before[..n], &["spot"]].concat())
+        .flat_map(|robots| [40, 41, 42, 43, 44, 45].map(|num_envs| sim(&robots, num_envs)))
+        .collect();
+    sims.retain(|sim| sim.env_ids(sim.loaded_robots().len() - 1).contains(&ENV));
+    let mut lanes: Vec<usize> = sims.iter().map(|sim| sim.index_in_block(ENV) % sim.simd().lanes()).collect();
+    lanes.sort_unstable();
+    lanes.dedup();
+    assert!(lanes.len() >= 4, "{lanes:?}");
+    for t in 0..40 {
+        let (first, others) = sims.split_first_mut().unwrap();
+        step(first, t);
+        for other in others {
+            step(other, t);
+            let lane = other.index_in_block(ENV) % other.simd().lanes();
+            assert_same(first, ENV..ENV + 1, other, ENV..ENV + 1, &format!("lane {lane}, step {t}"));
+        }
     }
 }
