@@ -102,7 +102,9 @@ fn describe(violation: &Violation, replayed: &Replayed) -> String {
 
 /// The robot's numbers; with a dump what its actuators are asked for, too.
 fn print(out: &mut impl Write, motion: &Motion, replayed: &Replayed, dump: Option<&Dump>) -> std::io::Result<()> {
-    let row = |numbers: &[f32]| numbers.iter().map(|x| format!("{x:>12.6}")).collect::<Vec<_>>().join(" ");
+    // numbers that ran away would spoil the columns
+    let number = |x: &f32| if x.abs() < 1e5 || !x.is_finite() { format!("{x:>12.6}") } else { format!("{x:>12.5e}") };
+    let row = |numbers: &[f32]| numbers.iter().map(number).collect::<Vec<_>>().join(" ");
     writeln!(out, "  base position (m)                {}", row(&motion.pose.position))?;
     writeln!(out, "  base quaternion (w, x, y, z)     {}", row(&motion.pose.rotation))?;
     writeln!(out, "  base linear velocity (m/s)       {}", row(&motion.velocity.linear))?;
