@@ -67,7 +67,7 @@ fn check(test: &str, env: usize, change: Change, quantity: Quantity) -> String {
     step(&mut sim, 10);
     let robot = ROBOTS[env / 20];
     let name = format!("broken_{robot}_env{env}_step10.polypod");
-    assert_eq!(dumps(&dir), [name.clone()], "{test}");
+    assert_eq!(dumps(&dir), [name.as_str()], "{test}");
 
     let file = dir.join(name);
     let dump = Dump::read(&file).unwrap();

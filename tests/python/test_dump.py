@@ -40,7 +40,7 @@ def test_set_dump_dir(make, actions, tmp_path):
 
 def test_train(cli, tmp_path):
     options = "--num-envs 16 --robots spot --max-iterations 1 --train-config quick --run-name broken --threads 1"
-    done = cli("train", *options.split(), "--set", BROKEN[0])
+    done = cli("train", *options.split(), "--set", BROKEN[0], "--set", "sim.episode_length_s=0.5")
     assert done.returncode == 0, done.stderr
     (run,) = tmp_path.glob("logs/rsl_rl/*/*_broken")
     assert "broken_spot_env0_step0.polypod" in names(run)
