@@ -4,6 +4,7 @@ Arrays are NumPy arrays that the simulator owns. They are allocated once, at con
 into them; what is handed out is the array itself and never a copy, unless a docstring says so. Rows are envs.
 """
 
+import os
 from collections.abc import Sequence
 from typing import TypedDict
 
@@ -54,6 +55,7 @@ class VecSim:
         threads: int | None = None,
         overrides: Sequence[str] = (),
         autoreset: str = "same_step",
+        dump_dir: str | os.PathLike[str] | None = None,
     ) -> None:
         """Builds the envs and resets them, so that `observation` is valid at once.
 
@@ -65,6 +67,7 @@ class VecSim:
             threads: worker threads; None: one per core.
             overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML syntax.
             autoreset: "same_step", "next_step" or "disabled".
+            dump_dir: see `set_dump_dir`.
 
         Raises:
             ConfigError: for an unknown task, robot, key or autoreset mode, and for a value out of range.
@@ -171,6 +174,13 @@ class VecSim:
 
         Keys: episodes, falls, fall_rate, episode_length_s (s), error_vel_xy (m/s), error_vel_yaw (rad/s), command_xy
         (m/s), command_yaw (rad/s), reward_per_s. The command's means are the errors of standing still.
+        """
+
+    def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:
+        """From now on dumps the first state of each robot that breaks to a file in this directory, or with None none.
+
+        A state breaks when it becomes non-finite or runs away; its episode ends as `illegal_state`. A robot of which a
+        state was dumped before is left out. A dump that cannot be written stops nothing.
         """
 
     def snapshot(self) -> bytes:

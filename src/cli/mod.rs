@@ -1,6 +1,7 @@
 //! The command line of `polypod-sim`.
 
 mod inspect;
+mod replay;
 mod rollout;
 
 use std::io::Write;
@@ -11,7 +12,7 @@ use polypod::config::Library;
 
 /// Headless simulator of many different legged robots.
 ///
-/// Exit codes: 0 success, 2 bad input, 1 anything else.
+/// Exit codes: 0 success, 2 bad input, 1 anything else, such as a replay that gives something else.
 #[derive(Parser)]
 #[command(version, about, long_about = None)]
 pub(crate) struct Cli {
@@ -25,6 +26,8 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
+    /// Steps a dumped broken state again and says whether it breaks with the same bits.
+    Replay(replay::Replay),
     /// Lists tasks and robots.
     List,
 }
@@ -34,6 +37,7 @@ impl Cli {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
             Command::Inspect(inspect) => inspect.run(),
+            Command::Replay(replay) => replay.run(),
             Command::List => list(),
         }
     }
