@@ -76,7 +76,6 @@ def test_shapes(name, fixed):
         ({"engine": "avian"}, polypod.ConfigError, "articulated"),
         ({"ground": "sea"}, polypod.ConfigError, "plane"),
         ({"ground_normal": (0, 0, 0)}, polypod.ConfigError, "ground_normal"),
-        ({"self_collision": True}, polypod.ConfigError, "self_collision"),
         ({"dtype": "float16"}, polypod.ConfigError, "float64"),
         ({"simd": "mmx"}, polypod.ConfigError, "portable"),
         ({"num_envs": 0}, polypod.ConfigError, "num_envs"),
@@ -547,6 +546,20 @@ def test_library_robots_bring_their_actuators():
         polypod.Simulation(ROBOT, armature=1.0).mass_matrix() - polypod.Simulation(ROBOT, armature=0.0).mass_matrix()
     )
     np.testing.assert_allclose(np.diag(armature[0]), [0] * 6 + [1] * 12, atol=1e-12)
+
+
+def test_links_of_a_robot_may_collide():
+    def force(self_collision):
+        sim = simulation("biped", self_collision=self_collision, ground=None, gravity=(0, 0, 0), fixed_base=True)
+        # the left shank folds up against the thigh until the foot meets the torso
+        sim.step(targets=[1.4, 2.4, -0.9, 0, 0, 0], kp=200.0, kd=10.0, n=400)
+        return np.linalg.norm(sim.contact_forces[0], axis=1), sim.qpos[0]
+
+    off, free = force(None)
+    on, stopped = force(True)
+    assert not off.any()
+    assert on.any()
+    assert np.abs(stopped - free).max() > 0.02
 
 
 def chain(joints):
