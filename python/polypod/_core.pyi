@@ -231,8 +231,8 @@ class Simulation:
             friction: coefficient of robot and ground combined, or (static, dynamic).
             restitution: coefficient of robot and ground combined, from 0 to 1.
             armature: reflected rotor inertia, kg m^2, one number or [num_joints]. None: the robot's, 0 for a URDF.
-            self_collision: whether a robot's links collide with one another, but for those joined by a joint or touching
-                in the default pose. None: as the robot's config says, no for a URDF.
+            self_collision: whether a robot's links collide with one another, but for those joined by a joint or
+                touching in the default pose. None: as the robot's config says, no for a URDF.
             ground_normal: normal of the ground plane, of any length.
             solver_iterations: sweeps of the contact solver per physics step.
             threads: None: all cores.
