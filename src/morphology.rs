@@ -6,7 +6,7 @@ use bevy_ecs::prelude::Resource;
 
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::contact::MAX_DEPTH;
-use crate::dynamics::{EffortTable, Parameters, Topology};
+use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
 use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
 
 /// A robot could not be made from its URDF and config.
@@ -185,15 +185,16 @@ fn articulation(
     topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
     for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
         let actuator = actuators[slot].1;
-        topology.joints[j].effort_table = effort_table(&actuator.effort_table);
-        topology.joints[j].explicit = actuator.explicit;
-        apply_actuator(&mut p, j, actuator);
+        apply_actuator(&mut topology.joints[j], &mut p, j, actuator);
     }
     let nominal = Parameters::from_scalars(&topology, &p);
     (topology, nominal)
 }
 
-fn apply_actuator(p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
+/// Gives joint `j` the actuator of a config, but for its delay.
+pub(crate) fn apply_actuator(joint: &mut JointTopology, p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
+    joint.effort_table = effort_table(&actuator.effort_table);
+    joint.explicit = actuator.explicit;
     p.stiffness[j] = actuator.stiffness;
     p.damping[j] = actuator.damping;
     p.armature[j] = actuator.armature;

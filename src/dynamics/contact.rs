@@ -544,13 +544,17 @@ pub fn solve<S: Real>(
             let normal = (w[0] - row.target).neg_mul_add(row.inverse[0], old[0]).max(S::zero());
             let dn = normal - old[0];
             let t1 = row.coupling[0].mul_add(dn, w[1]).neg_mul_add(row.inverse[1], old[1]);
-            let w2 = row.coupling[2].mul_add(t1 - old[1], row.coupling[1].mul_add(dn, w[2]));
-            let t2 = w2.neg_mul_add(row.inverse[2], old[2]);
-            // sticks inside the disc of the static coefficient, else slides with the dynamic one
-            let length = t1.mul_add(t1, t2.mul_add(t2, S::splat(1e-20))).sqrt();
-            let slides = (parameters.static_friction * normal).lt(length);
-            let shrink = S::select(slides, parameters.dynamic_friction * normal / length, S::one());
-            let new = [normal, t1 * shrink, t2 * shrink];
+            let w2 = row.coupling[1].mul_add(dn, w[2]);
+            let t2 = row.coupling[2].mul_add(t1 - old[1], w2).neg_mul_add(row.inverse[2], old[2]);
+            // sticks inside the disc of the static coefficient
+            let length = |t1: S, t2: S| t1.mul_add(t1, t2.mul_add(t2, S::splat(1e-20))).sqrt();
+            let slides = (parameters.static_friction * normal).lt(length(t1, t2));
+            // else slides with the dynamic one, against the slip: a step of the same size in both directions
+            let size = row.inverse[1].min(row.inverse[2]);
+            let w1 = row.coupling[0].mul_add(dn, w[1]);
+            let (s1, s2) = (w1.neg_mul_add(size, old[1]), w2.neg_mul_add(size, old[2]));
+            let shrink = parameters.dynamic_friction * normal / length(s1, s2);
+            let new = [normal, S::select(slides, s1 * shrink, t1), S::select(slides, s2 * shrink, t2)];
             let change = [dn, new[1] - old[1], new[2] - old[2]];
             row.impulse = new;
             apply(row, &contact_joint_scaled[c * depth..], path, &change, y_base, y_joint);

@@ -1,5 +1,6 @@
 #![doc = include_str!("README.md")]
 
+pub mod algorithms;
 pub mod articulation;
 pub mod contact;
 pub mod factor;
@@ -11,6 +12,7 @@ pub mod self_contact;
 pub mod state;
 pub mod step;
 
+pub use algorithms::Dynamics;
 pub use articulation::{
     Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, PairTopology,
     Parameters, Topology,

@@ -61,6 +61,8 @@ impl Articulation {
             .bodies
             .iter()
             .enumerate()
+            // what cannot move feels no ground
+            .filter(|(_, b)| floating || b.link != 0)
             .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
             .collect();
         candidates.sort_by_key(|c| c.topology.link);
