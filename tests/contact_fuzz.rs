@@ -1,6 +1,7 @@
 //! Random bodies over planes: candidates find the true distance, nothing is felt where nothing touches, and contacts
 //! push, along the normal and outwards.
 
+use std::f64::consts::FRAC_PI_3;
 use std::path::PathBuf;
 
 use glam::{DMat3, DQuat, DVec3};
@@ -20,6 +21,11 @@ const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 const MARGIN: f64 = 0.02;
 /// Rounding of f32 on distances of up to 3 m, m: a dozen operations of half a unit in the last place (1.2e-7) each.
 const EXACT: f64 = 1e-5;
+/// Shapes sit this far from their body's origin, along each axis, m.
+const LEVER: f64 = 0.3;
+/// What eight sweeps may leave of the coupling of friction and normal impulse in one step at up to 2 m/s and 3 rad/s, m.
+/// (Measured: 2.5 mm at most; 86 of 16,500 bodies above `EXACT`, of which 200 sweeps leave 7.)
+const UNSOLVED: f64 = 3e-3;
 /// The lowest point of a rim is looked for when the cylinder leans by more than this, rad.
 const UPRIGHT: f64 = 1e-3;
 
@@ -87,11 +93,11 @@ fn moments(geometry: &Geometry, mass: f64) -> DVec3 {
 }
 
 impl Sample {
-    fn new(index: u64) -> Self {
+    fn new(index: u64, lever: f64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(SEED << 32 | index);
         let rng = &mut rng;
         let geometry = geometry(rng);
-        let shape_origin = Pose { rotation: DMat3::from_quat(rotation(rng)), translation: vector(rng, 0.3) };
+        let shape_origin = Pose { rotation: DMat3::from_quat(rotation(rng)), translation: vector(rng, 1.0) * lever };
         let mass = rng.random_range(0.5..20.0);
         let inertia =
             shape_origin.rotation * DMat3::from_diagonal(moments(&geometry, mass)) * shape_origin.rotation.transpose();
@@ -183,13 +189,16 @@ impl Sample {
         }
     }
 
-    /// How far the lowest point may leave its tangent when the body turns for a step: constraints hold for velocities.
-    fn curvature(&self, end: &State<f32>) -> f64 {
+    /// How far a step may take the lowest point off its tangent, as the body turns: constraints hold for velocities.
+    fn curvature(&self, start: &State<f32>, end: &State<f32>) -> f64 {
         let angle = DVec3::from_array(end.angular_velocity.map(f64::from)).length() * DT;
-        let lean = self.lean(end);
         let rim = match self.geometry {
-            // rolls over an end, on to where there is none of the three points
-            Geometry::Cylinder { radius, .. } if lean < 2.0 * angle => 0.5 * radius * lean,
+            // an end that turns on its rim comes down between two of its three points
+            Geometry::Cylinder { radius, .. } => {
+                let (a, b) = (self.lean(start), self.lean(end));
+                let around = (angle / a.min(b)).min(FRAC_PI_3);
+                radius * a.max(b) * (1.0 - around.cos())
+            }
             _ => 0.0,
         };
         0.5 * angle * angle * self.reach() + rim
@@ -302,7 +311,8 @@ fn check(sample: &Sample) -> Result<(), String> {
     let after = sample.distance(&state);
 
     // nothing is felt where nothing touches
-    let clear = gap > MARGIN + EXACT || (gap > 0.0 && sample.distance(&free) > sample.curvature(&free) + EXACT);
+    let clear =
+        gap > MARGIN + EXACT || (gap > 0.0 && sample.distance(&free) > sample.curvature(&sample.state, &free) + EXACT);
     if clear {
         ensure(!touches && force == DVec3::ZERO, &|| format!("phantom contact: gap {gap} m, impulses {impulses:?}"))?;
     }
@@ -332,73 +342,52 @@ fn check(sample: &Sample) -> Result<(), String> {
     if before < -EXACT {
         ensure(sum > 0.0, &|| format!("{before} m deep and not pushed"))?;
     }
-    let lost = before.min(0.0) - after - sample.curvature(&state);
-    if before < 0.0 {
-        ensure(lost < EXACT, &|| format!("from {before} m deep to {after} m"))?;
-    } else if sample.friction == 0.0 {
+    let lost = before.min(0.0) - after - sample.curvature(&sample.state, &state);
+    let allowed = match (before < 0.0, sample.friction == 0.0) {
+        (true, _) => EXACT,
         // eight sweeps over eight corners leave a little
-        ensure(lost < 3.0 * EXACT, &|| format!("sinks from {before} m to {after} m"))?;
-    } else {
-        // eight sweeps leave some of the coupling of friction and normal impulse, up to 0.4 m/s of approach
-        ensure(lost < 2e-3, &|| format!("sinks from {before} m to {after} m"))?;
-    }
+        (false, true) => 3.0 * EXACT,
+        (false, false) => UNSOLVED,
+    };
+    ensure(lost < allowed, &|| format!("goes from {before} m to {after} m, {lost} m more than its turning explains"))?;
     Ok(())
-}
-
-#[test]
-fn explore() {
-    let mut ends = Vec::new();
-    for index in 0..5_000 {
-        let sample = Sample::new(index);
-        if sample.distance(&sample.state) > 0.0 {
-            continue;
-        }
-        let mut bench = Bench::new(&sample);
-        let mut state = sample.state.clone();
-        let mut worst: f64 = 0.0;
-        let mut last = sample.distance(&state);
-        let mut outmin: f64 = 0.0;
-        let mut out = false;
-        for _ in 0..200 {
-            state = bench.step(&state, true).state;
-            let now = sample.distance(&state);
-            if !out && now > -1e-4 {
-                out = true;
-            }
-            if !out {
-                worst = worst.max(last - now - sample.curvature(&state));
-            } else {
-                outmin = outmin.min(now);
-            }
-            last = now;
-        }
-        ends.push((last, worst, outmin, out));
-    }
-    let mut w: Vec<f64> = ends.iter().map(|e| e.1).collect();
-    w.sort_by(f64::total_cmp);
-    let mut m: Vec<f64> = ends.iter().map(|e| e.2).collect();
-    m.sort_by(f64::total_cmp);
-    let mut l: Vec<f64> = ends.iter().map(|e| e.0).collect();
-    l.sort_by(f64::total_cmp);
-    println!(
-        "worst deeper {:?}\nsinks again {:?}\nends {:?} {:?} out {} of {}",
-        &w[w.len() - 8..],
-        &m[..8],
-        &l[..8],
-        l[l.len() / 2],
-        ends.iter().filter(|e| e.3).count(),
-        ends.len()
-    );
 }
 
 #[test]
 fn one_step_of_a_hundred_thousand_bodies() {
     let mut bad = Vec::new();
     for index in 0..100_000 {
-        let sample = Sample::new(index);
+        let sample = Sample::new(index, LEVER);
         if let Err(what) = check(&sample) {
-            bad.push(format!("SEED {SEED}, Sample::new({index}): {what}\n{sample:?}"));
+            bad.push(format!("SEED {SEED}, Sample::new({index}, {LEVER}): {what}\n{sample:?}"));
         }
     }
     assert!(bad.is_empty(), "{} samples fail, among them\n{}", bad.len(), bad[..bad.len().min(3)].join("\n"));
+}
+
+/// Bodies that start inside the ground, at rest, with their origin in the shape as a robot's is: on the way out no step
+/// takes them deeper.
+#[test]
+fn bodies_are_pushed_out() {
+    let mut samples: Vec<(u64, Sample)> = (0..4000).map(|index| (index, Sample::new(index, 0.0))).collect();
+    samples.retain(|(_, sample)| sample.distance(&sample.state) < 0.0);
+    assert!(samples.len() > 1000);
+    for (index, sample) in samples {
+        let mut bench = Bench::new(&sample);
+        let mut state = sample.state.clone();
+        let mut distance = sample.distance(&state);
+        let mut highest = distance;
+        // 5 cm at 5 mm, then a fifth, per step
+        for step in 0..40 {
+            let next = bench.step(&state, true).state;
+            let now = sample.distance(&next);
+            let lost = distance.min(0.0) - now - sample.curvature(&state, &next);
+            assert!(
+                lost < 3e-4, // of speeds up to 1 m/s and what eight sweeps leave; measured: 0.12 mm
+                "SEED {SEED}, Sample::new({index}, 0.0), step {step}: from {distance} m to {now} m\n{sample:?}"
+            );
+            (state, distance, highest) = (next, now, highest.max(now));
+        }
+        assert!(highest > -5e-4, "SEED {SEED}, Sample::new({index}, 0.0): still {highest} m deep\n{sample:?}");
+    }
 }
