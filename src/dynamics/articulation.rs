@@ -42,6 +42,16 @@ impl Axis {
             Axis::General(direction)
         }
     }
+
+    /// The unit vector.
+    pub fn direction(self) -> [f64; 3] {
+        match self {
+            Axis::X(s) => [s, 0.0, 0.0],
+            Axis::Y(s) => [0.0, s, 0.0],
+            Axis::Z(s) => [0.0, 0.0, s],
+            Axis::General(u) => u,
+        }
+    }
 }
 
 /// One joint and the link it moves: joint `j` moves link `j + 1`; link 0 is the base.
