@@ -230,7 +230,7 @@ fn articulation(geometry: &Geometry, origin: &Pose, mass: f64, com: DVec3, inert
         }],
         warnings: Vec::new(),
     };
-    Articulation::new(&model, true, &[])
+    Articulation::new(&model, true, &[], None)
 }
 
 /// What a physics step led to.

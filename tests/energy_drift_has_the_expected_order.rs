@@ -43,7 +43,7 @@ fn double_pendulum(damping: f64) -> Articulation {
         bodies: Vec::new(),
         warnings: Vec::new(),
     };
-    Articulation::new(&model, false, &[])
+    Articulation::new(&model, false, &[], None)
 }
 
 fn start(topology: &Topology) -> State<f64> {

@@ -32,7 +32,7 @@ pub struct Case {
 
 impl Case {
     pub fn new(model: Model, floating: bool, base: &BaseMotion, joints: &[JointMotion]) -> Self {
-        let articulation = Articulation::new(&model, floating, &[]);
+        let articulation = Articulation::new(&model, floating, &[], None);
         let mut state = State::zeros(&articulation.topology);
         state.position = base.position;
         let q = unit_quaternion(base.rotation);
