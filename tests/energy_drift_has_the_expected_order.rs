@@ -92,7 +92,7 @@ fn semi_implicit_euler_is_of_first_order() {
     let orders: Vec<f64> = errors.windows(2).map(|e| (e[0] / e[1]).abs().log2()).collect();
     println!("energy errors after 1 s {errors:?} J, orders {orders:.3?}");
     assert!(orders.iter().all(|order| (order - 1.0).abs() < 0.05), "{orders:?}, errors {errors:?}");
-    // 2 ms, of 7.4 J that swing
+    // at 2 ms, of about 6.5 J that swing (measured: 0.017 J)
     assert!(errors[0].abs() < 0.05, "{errors:?}");
 }
 
