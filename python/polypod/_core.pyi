@@ -4,7 +4,8 @@ Arrays are NumPy arrays that the simulator owns. They are allocated once, at con
 into them; what is handed out is the array itself and never a copy, unless a docstring says so. Rows are envs.
 """
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
 import numpy as np
@@ -190,6 +191,12 @@ def train_config(name: str) -> str:
 
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""
+
+def check(path: str | os.PathLike[str], package_dirs: Mapping[str, str | os.PathLike[str]]) -> str:
+    """What the URDF file at `path` is read as: links, joints, contact bodies, legs, and every warning.
+
+    `package_dirs` names the folder of each ROS package in `package://` names. Raises RobotError.
+    """
 
 def info() -> CoreInfo:
     """The version, the instruction set in use and the number of threads."""

@@ -1,5 +1,6 @@
 //! The command line of `polypod-sim`.
 
+mod check;
 mod inspect;
 mod rollout;
 
@@ -25,6 +26,8 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
+    /// Prints what a URDF file is read as, with every warning; it needs no config.
+    Check(check::Check),
     /// Lists tasks and robots.
     List,
 }
@@ -34,6 +37,7 @@ impl Cli {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
             Command::Inspect(inspect) => inspect.run(),
+            Command::Check(check) => check.run(),
             Command::List => list(),
         }
     }

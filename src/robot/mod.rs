@@ -3,10 +3,13 @@
 mod articulation;
 mod canonical;
 mod chains;
+mod check;
 mod error;
 mod feet;
+mod hull;
 mod inertia;
 mod merge;
+mod mesh;
 mod model;
 mod pose;
 mod reader;
@@ -16,6 +19,7 @@ mod tree;
 mod urdf;
 
 pub use articulation::{Articulation, Site, UNLIMITED, symmetric};
+pub use check::check;
 pub use error::{Diagnosis, RobotError, Warning};
 pub use model::{Body, Geometry, Joint, JointKind, Link, Model, Shape};
 pub use pose::Pose;
