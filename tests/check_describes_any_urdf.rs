@@ -49,7 +49,7 @@ fn a_robot_without_legs_is_described() {
             "box of 0.5000 x 0.3000 x 0.1000 m",
             "hand  on arm: sphere of radius 0.0200 m",
             "no quadruped: 0 legs were found instead of 4",
-            "1 warnings",
+            "warnings: 1\n",
             "joint \"float\": a floating joint below the empty link \"world\" is left out",
         ],
     );
@@ -64,7 +64,7 @@ fn a_quadruped_is_told_with_its_legs() {
             "\nquadruped\n",
             "LH: LH_HAA = lh_hip, LH_HFE = lh_thigh, LH_KFE = lh_shank, foot = lh_shank",
             "hull of 8 points",
-            "13 warnings",
+            "warnings: 13\n",
         ],
     );
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots/spot/robot.urdf");

@@ -134,7 +134,8 @@ fn round_meshes_are_thinned_out() {
     let worst = ball.iter().map(|point| lost(&point.normalize())).fold(0.0, f64::max);
     // two decimals are stated, and directions are sampled every 2 degrees or so
     assert!(worst <= stated + 0.005 && worst > 0.9 * stated, "{worst} {stated}");
-    assert!(stated < 12.0, "{stated}");
+    // the points along axes and diagonals leave 0.193 of a ball's radius; the other eighteen take a third off
+    assert!(stated < 0.667 * 19.3, "{stated}");
 }
 
 #[test]

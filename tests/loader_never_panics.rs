@@ -11,6 +11,8 @@ use polypod::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Report,
 use polypod::robot::{Articulation, Geometry, LoadOptions, Model, RobotError, Site, check, detect, load, load_str};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
 
 /// Values that a number, a name or a type is replaced by.
 const VALUES: [&str; 34] = [
@@ -298,6 +300,16 @@ fn apply(root: &mut Element, edit: Edit) {
     }
 }
 
+/// One of the robots, changed.
+fn changed(which: Index, edits: Vec<Edit>) -> (PathBuf, String) {
+    let (path, text) = which.get(urdfs());
+    let mut root = Element::read(roxmltree::Document::parse(text).unwrap().root_element());
+    edits.into_iter().for_each(|edit| apply(&mut root, edit));
+    let mut text = String::new();
+    root.write(&mut text);
+    (path.clone(), text)
+}
+
 /// A value for any attribute; mostly a plain number.
 fn value() -> impl Strategy<Value = String> {
     prop_oneof![
@@ -363,7 +375,7 @@ fn document() -> impl Strategy<Value = Element> {
 fn robot() -> impl Strategy<Value = String> {
     let number = || {
         prop_oneof![
-            12 => (-2.0..2.0f64),
+            12 => -2.0..2.0f64,
             2 => (-12.0..12.0f64).prop_map(|exponent| 10f64.powf(exponent)),
             1 => any::<f64>(),
         ]
@@ -437,16 +449,12 @@ proptest! {
 
     #[test]
     fn changed_robots(which in any::<Index>(), edits in edits(), end in prop::option::weighted(0.1, any::<Index>())) {
-        let (path, text) = which.get(urdfs());
-        let mut root = Element::read(roxmltree::Document::parse(text).unwrap().root_element());
-        edits.into_iter().for_each(|edit| apply(&mut root, edit));
-        let mut text = String::new();
-        root.write(&mut text);
+        let (path, mut text) = changed(which, edits);
         if let Some(end) = end {
             let end = (0..=end.index(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
             text.truncate(end);
         }
-        exercise(&text, path)?;
+        exercise(&text, &path)?;
     }
 
     #[test]
@@ -546,6 +554,22 @@ fn unchanged_robots_are_sound() {
         let model = load_str(text, path, &LoadOptions::default()).unwrap_or_else(|error| panic!("{error}"));
         sound(&model).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     }
+}
+
+/// Robots that never load, or always do, would test nothing.
+#[test]
+fn both_outcomes_are_reached() {
+    let mut runner = TestRunner::deterministic();
+    let mut loaded = [0; 2];
+    for _ in 0..200 {
+        let text = robot().new_tree(&mut runner).unwrap().current();
+        let (path, other) =
+            (any::<Index>(), edits()).prop_map(|(i, e)| changed(i, e)).new_tree(&mut runner).unwrap().current();
+        let loads = |text: &str, path: &Path| load_str(text, path, &LoadOptions::default()).is_ok();
+        loaded[0] += usize::from(loads(&text, Path::new("tree.urdf")));
+        loaded[1] += usize::from(loads(&other, &path));
+    }
+    assert!(loaded.iter().all(|n| (20..180).contains(n)), "{loaded:?} of 200 load");
 }
 
 /// A hundred thousand elements in each other overflow the stack of whoever recurses.

@@ -43,7 +43,7 @@ fn describe(model: &Model, out: &mut String) -> fmt::Result {
         Ok(roles) => quadruped(model, &roles, out)?,
         Err(error) => writeln!(out, "\nno quadruped: {}", error.diagnosis().problem)?,
     }
-    writeln!(out, "\n{} warnings", model.warnings.len())?;
+    writeln!(out, "\nwarnings: {}", model.warnings.len())?;
     for warning in &model.warnings {
         writeln!(out, "  {}: {}; {}", warning.element, warning.problem, warning.remedy)?;
     }

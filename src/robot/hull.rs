@@ -9,8 +9,8 @@ use parry3d::shape::Triangle;
 
 /// A hull has at most this many points: the simulator tests each of them against the ground.
 pub(super) const MAX_POINTS: usize = 32;
-/// Of more points than this, only the extreme ones along [`DIRECTIONS`] directions go on: it bounds the work, and the
-/// recursion of the hull algorithm.
+/// Of more points than this, only the extreme ones along [`DIRECTIONS`] directions and a few go on: it bounds the work,
+/// and the recursion of the hull algorithm.
 const MANY: usize = 4096;
 const DIRECTIONS: usize = 1024;
 /// A hull with all its corners that leaves a point farther outside than this, relative to its size, has failed.
@@ -32,7 +32,8 @@ pub(super) struct Hull {
 pub(super) fn hull(vertices: &[DVec3]) -> Hull {
     let frame = Frame::new(vertices);
     let all = frame.distinct(vertices);
-    let extreme = if all.len() > MANY { frame.extreme(&all, fibonacci_directions()) } else { all.clone() };
+    let directions = lattice_directions().chain(fibonacci_directions());
+    let extreme = if all.len() > MANY { frame.extreme(&all, directions) } else { all.clone() };
     reduced(&frame, &all, &extreme).unwrap_or_else(|| {
         if extreme.len() <= MAX_POINTS {
             // with all of them nothing is left out, whatever their hull is
