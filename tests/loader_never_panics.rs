@@ -373,10 +373,11 @@ fn document() -> impl Strategy<Value = Element> {
 
 /// A robot whose links and joints form a tree, or nearly, with any numbers.
 fn robot() -> impl Strategy<Value = String> {
+    // of the many numbers of a robot, a few are odd at most, or none would load
     let number = || {
         prop_oneof![
-            12 => -2.0..2.0f64,
-            2 => (-12.0..12.0f64).prop_map(|exponent| 10f64.powf(exponent)),
+            2000 => -2.0..2.0f64,
+            6 => (-12.0..8.0f64).prop_map(|exponent| 10f64.powf(exponent)),
             1 => any::<f64>(),
         ]
     };
