@@ -465,5 +465,11 @@ def train_config(name: str) -> str:
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""
 
+def check(path: str | os.PathLike[str], package_dirs: Mapping[str, str | os.PathLike[str]]) -> str:
+    """What the URDF file at `path` is read as: links, joints, contact bodies, legs, and every warning.
+
+    `package_dirs` names the folder of each ROS package in `package://` names. Raises RobotError.
+    """
+
 def info() -> CoreInfo:
     """The version, the instruction set in use and the number of threads."""

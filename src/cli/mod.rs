@@ -1,5 +1,6 @@
 //! The command line of `polypod-sim`.
 
+mod check;
 mod inspect;
 mod replay;
 mod rollout;
@@ -26,6 +27,8 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
+    /// Prints what a URDF file is read as, with every warning; it needs no config.
+    Check(check::Check),
     /// Steps a dumped broken state again and says whether it breaks with the same bits.
     Replay(replay::Replay),
     /// Lists tasks and robots.
@@ -37,6 +40,7 @@ impl Cli {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
             Command::Inspect(inspect) => inspect.run(),
+            Command::Check(check) => check.run(),
             Command::Replay(replay) => replay.run(),
             Command::List => list(),
         }
