@@ -72,7 +72,7 @@ fn thickness(geometry: &Geometry) -> f64 {
         Geometry::Sphere { radius } | Geometry::Capsule { radius, .. } => 2.0 * radius,
         Geometry::Box { size } => size.min_element(),
         Geometry::Cylinder { radius, length } => length.min(2.0 * radius),
-        Geometry::Mesh { .. } => unreachable!(),
+        Geometry::Hull { .. } => unreachable!(),
     }
 }
 
@@ -88,7 +88,7 @@ fn moments(geometry: &Geometry, mass: f64) -> DVec3 {
             let across = mass * (3.0 * radius * radius + length * length) / 12.0;
             DVec3::new(across, across, 0.5 * mass * radius * radius)
         }
-        Geometry::Mesh { .. } => unreachable!(),
+        Geometry::Hull { .. } => unreachable!(),
     }
 }
 
@@ -165,7 +165,7 @@ impl Sample {
             Geometry::Box { size } => 0.5 * n.abs().dot(*size),
             Geometry::Cylinder { radius, length } => 0.5 * length * n.z.abs() + radius * n.x.hypot(n.y),
             Geometry::Capsule { radius, length } => 0.5 * length * n.z.abs() + radius,
-            Geometry::Mesh { .. } => unreachable!(),
+            Geometry::Hull { .. } => unreachable!(),
         };
         normal.dot(centre) - self.plane.offset - reach
     }
@@ -211,7 +211,7 @@ impl Sample {
             Geometry::Box { size } => 0.5 * size.length(),
             Geometry::Cylinder { radius, length } => radius.hypot(0.5 * length),
             Geometry::Capsule { radius, length } => radius + 0.5 * length,
-            Geometry::Mesh { .. } => unreachable!(),
+            Geometry::Hull { .. } => unreachable!(),
         };
         size + self.shape_origin.translation.length()
     }
