@@ -1,4 +1,4 @@
-"""The command line: `polypod train | eval | list | info`."""
+"""The command line: `polypod train | eval | accuracy | list | info`."""
 
 import dataclasses
 import functools
@@ -82,6 +82,18 @@ class Eval:
 
 
 @dataclasses.dataclass(frozen=True)
+class Accuracy:
+    """Compare the physics with MuJoCo on the same URDFs."""
+
+    robots: Robots = None
+    """Names of the robots, with commas between. Default: all."""
+    out: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the tables to this document, between its marks."""
+    readme: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the summary to this document, between its marks."""
+
+
+@dataclasses.dataclass(frozen=True)
 class List:
     """List the tasks and the robots."""
 
@@ -94,6 +106,7 @@ class Info:
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
@@ -121,12 +134,14 @@ def main(arguments: Sequence[str]) -> int:
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
 
 
-def _run(command: Train | Eval | List | Info) -> int:
+def _run(command: Train | Eval | Accuracy | List | Info) -> int:
     match command:
         case Train():
             return _train(command)
         case Eval():
             return _eval(command)
+        case Accuracy():
+            return _accuracy(command)
         case List():
             print("tasks")
             for task in _core.tasks():
@@ -189,6 +204,21 @@ def _eval(command: Eval) -> int:
             write_text(command.json, json.dumps(evaluation.as_dict(), indent=2) + "\n")
         except OSError as error:
             raise _core.ConfigError(f"cannot write {command.json}: {error.strerror}; choose another --json") from error
+    return 0
+
+
+def _accuracy(command: Accuracy) -> int:
+    from polypod.accuracy import markdown, report
+
+    for document in (command.out, command.readme):
+        if document is not None:
+            report.check_document(document)
+    measured = report.measure(_names(command.robots), functools.partial(print, flush=True))
+    tables, summary = markdown.tables(measured), markdown.summary(measured)
+    print(f"\n{tables}\n\n{summary}")
+    for document, text in ((command.out, tables), (command.readme, summary)):
+        if document is not None:
+            report.replace_block(document, text)
     return 0
 
 

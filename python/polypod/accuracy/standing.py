@@ -1,0 +1,166 @@
+"""Contact under a robot: a drop from 0.3 m, the forces on standing feet, and rest on a slope."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+import polypod
+from polypod.accuracy.reference import GRAVITY, Ground, Reference
+from polypod.accuracy.robot import Array, Robot
+
+DROP_HEIGHT = 0.3
+"""Of the lowest foot above the ground, m."""
+DROP_TIME = 3.0
+"""s."""
+DT = 0.005
+"""polypod's physics step, s: that of the tasks."""
+MUJOCO_DT = 0.0005
+"""MuJoCo's, s."""
+FRICTION = 0.8
+"""Of all contacts."""
+SETTLE_TIME = 10.0
+"""Until a robot that is set on its feet has stopped swaying, s."""
+SLOPE_ANGLE = math.radians(20.0)
+"""rad."""
+REST_TIME = 10.0
+"""During which nothing may creep, s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Drop:
+    """Three seconds after a drop from 0.3 m onto its feet, targets in the default pose."""
+
+    robot: str
+    height: float
+    """Of the base, polypod's, m."""
+    mujoco_height: float
+    """m."""
+    pitch: float
+    """Of the base, polypod's, rad."""
+    mujoco_pitch: float
+    """rad."""
+    soft_height: float
+    """MuJoCo's with its default contact parameters, m."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """Forces of the ground on the feet of a robot at rest in its default pose."""
+
+    robot: str
+    weight: float
+    """N."""
+    normal: Array
+    """Normal force per foot, polypod's, N."""
+    mujoco_normal: Array
+    """N."""
+    tangential: Array
+    """Horizontal force per foot [feet, 2], polypod's, N."""
+    mujoco_tangential: Array
+    """N."""
+
+    @property
+    def normal_error(self) -> float:
+        """Largest difference of a foot's normal force, relative to MuJoCo's on that foot."""
+        return float((np.abs(self.normal - self.mujoco_normal) / self.mujoco_normal).max())
+
+    @property
+    def tangential_error(self) -> float:
+        """Largest difference of a foot's horizontal force, relative to MuJoCo's normal force on that foot."""
+        difference = np.linalg.norm(self.tangential - self.mujoco_tangential, axis=1)
+        return float((difference / self.mujoco_normal).max())
+
+
+@dataclasses.dataclass(frozen=True)
+class SlopeRest:
+    """How far a robot's base moves in 10 s on a slope of 20 degrees, after it has settled."""
+
+    robot: str
+    uphill: str
+    """Which side of the robot looks up the slope."""
+    creep: float
+    """Largest distance from where it was after settling, polypod's, m."""
+    mujoco_creep: float
+    """m."""
+
+
+def compare_drop(robot: Robot) -> Drop:
+    """Drops a robot."""
+    start = _pose(robot, DROP_HEIGHT)
+    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False)
+    sim.set_state(start)
+    sim.step(targets=robot.default_position, n=round(DROP_TIME / DT))
+    qpos = sim.qpos[0]
+    ends = []
+    for default_softness in (False, True):
+        mujoco = Reference.of(
+            robot, dt=MUJOCO_DT, ground=Ground(FRICTION, default_softness=default_softness)
+        )
+        mujoco.set_state(start)
+        mujoco.step(robot.default_position, round(DROP_TIME / MUJOCO_DT), limited=True)
+        ends.append(mujoco.qpos)
+    stiff, soft = ends
+    return Drop(robot.name, qpos[2], stiff[2], _pitch(qpos), _pitch(stiff), soft[2])
+
+
+def compare_standing(robot: Robot) -> Standing:
+    """Sets a robot on its feet and lets it settle."""
+    start = _pose(robot, 0.0)
+    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False)
+    sim.set_state(start)
+    sim.step(targets=robot.default_position, n=round(SETTLE_TIME / DT))
+    mujoco = Reference.of(robot, dt=MUJOCO_DT, ground=Ground(FRICTION))
+    mujoco.set_state(start)
+    mujoco.step(robot.default_position, round(SETTLE_TIME / MUJOCO_DT))
+    links = list(sim.link_names)
+    ours, theirs = sim.contact_forces[0], mujoco.contact_forces(links)
+    feet = np.flatnonzero(theirs[:, 2] > 0.0)
+    return Standing(
+        robot=robot.name,
+        weight=sim.total_mass * GRAVITY,
+        normal=ours[feet, 2],
+        mujoco_normal=theirs[feet, 2],
+        tangential=ours[feet, :2],
+        mujoco_tangential=theirs[feet, :2],
+    )
+
+
+def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
+    """Sets a robot on a slope; `uphill` is the side of it that looks up: "front" or "left"."""
+    axis = np.array([0.0, -1.0, 0.0]) if uphill == "front" else np.array([1.0, 0.0, 0.0])
+    normal = _rotate(axis, np.array([0.0, 0.0, 1.0]))
+    start = _pose(robot, 0.0)
+    start[:3] = start[2] * normal
+    start[3:7] = [math.cos(SLOPE_ANGLE / 2), *(math.sin(SLOPE_ANGLE / 2) * axis)]
+    x, y, z = (float(component) for component in normal)
+    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False)
+    sim.set_state(start)
+    mujoco = Reference.of(robot, dt=DT, ground=Ground(FRICTION, (x, y, z)))
+    mujoco.set_state(start)
+    sim.step(targets=robot.default_position, n=round(SETTLE_TIME / DT))
+    mujoco.step(robot.default_position, round(SETTLE_TIME / DT))
+    ours, theirs = sim.qpos[0, :3], mujoco.qpos[:3]
+    creep = mujoco_creep = 0.0
+    every = 0.1
+    for _ in range(round(REST_TIME / every)):
+        sim.step(targets=robot.default_position, n=round(every / DT))
+        mujoco.step(robot.default_position, round(every / DT))
+        creep = max(creep, float(np.linalg.norm(sim.qpos[0, :3] - ours)))
+        mujoco_creep = max(mujoco_creep, float(np.linalg.norm(mujoco.qpos[:3] - theirs)))
+    return SlopeRest(robot.name, uphill, creep, mujoco_creep)
+
+
+def _pose(robot: Robot, above: float) -> Array:
+    """qpos of the default pose, level, with the lowest foot `above` the ground."""
+    return np.array([0.0, 0.0, robot.base_height + above, 1.0, 0.0, 0.0, 0.0, *robot.default_position])
+
+
+def _rotate(axis: Array, vector: Array) -> Array:
+    """`vector`, at right angles to the unit vector `axis`, turned about it by the slope's angle."""
+    return math.cos(SLOPE_ANGLE) * vector + math.sin(SLOPE_ANGLE) * np.cross(axis, vector)
+
+
+def _pitch(qpos: Array) -> float:
+    w, x, y, z = qpos[3:7]
+    return math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
