@@ -12,9 +12,11 @@ pub mod morphology;
 mod python;
 pub mod robot;
 pub mod rows;
+pub mod simulation;
 pub mod snapshot;
 #[path = "../systems/mod.rs"]
 pub mod systems;
 pub mod world;
 
 pub use app::{Sim, SimError, SimOptions};
+pub use simulation::{Control, Simulation, SimulationError, SimulationOptions};

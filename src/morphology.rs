@@ -6,7 +6,7 @@ use bevy_ecs::prelude::Resource;
 
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::contact::MAX_DEPTH;
-use crate::dynamics::{EffortTable, Parameters, Topology};
+use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
 use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
 
 /// A robot could not be made from its URDF and config.
@@ -183,14 +183,16 @@ fn articulation(
     topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
     for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
         let actuator = actuators[slot].1;
-        topology.joints[j].effort_table = effort_table(&actuator.effort_table);
-        apply_actuator(&mut p, j, actuator);
+        apply_actuator(&mut topology.joints[j], &mut p, j, actuator);
     }
     let nominal = Parameters::from_scalars(&topology, &p);
     (topology, nominal)
 }
 
-fn apply_actuator(p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
+/// Gives joint `j` the actuator of a config, but for its delay.
+pub(crate) fn apply_actuator(joint: &mut JointTopology, p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
+    joint.effort_table = effort_table(&actuator.effort_table);
+    joint.explicit = actuator.explicit;
     p.stiffness[j] = actuator.stiffness;
     p.damping[j] = actuator.damping;
     p.armature[j] = actuator.armature;
@@ -274,22 +276,16 @@ pub struct RobotDescription {
     pub base_height: f32,
     /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
     pub feet: Vec<String>,
+    /// For each canonical slot the one on the robot's other side, and the sign that its position takes there: the
+    /// mirror image of a pose about the plane between left and right.
+    pub mirror: [(usize, f32); 12],
 }
 
 impl MorphologyModel {
     /// Its description.
     pub fn describe(&self) -> RobotDescription {
         let p = &self.nominal;
-        let effort_limit = self
-            .topology
-            .joints
-            .iter()
-            .zip(&p.effort_limit)
-            .map(|(joint, &limit)| match &joint.effort_table {
-                Some(table) => limit * table.limits.iter().copied().fold(0.0, f32::max),
-                None => limit,
-            })
-            .collect();
+        let effort_limit = (0..self.topology.num_joints()).map(|j| self.max_effort(j, p)).collect();
         RobotDescription {
             title: self.config.title.clone(),
             mass: self.model.total_mass(),
@@ -304,6 +300,25 @@ impl MorphologyModel {
             upper: p.upper.clone(),
             base_height: self.spawn_height - self.config.reset.spawn_margin as f32,
             feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
+            mirror: std::array::from_fn(|slot| self.mirror(slot)),
+        }
+    }
+
+    fn mirror(&self, slot: usize) -> (usize, f32) {
+        // legs come in the order LF, LH, RF, RH within a role
+        let other = slot ^ 2;
+        let axis = |slot: usize| self.topology.joints[self.joint_of_slot[slot]].axis.direction();
+        let ([x, y, z], [ox, oy, oz]) = (axis(slot), axis(other));
+        // axes of rotation are mirrored as pseudovectors
+        (other, if y * oy - x * ox - z * oz < 0.0 { -1.0 } else { 1.0 })
+    }
+
+    /// Largest effort of a joint at any position, N m; `body` holds the numbers of a robot of this kind.
+    pub fn max_effort(&self, joint: usize, body: &Parameters<f32>) -> f32 {
+        let limit = body.effort_limit[joint];
+        match &self.topology.joints[joint].effort_table {
+            Some(table) => limit * table.limits.iter().copied().fold(0.0, f32::max),
+            None => limit,
         }
     }
 }

@@ -99,6 +99,49 @@ pub(super) fn register(registry: &mut Registry) {
     });
     registry.observation("joint_vel_rel", 12, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
     registry.observation("last_action", 12, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
+    registry.observation("morphology", MORPHOLOGY_SIZE, morphology);
+}
+
+/// Numbers of the term `morphology`.
+const MORPHOLOGY_SIZE: usize = 35;
+
+/// What body this is, each number of the order of one: total mass / 50 kg; distance of the hips along and across the
+/// base, m; upper and lower leg and offset of the hip, mean over the legs, m; radians per unit of action; then per role
+/// (HAA, HFE, KFE), mean over the legs: stiffness / 100, damping / 5, effort limit / 100, armature * 10, and the torque
+/// of one unit of action / weight / leg length; the default joint positions in canonical order, rad; the spawn height,
+/// m.
+///
+/// Randomised bodies describe themselves as they are.
+fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
+    let (body, model) = (r.body, r.morphology);
+    let length = |v: &[f32; 3]| v[0].mul_add(v[0], v[1].mul_add(v[1], v[2] * v[2])).sqrt();
+    let joint = |role: usize, leg: usize| model.joint_of_slot[4 * role + leg];
+    let mean = |f: &dyn Fn(usize) -> f32| (f(0) + f(1) + f(2) + f(3)) * 0.25;
+    let mass = body.total_mass();
+    // legs come in the order LF, LH, RF, RH
+    let hip = |leg: usize| body.joint_offset[joint(0, leg)];
+    let along = 0.5 * (hip(0)[0] + hip(2)[0] - hip(1)[0] - hip(3)[0]);
+    let across = 0.5 * (hip(0)[1] + hip(1)[1] - hip(2)[1] - hip(3)[1]);
+    let offset = mean(&|leg| length(&body.joint_offset[joint(1, leg)]));
+    let upper = mean(&|leg| length(&body.joint_offset[joint(2, leg)]));
+    let lower = mean(&|leg| length(&body.site_position[leg]));
+    out[..7].copy_from_slice(&[mass / 50.0, along, across, upper, lower, offset, model.action_scale]);
+    for role in 0..3 {
+        let stiffness = mean(&|leg| body.stiffness[joint(role, leg)]);
+        let damping = mean(&|leg| body.damping[joint(role, leg)]);
+        let effort = mean(&|leg| model.max_effort(joint(role, leg), body));
+        let armature = mean(&|leg| body.armature[joint(role, leg)]);
+        let authority = stiffness * model.action_scale / (mass * 9.81 * (upper + lower));
+        out[7 + 5 * role..12 + 5 * role].copy_from_slice(&[
+            stiffness / 100.0,
+            damping / 5.0,
+            effort / 100.0,
+            armature * 10.0,
+            authority,
+        ]);
+    }
+    by_slot(r, &mut out[22..34], |j| model.default_position[j]);
+    out[34] = model.spawn_height;
 }
 
 /// Physical joints in canonical order.

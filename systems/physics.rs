@@ -8,7 +8,7 @@ use crate::components::{
     JointTargets, Robot,
 };
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
-use crate::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Workspace};
+use crate::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Plane, Report, State, StepSettings, Workspace};
 use crate::morphology::Morphologies;
 use crate::rows::{SplitRows, Workers, write_rows};
 use crate::world::Ground;
@@ -84,7 +84,7 @@ impl PhysicsEngine {
                 iterations: config.physics.solver_iterations as usize,
                 correction: config.physics.depenetration_rate,
                 max_depenetration_velocity: config.physics.max_depenetration_velocity,
-                ground_height: ground.height,
+                ground: Some(Plane::level(ground.height)),
                 ..ContactSettings::default()
             },
         };

@@ -4,8 +4,9 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 
 use crate::components::{
-    Action, BasePose, BaseVelocity, Command, ContactSensor, Feet, Imu, JointEffort, JointState, Morphology, Robot,
+    Action, BasePose, BaseVelocity, Body, Command, ContactSensor, Feet, Imu, JointEffort, JointState, Morphology, Robot,
 };
+use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::read_rows;
 
@@ -32,6 +33,8 @@ pub struct RobotView<'a> {
     pub contacts: &'a ContactSensor,
     /// Positions and velocities of the feet.
     pub feet: &'a Feet,
+    /// The robot's own numbers, as randomised.
+    pub body: &'a Parameters<f32>,
     /// Length of a control step, s.
     pub step_dt: f32,
 }
@@ -50,6 +53,7 @@ pub(super) struct ViewParam<'w, 's> {
     actions: Query<'w, 's, &'static Action>,
     contacts: Query<'w, 's, &'static ContactSensor>,
     feet: Query<'w, 's, &'static Feet>,
+    bodies: Query<'w, 's, &'static Body>,
 }
 
 impl ViewParam<'_, '_> {
@@ -66,6 +70,7 @@ impl ViewParam<'_, '_> {
             actions: read_rows(&self.actions),
             contacts: read_rows(&self.contacts),
             feet: read_rows(&self.feet),
+            bodies: read_rows(&self.bodies),
             step_dt,
         }
     }
@@ -85,6 +90,7 @@ pub(super) struct Views<'a> {
     actions: &'a [Action],
     contacts: &'a [ContactSensor],
     feet: &'a [Feet],
+    bodies: &'a [Body],
     step_dt: f32,
 }
 
@@ -105,6 +111,7 @@ impl<'a> Views<'a> {
             action: &self.actions[env],
             contacts: &self.contacts[env],
             feet: &self.feet[env],
+            body: &self.bodies[env].0,
             step_dt: self.step_dt,
         }
     }

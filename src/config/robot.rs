@@ -89,6 +89,10 @@ pub struct ActuatorConfig {
     /// Viscous friction of the joint, N m s / rad. Default: as in the URDF.
     #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
     pub joint_damping: Option<f64>,
+    /// Let the gains act on the beginning of each physics step, as a motor controller at its rate would. Default: on its
+    /// end, which stays stable with any gains.
+    #[serde(default)]
+    pub explicit: bool,
     /// Fewest and most physics steps by which targets come late, both included; only `delayed_pd`. Default: none.
     #[serde(default)]
     pub delay: [u32; 2],
@@ -103,7 +107,7 @@ pub struct ActuatorConfig {
 pub enum ActuatorModel {
     /// Proportional-derivative control, clipped at the effort limit.
     IdealPd,
-    /// The same, integrated implicitly by the engine.
+    /// The same; Isaac Lab's name for gains that are integrated implicitly, as all are here by default.
     ImplicitPd,
     /// Proportional-derivative control, clipped by the torque-speed line of a DC motor.
     DcMotor,

@@ -42,6 +42,16 @@ impl Axis {
             Axis::General(direction)
         }
     }
+
+    /// The unit vector.
+    pub fn direction(self) -> [f64; 3] {
+        match self {
+            Axis::X(s) => [s, 0.0, 0.0],
+            Axis::Y(s) => [0.0, s, 0.0],
+            Axis::Z(s) => [0.0, 0.0, s],
+            Axis::General(u) => u,
+        }
+    }
 }
 
 /// One joint and the link it moves: joint `j` moves link `j + 1`; link 0 is the base.
@@ -55,6 +65,9 @@ pub struct JointTopology {
     pub axis: Axis,
     /// A table of effort limits over the joint position, if the actuator has one: equally spaced.
     pub effort_table: Option<EffortTable>,
+    /// Whether the actuator's gains act on the beginning of a physics step (as a motor controller at the step's rate
+    /// would) instead of on its end.
+    pub explicit: bool,
 }
 
 /// Effort limits over a joint position, linear in between, constant beyond the ends.

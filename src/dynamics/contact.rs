@@ -20,8 +20,36 @@ pub struct ContactSettings {
     pub max_depenetration_velocity: f64,
     /// Approach speed from which restitution acts, m/s.
     pub bounce_threshold: f64,
-    /// Height of the ground plane, m.
-    pub ground_height: f64,
+    /// What robots stand on; nothing without.
+    pub ground: Option<Plane>,
+}
+
+/// A plane that bodies stay above: points `x` with `normal . x = offset`, world axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// Unit vector that points away from the ground.
+    pub normal: [f64; 3],
+    /// Distance from the world's origin along the normal, m.
+    pub offset: f64,
+}
+
+impl Plane {
+    /// A level plane.
+    pub fn level(height: f64) -> Self {
+        Self { normal: [0.0, 0.0, 1.0], offset: height }
+    }
+
+    /// The normal and two tangents, world axes; a level plane's tangents are x and y.
+    fn frame(&self) -> [[f64; 3]; 3] {
+        let n = self.normal;
+        if n == [0.0, 0.0, 1.0] {
+            return [n, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        }
+        let along = if n[0].abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+        let t = add_scaled(&along, &n, -dot(&along, &n));
+        let t = scale(&t, 1.0 / dot(&t, &t).sqrt());
+        [n, t, cross(&n, &t)]
+    }
 }
 
 impl Default for ContactSettings {
@@ -31,7 +59,7 @@ impl Default for ContactSettings {
             correction: 0.2,
             max_depenetration_velocity: 1.0,
             bounce_threshold: 0.5,
-            ground_height: 0.0,
+            ground: Some(Plane::level(0.0)),
         }
     }
 }
@@ -182,11 +210,15 @@ pub fn build_contacts<S: Real>(
     let Workspace { base_rotation, links, axes, factor, contact: rows, .. } = work;
     let depth = topology.max_depth();
     let margin = S::splat(CONTACT_MARGIN);
-    let ground = state.position[2] - S::splat(settings.ground_height);
-    // world axes (normal, tangents) in base axes
-    let frame = [base_rotation[2], base_rotation[0], base_rotation[1]];
-    let inverse_dt = S::one() / dt;
     rows.contacts.clear();
+    let Some(plane) = &settings.ground else {
+        return;
+    };
+    let world = plane.frame().map(|axis| axis.map(S::splat));
+    let ground = dot(&world[0], &state.position) - S::splat(plane.offset);
+    // normal and tangents in base axes
+    let frame = world.map(|axis| mul_vec_transposed(base_rotation, &axis));
+    let inverse_dt = S::one() / dt;
     for (link, at) in links.iter().enumerate() {
         let candidates = topology.contacts_of(link);
         if candidates.is_empty() {
@@ -478,6 +510,7 @@ fn apply<S: Real>(
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
+    settings: &ContactSettings,
     inverse_dt: S,
     work: &ContactWork<S>,
     state: &mut State<S>,
@@ -487,13 +520,19 @@ pub fn report<S: Real>(
     let z = S::zero();
     force.fill([z; 3]);
     normal_force.fill(z);
+    let Some(plane) = &settings.ground else {
+        return;
+    };
+    let world = plane.frame().map(|axis| axis.map(S::splat));
     for row in &work.contacts {
         // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
         let impulse = row.impulse.map(|x| x + z);
         state.impulse[row.contact] = impulse;
         let body = topology.contacts[row.contact].body;
         let f = impulse.map(|x| x * inverse_dt);
-        force[body] = [force[body][0] + f[1], force[body][1] + f[2], force[body][2] + f[0]];
+        for d in 0..3 {
+            force[body] = add_scaled(&force[body], &world[d], f[d]);
+        }
         normal_force[body] = normal_force[body] + f[0];
     }
 }

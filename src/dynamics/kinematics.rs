@@ -55,13 +55,7 @@ fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
 /// The axis of a joint that does not turn, in the outer frame.
 #[inline(always)]
 fn direction<S: Real>(r: &Mat3<S>, axis: Axis) -> Vec3<S> {
-    let u = match axis {
-        Axis::X(s) => [s, 0.0, 0.0],
-        Axis::Y(s) => [0.0, s, 0.0],
-        Axis::Z(s) => [0.0, 0.0, s],
-        Axis::General(u) => u,
-    };
-    mul_vec(r, &u.map(S::splat))
+    mul_vec(r, &axis.direction().map(S::splat))
 }
 
 /// Positions, axes and velocities of all links.

@@ -508,7 +508,7 @@ pub enum Simd {
 
 /// An instruction set was asked for that this machine does not have, or that does not exist.
 #[derive(Debug, thiserror::Error)]
-#[error("instruction set: `{0}` is not available here; use one of {1}, or leave POLYPOD_SIMD unset")]
+#[error("instruction set: `{0}` is not available here; use one of {1}, or leave it to polypod")]
 pub struct SimdError(String, String);
 
 impl Simd {
@@ -558,19 +558,25 @@ impl Simd {
     /// # Errors
     /// When it is unknown or this machine lacks it.
     pub fn choose(wanted: Option<Simd>) -> Result<Simd, SimdError> {
-        let available = Self::available();
         let wanted = match wanted {
             Some(simd) => Some(simd.name().to_string()),
             None => std::env::var("POLYPOD_SIMD").ok().filter(|name| !name.is_empty()),
         };
-        let Some(name) = wanted else {
-            return Ok(available.first().copied().unwrap_or(Simd::Portable));
-        };
-        available
-            .iter()
-            .copied()
-            .find(|simd| simd.name() == name.to_lowercase())
-            .ok_or_else(|| SimdError(name, available.iter().map(|simd| simd.name()).collect::<Vec<_>>().join(", ")))
+        match wanted {
+            Some(name) => Self::named(&name),
+            None => Ok(Self::available().first().copied().unwrap_or(Simd::Portable)),
+        }
+    }
+
+    /// The one of that name, in letters of any case.
+    ///
+    /// # Errors
+    /// When it is unknown or this machine lacks it.
+    pub fn named(name: &str) -> Result<Simd, SimdError> {
+        let available = Self::available();
+        let known = || available.iter().map(|simd| simd.name()).collect::<Vec<_>>().join(", ");
+        let found = available.iter().copied().find(|simd| simd.name() == name.to_lowercase());
+        found.ok_or_else(|| SimdError(name.to_string(), known()))
     }
 }
 

@@ -45,6 +45,12 @@ pub fn add_scaled<S: Real>(a: &Vec3<S>, b: &Vec3<S>, s: S) -> Vec3<S> {
     [b[0].mul_add(s, a[0]), b[1].mul_add(s, a[1]), b[2].mul_add(s, a[2])]
 }
 
+/// `A B`.
+#[inline(always)]
+pub fn mul_mat<S: Real>(a: &Mat3<S>, b: &Mat3<S>) -> Mat3<S> {
+    a.map(|row| mul_vec_transposed(b, &row))
+}
+
 /// `M v`.
 #[inline(always)]
 pub fn mul_vec<S: Real>(m: &Mat3<S>, v: &Vec3<S>) -> Vec3<S> {

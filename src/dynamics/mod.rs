@@ -1,5 +1,6 @@
 #![doc = include_str!("README.md")]
 
+pub mod algorithms;
 pub mod articulation;
 pub mod contact;
 pub mod factor;
@@ -9,10 +10,11 @@ pub mod math;
 pub mod state;
 pub mod step;
 
+pub use algorithms::Dynamics;
 pub use articulation::{
     Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
 };
-pub use contact::ContactSettings;
+pub use contact::{ContactSettings, Plane};
 pub use lanes::{Lanes, Real, Simd};
 pub use state::{Drive, Report, State, Workspace};
 pub use step::{ControlStep, StepSettings};

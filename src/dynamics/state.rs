@@ -21,8 +21,8 @@ pub struct State<S> {
     pub joint_position: Vec<S>,
     /// Joint velocities, rad/s, `[joints]`.
     pub joint_velocity: Vec<S>,
-    /// Contact impulses of the last physics step in world axes (normal, two tangents), N s, `[contacts]`; they warm-start
-    /// the next one.
+    /// Contact impulses of the last physics step (along the ground's normal and two tangents), N s, `[contacts]`; they
+    /// warm-start the next one.
     pub impulse: Vec<[S; 3]>,
 }
 
@@ -33,6 +33,8 @@ pub struct Drive<S> {
     pub targets: Vec<Vec<S>>,
     /// Delay of the targets in physics steps, `[joints]`.
     pub delay: Vec<S>,
+    /// Effort on top of what the targets ask for, before the actuators' limits, N m, `[joints]`.
+    pub feedforward: Vec<S>,
 }
 
 /// What one control step reports.
@@ -69,10 +71,11 @@ impl<S: Real> State<S> {
 }
 
 impl<S: Real> Drive<S> {
-    /// Targets zero, no delay, `ages` control steps remembered.
+    /// Targets and feed-forward zero, no delay, `ages` control steps remembered.
     pub fn zeros(topology: &Topology, ages: usize) -> Self {
         let joints = topology.num_joints();
-        Self { targets: vec![vec![S::zero(); joints]; ages], delay: vec![S::zero(); joints] }
+        let zeros = vec![S::zero(); joints];
+        Self { targets: vec![zeros.clone(); ages], delay: zeros.clone(), feedforward: zeros }
     }
 }
 

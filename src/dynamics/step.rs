@@ -47,7 +47,7 @@ impl<S: Real> Kernel<S> for ControlStep<'_, S> {
         let Self { topology, settings, parameters, drive, state, report, work } = self;
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
-            physics_step(topology, settings, parameters, state, report, substep, work);
+            physics_step(topology, settings, parameters, drive, state, report, substep, work);
         }
         report_sites(topology, parameters, state, report, work);
     }
@@ -100,18 +100,27 @@ const LOOK_AHEAD: f64 = 0.2;
 /// over his gamma = 1/2 + `LOOK_AHEAD`, `(gamma + 1/2)^2 / 4`.
 const STIFFNESS_SHARE: f64 = (1.0 + LOOK_AHEAD) * (1.0 + LOOK_AHEAD) / 4.0;
 
-/// PD effort, limited by the motor's torque-speed line and the effort limit (or its table over the position).
+/// PD and feed-forward effort, limited by the motor's torque-speed line and the effort limit (or its table over the position).
 ///
 /// Inside the limits the gains act implicitly: their share of the velocity change goes to `effort_slope` and onto the
-/// mass matrix's diagonal. A saturated actuator gives its limit, explicitly.
+/// mass matrix's diagonal. A saturated actuator gives its limit, explicitly, and so does an explicit one always.
 #[inline(always)]
-fn actuate<S: Real>(topology: &Topology, parameters: &Parameters<S>, dt: S, state: &State<S>, work: &mut Workspace<S>) {
+fn actuate<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    drive: &Drive<S>,
+    dt: S,
+    state: &State<S>,
+    work: &mut Workspace<S>,
+) {
     let (z, one) = (S::zero(), S::one());
-    let (ahead, share) = (dt * S::splat(LOOK_AHEAD), dt * S::splat(STIFFNESS_SHARE));
+    let (look_ahead, share) = (dt * S::splat(LOOK_AHEAD), dt * S::splat(STIFFNESS_SHARE));
     for (j, joint) in topology.joints.iter().enumerate() {
         let (q, v) = (state.joint_position[j], state.joint_velocity[j]);
         let (kp, kd) = (parameters.stiffness[j], parameters.damping[j]);
-        let wanted = kp.mul_add(v.neg_mul_add(ahead, work.target[j] - q), -(kd * v));
+        let ahead = if joint.explicit { z } else { look_ahead };
+        let spring = kp.mul_add(v.neg_mul_add(ahead, work.target[j] - q), -(kd * v));
+        let wanted = spring + drive.feedforward[j];
         let mut limit = parameters.effort_limit[j];
         if let Some(table) = &joint.effort_table {
             limit = limit * table_limit(table, q);
@@ -123,7 +132,7 @@ fn actuate<S: Real>(topology: &Topology, parameters: &Parameters<S>, dt: S, stat
         let effort = wanted.clamp(least, most);
         let saturated = S::or(wanted.lt(effort), effort.lt(wanted));
         work.effort[j] = effort;
-        work.effort_slope[j] = S::select(saturated, z, kp.mul_add(share, kd));
+        work.effort_slope[j] = if joint.explicit { z } else { S::select(saturated, z, kp.mul_add(share, kd)) };
     }
 }
 
@@ -132,6 +141,7 @@ fn physics_step<S: Real>(
     topology: &Topology,
     settings: &StepSettings,
     parameters: &Parameters<S>,
+    drive: &Drive<S>,
     state: &mut State<S>,
     report: &mut Report<S>,
     substep: usize,
@@ -151,7 +161,7 @@ fn physics_step<S: Real>(
     kinematics::composite_inertias(topology, work);
     factor::mass_matrix(topology, parameters, work);
 
-    actuate(topology, parameters, dt, state, work);
+    actuate(topology, parameters, drive, dt, state, work);
     for j in 0..joints {
         let slope = work.effort_slope[j] + parameters.joint_damping[j];
         work.factor.inverse_diagonal[j] = slope.mul_add(dt, work.factor.inverse_diagonal[j]);
@@ -193,6 +203,7 @@ fn physics_step<S: Real>(
     contact::solve(topology, parameters, &settings.contact, &mut work.contact);
     contact::report(
         topology,
+        &settings.contact,
         S::one() / dt,
         &work.contact,
         state,

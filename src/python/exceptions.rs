@@ -8,6 +8,7 @@ use pyo3::types::{PyDict, PyTuple, PyType};
 use crate::app::SimError;
 use crate::config::{ConfigError, ConfigErrorKind};
 use crate::morphology::MorphologyError;
+use crate::simulation::SimulationError;
 use crate::systems::TermError;
 
 struct Exceptions {
@@ -67,6 +68,20 @@ pub(super) fn to_python(py: Python<'_>, error: SimError) -> PyErr {
         SimError::Argument { .. } | SimError::Simd(_) | SimError::World(_) | SimError::Snapshot(_) => &all.config,
     };
     PyErr::from_type(class.bind(py).clone(), message)
+}
+
+/// The exception of an error of a simulation without a task.
+pub(super) fn simulation_error(py: Python<'_>, error: SimulationError) -> PyErr {
+    let all = match exceptions(py) {
+        Ok(all) => all,
+        Err(error) => return error,
+    };
+    let class = match &error {
+        SimulationError::Config(error) => config_class(all, error),
+        SimulationError::Robot(_) => &all.robot,
+        SimulationError::Argument { .. } | SimulationError::Simd(_) | SimulationError::Snapshot(_) => &all.config,
+    };
+    PyErr::from_type(class.bind(py).clone(), error.to_string())
 }
 
 fn config_class<'a>(all: &'a Exceptions, error: &ConfigError) -> &'a Py<PyType> {

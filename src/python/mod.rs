@@ -1,6 +1,7 @@
 //! The PyO3 boundary: `polypod._core`. Thin; what it says to users stands in `python/polypod/_core.pyi`.
 
 mod exceptions;
+mod simulation;
 mod vec_sim;
 
 use pyo3::prelude::*;
@@ -60,6 +61,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
+    module.add_class::<simulation::Simulation>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;
     module.add_function(wrap_pyfunction!(robots, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;

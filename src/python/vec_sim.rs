@@ -45,7 +45,7 @@ fn fill<T: Element + Copy, D: numpy::ndarray::Dimension>(
 }
 
 /// A shape as Python writes it.
-fn tuple(shape: &[usize]) -> String {
+pub(super) fn tuple(shape: &[usize]) -> String {
     let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
     if let [size] = &sizes[..] { format!("({size},)") } else { format!("({})", sizes.join(", ")) }
 }

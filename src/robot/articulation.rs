@@ -49,6 +49,7 @@ impl Articulation {
                 },
                 axis: Axis::new((align[j + 1] * joint.axis).to_array()),
                 effort_table: None,
+                explicit: false,
             })
             .collect();
 

@@ -27,6 +27,7 @@ class RunConfig:
     num_steps_per_env: int
     save_interval: int
     normalize_reward_per_robot: bool
+    symmetry: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,6 +105,7 @@ class TrainConfig:
             "num_steps_per_env": self.run.num_steps_per_env,
             "save_interval": self.run.save_interval,
             "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
+            "symmetry": self.run.symmetry,
             "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
             "algorithm": {"class_name": "PPO", **algorithm},
             "actor": self.actor.model_cfg(),

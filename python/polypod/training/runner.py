@@ -21,6 +21,7 @@ from polypod.training import run_dir
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
+from polypod.training.symmetry import Mirror
 
 STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
@@ -39,6 +40,10 @@ class Runner(OnPolicyRunner):
 
     def __init__(self, env: VecEnv, cfg: dict[str, Any], run: Path, device: str, reporter: Reporter) -> None:
         """Builds networks and storage; `cfg` is rsl_rl's configuration."""
+        if cfg["symmetry"]:
+            mirror = Mirror(env, device)
+            symmetry = {"data_augmentation_func": mirror.augment, "use_data_augmentation": True}
+            cfg = {**cfg, "algorithm": {**cfg["algorithm"], "symmetry_cfg": symmetry}}
         with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its networks
             super().__init__(env, cfg, log_dir=str(run), device=device)
         self.logger = TrainingLogger(

@@ -1,0 +1,386 @@
+//! Physics without a task: any tree of links that a URDF describes, in many envs at once.
+//!
+//! Arrays are row-major slices of `f64`, one row per env. Generalised positions `qpos` are the base's position in the world
+//! (3, m), its orientation (w, x, y, z) and the joints' positions (rad or m) in the order of
+//! [`joint_names`](Simulation::joint_names); velocities `qvel` are the linear velocity of the base's origin in world axes
+//! (3, m/s), its angular velocity in base axes (3, rad/s) and the joints'. A fixed base has joints only.
+//!
+//! ```
+//! use polypod::{Control, Simulation, SimulationOptions};
+//!
+//! let mut sim = Simulation::new(&SimulationOptions::new("unitree_go2", 16))?;
+//! let stand = sim.default_qpos()[7..].to_vec();
+//! sim.step(&Control { targets: Some(&stand), ..Control::default() }, 200)?;
+//! assert!(sim.qpos()[2] > 0.2);
+//! # Ok::<(), polypod::SimulationError>(())
+//! ```
+
+mod options;
+mod packs;
+mod parameters;
+mod queries;
+mod robot;
+mod rows;
+mod snapshot;
+
+pub use options::{Precision, SimulationError, SimulationOptions};
+pub use parameters::LinkId;
+pub use queries::{LinkPoses, LinkVelocities};
+
+use crate::dynamics::{ContactSettings, Plane, Simd, State, StepSettings};
+use crate::robot::{UNLIMITED, Warning};
+use crate::rows::Workers;
+use options::argument;
+use packs::{Actuation, JointField, Packs};
+use robot::Robot;
+use rows::{EnvIds, Rows};
+
+/// What the actuators do during a [`Simulation::step`]. Rows are one number, `[joints]` or `[num_envs, joints]`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Control<'a> {
+    /// Joint efforts, N m or N, within the effort limit; excludes `targets`. With neither the joints are passive.
+    pub torque: Option<&'a [f64]>,
+    /// Joint positions that the gains pull to, rad or m.
+    pub targets: Option<&'a [f64]>,
+    /// Stiffness, N m/rad; kept for later steps.
+    pub kp: Option<&'a [f64]>,
+    /// Damping, N m s/rad; kept for later steps.
+    pub kd: Option<&'a [f64]>,
+    /// Largest effort, N m or N; kept for later steps. Infinity: no limit.
+    pub effort_limit: Option<&'a [f64]>,
+    /// Whether the gains act on the end of each physics step, stable with any gains, or on its beginning. Default: what the
+    /// robot's config says, which is the end unless it is `explicit`.
+    pub implicit: Option<bool>,
+}
+
+/// Robots of one kind and their physics.
+pub struct Simulation {
+    robot: Robot,
+    /// Joints whose config asks for explicit gains.
+    explicit: Vec<bool>,
+    /// Largest entry of each joint's effort table, 1 without one.
+    effort_scale: Vec<f64>,
+    settings: StepSettings,
+    packs: Box<dyn Packs>,
+    workers: Workers,
+    simd: Simd,
+    precision: Precision,
+    num_envs: usize,
+    default_qpos: Vec<f64>,
+    steps: u64,
+    /// Of all that decides what a step does, but for the state and the envs' numbers.
+    fingerprint: u64,
+}
+
+impl Simulation {
+    /// Loads the robot and puts one into each env, at rest in the default pose.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the options, the robot's config or its URDF.
+    pub fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
+        options.validate()?;
+        let simd = Simd::choose(options.simd)?;
+        let robot = Robot::new(options)?;
+        let normal = options.ground.map(|n| {
+            let length = n.iter().map(|x| x * x).sum::<f64>().sqrt();
+            n.map(|x| x / length)
+        });
+        let settings = StepSettings {
+            dt: options.dt,
+            decimation: 1,
+            gravity: options.gravity,
+            contact: ContactSettings {
+                iterations: options.solver_iterations,
+                ground: normal.map(|normal| Plane { normal, offset: 0.0 }),
+                ..ContactSettings::default()
+            },
+        };
+        let mut default_qpos = Vec::new();
+        if robot.topology.floating {
+            // the lowest point touches the ground
+            let height = |n: [f64; 3]| -robot.lowest_point(&n);
+            default_qpos.extend(normal.map_or([0.0; 3], |n| n.map(|x| x * height(n))));
+            default_qpos.extend([1.0, 0.0, 0.0, 0.0]);
+        }
+        default_qpos.extend(&robot.default_position);
+        let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
+        let workers = Workers::new(threads);
+        let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
+        let packs = match options.precision {
+            Precision::Single => packs::single(simd, topology, &robot.nominal, n, chunks),
+            Precision::Double => packs::double(topology, &robot.nominal, n, chunks),
+        };
+        let mut sim = Self {
+            explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
+            effort_scale: topology
+                .joints
+                .iter()
+                .map(|joint| joint.effort_table.as_ref())
+                .map(|table| table.map_or(1.0, |t| t.limits.iter().fold(0.0, |most, &x| f64::from(x).max(most))))
+                .collect(),
+            fingerprint: snapshot::fingerprint(&robot, &settings),
+            settings,
+            packs,
+            workers,
+            simd,
+            precision: options.precision,
+            num_envs: n,
+            default_qpos,
+            steps: 0,
+            robot,
+        };
+        let start = sim.default_qpos.clone();
+        sim.set_state(None, Some(&start), None)?;
+        Ok(sim)
+    }
+
+    /// Number of envs.
+    pub fn num_envs(&self) -> usize {
+        self.num_envs
+    }
+
+    /// Number of joints that move.
+    pub fn num_joints(&self) -> usize {
+        self.robot.topology.num_joints()
+    }
+
+    /// Number of links that move, the base included.
+    pub fn num_links(&self) -> usize {
+        self.robot.topology.num_links()
+    }
+
+    /// Length of `qpos`.
+    pub fn nq(&self) -> usize {
+        self.num_joints() + if self.is_floating() { 7 } else { 0 }
+    }
+
+    /// Length of `qvel`.
+    pub fn nv(&self) -> usize {
+        self.num_joints() + if self.is_floating() { 6 } else { 0 }
+    }
+
+    /// Whether the base moves.
+    pub fn is_floating(&self) -> bool {
+        self.robot.topology.floating
+    }
+
+    /// Names of the joints that move, as in the URDF, parents before children.
+    pub fn joint_names(&self) -> Vec<&str> {
+        self.robot.model.joints.iter().map(|joint| joint.name.as_str()).collect()
+    }
+
+    /// Names of the links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it.
+    pub fn link_names(&self) -> Vec<&str> {
+        self.robot.model.links.iter().map(|link| link.name.as_str()).collect()
+    }
+
+    /// Mass of a robot before any change to it, kg.
+    pub fn total_mass(&self) -> f64 {
+        self.robot.model.total_mass()
+    }
+
+    /// Physics step, s.
+    pub fn dt(&self) -> f64 {
+        self.settings.dt
+    }
+
+    /// Time simulated since the beginning, s.
+    pub fn time(&self) -> f64 {
+        self.steps as f64 * self.settings.dt
+    }
+
+    /// The pose to begin with, `[nq]`: a library robot's default pose, zero (or the nearest limit) for a URDF. The base is
+    /// level, and its lowest collision shape touches the ground; without ground it is at the world's origin.
+    pub fn default_qpos(&self) -> &[f64] {
+        &self.default_qpos
+    }
+
+    /// Lower and upper position limit of each joint, rad or m; infinite where there is none.
+    pub fn joint_range(&self) -> Vec<[f64; 2]> {
+        self.robot.model.joints.iter().map(|joint| [joint.lower, joint.upper]).collect()
+    }
+
+    /// Largest effort of each joint to begin with, N m or N; infinite where there is no limit, the largest one where it
+    /// depends on the position.
+    pub fn effort_limit(&self) -> Vec<f64> {
+        let limits = self.robot.nominal.effort_limit.iter().zip(&self.effort_scale);
+        limits.map(|(&limit, scale)| if limit < UNLIMITED { limit * scale } else { f64::INFINITY }).collect()
+    }
+
+    /// What was assumed while reading the URDF.
+    pub fn warnings(&self) -> &[Warning] {
+        &self.robot.model.warnings
+    }
+
+    /// Threads at work.
+    pub fn threads(&self) -> usize {
+        self.workers.threads()
+    }
+
+    /// The instruction set of single precision.
+    pub fn simd(&self) -> Simd {
+        self.simd
+    }
+
+    /// Generalised positions, `[num_envs, nq]`.
+    pub fn qpos(&self) -> Vec<f64> {
+        self.collect(self.nq(), |state, out| {
+            if self.is_floating() {
+                out.extend(state.position);
+                out.extend(state.rotation);
+            }
+            out.extend(&state.joint_position);
+        })
+    }
+
+    /// Generalised velocities, `[num_envs, nv]`.
+    pub fn qvel(&self) -> Vec<f64> {
+        self.collect(self.nv(), |state, out| {
+            if self.is_floating() {
+                out.extend(state.linear_velocity);
+                out.extend(state.angular_velocity);
+            }
+            out.extend(&state.joint_velocity);
+        })
+    }
+
+    fn collect(&self, width: usize, f: impl Fn(&State<f64>, &mut Vec<f64>)) -> Vec<f64> {
+        let mut out = Vec::with_capacity(self.num_envs * width);
+        let mut state = State::zeros(&self.robot.topology);
+        for env in 0..self.num_envs {
+            self.packs.read_state(env, &mut state);
+            f(&state, &mut out);
+        }
+        out
+    }
+
+    /// Sets positions (`[n, nq]`), velocities (`[n, nv]`) or both in the `n` envs `env_ids`, or in all; one row serves for
+    /// all of them. Quaternions are normalised. The contact solver starts anew there.
+    ///
+    /// # Errors
+    /// Another number of values, one that is not finite, a quaternion of length zero, or an env that does not exist.
+    pub fn set_state(
+        &mut self,
+        env_ids: Option<&[usize]>,
+        qpos: Option<&[f64]>,
+        qvel: Option<&[f64]>,
+    ) -> Result<(), SimulationError> {
+        let envs = EnvIds::new(env_ids, self.num_envs)?;
+        let (nq, nv) = (self.nq(), self.nv());
+        let qpos = qpos.map(|values| Rows::vectors("qpos", values, nq, envs.len())).transpose()?;
+        let qvel = qvel.map(|values| Rows::vectors("qvel", values, nv, envs.len())).transpose()?;
+        let floating = self.is_floating();
+        let mut rotations = Vec::new();
+        if let Some(rows) = qpos.filter(|_| floating) {
+            for row in 0..envs.len() {
+                let given = std::array::from_fn(|k| rows.get(row, 3 + k));
+                let unit = self.unit_quaternion(given).ok_or_else(|| {
+                    argument("qpos", format!("the quaternion of row {row} is {given:?}"), "pass (w, x, y, z), not zero")
+                })?;
+                rotations.push(unit);
+            }
+        }
+        let mut state = State::zeros(&self.robot.topology);
+        for row in 0..envs.len() {
+            let env = envs.get(row);
+            self.packs.read_state(env, &mut state);
+            state.impulse.fill([0.0; 3]);
+            if let Some(qpos) = qpos {
+                if floating {
+                    state.position = qpos.vector(row);
+                    state.rotation = rotations[row];
+                }
+                let first = nq - state.joint_position.len();
+                state.joint_position.iter_mut().enumerate().for_each(|(j, q)| *q = qpos.get(row, first + j));
+            }
+            if let Some(qvel) = qvel {
+                if floating {
+                    state.linear_velocity = qvel.vector(row);
+                    state.angular_velocity = std::array::from_fn(|k| qvel.get(row, 3 + k));
+                }
+                let first = nv - state.joint_velocity.len();
+                state.joint_velocity.iter_mut().enumerate().for_each(|(j, v)| *v = qvel.get(row, first + j));
+            }
+            self.packs.write_state(env, &state);
+        }
+        Ok(())
+    }
+
+    /// A quaternion normalised, unless it already is as far as the precision goes: what was read is written back as it was.
+    fn unit_quaternion(&self, q: [f64; 4]) -> Option<[f64; 4]> {
+        let exact = match self.precision {
+            Precision::Single => 1e-6,
+            Precision::Double => 1e-14,
+        };
+        let largest = q.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        if largest == 0.0 {
+            return None;
+        }
+        let length = largest * q.iter().map(|x| (x / largest).powi(2)).sum::<f64>().sqrt();
+        Some(if (length - 1.0).abs() < exact { q } else { q.map(|x| x / length) })
+    }
+
+    /// `n` physics steps of all envs.
+    ///
+    /// # Errors
+    /// `n` zero, both efforts and targets, another number of values, or one that is not finite.
+    pub fn step(&mut self, control: &Control, n: usize) -> Result<(), SimulationError> {
+        if n == 0 {
+            return Err(argument("n", "0 steps", "pass at least 1"));
+        }
+        let (joints, envs) = (self.num_joints(), self.num_envs);
+        let (actuation, values, element) = match (control.torque, control.targets) {
+            (Some(_), Some(_)) => {
+                return Err(argument("torque", "given together with targets", "pass one of them"));
+            }
+            (Some(torque), None) => (Actuation::Effort, torque, "torque"),
+            (None, Some(targets)) => (Actuation::Targets, targets, "targets"),
+            (None, None) => (Actuation::Effort, &[0.0][..], "torque"),
+        };
+        let asked = Rows::of_joints(element, values, joints, envs)?;
+        self.set_gains(None, control.kp, control.kd)?;
+        if let Some(limit) = control.effort_limit {
+            self.set_effort_limit(None, limit)?;
+        }
+        let field = match actuation {
+            Actuation::Effort => JointField::Effort,
+            Actuation::Targets => JointField::Target,
+        };
+        self.packs.write_joints(&EnvIds::All(envs), field, &asked);
+        for (joint, &explicit) in self.robot.topology.joints.iter_mut().zip(&self.explicit) {
+            joint.explicit = control.implicit.map_or(explicit, |implicit| !implicit);
+        }
+        self.packs.step(&self.robot.topology, &self.settings, &self.workers, actuation, n);
+        self.steps += n as u64;
+        Ok(())
+    }
+
+    /// Net force on each link in the last physics step, N, world axes, `[num_envs, links, 3]`: from whatever touches it.
+    pub fn contact_forces(&self) -> Vec<f64> {
+        let links = self.num_links();
+        let mut out = vec![0.0; self.num_envs * links * 3];
+        let bodies = &self.robot.model.bodies;
+        let (mut effort, mut force) = (vec![0.0; self.num_joints()], vec![[0.0; 3]; bodies.len()]);
+        for env in 0..self.num_envs {
+            self.packs.read_report(env, &mut effort, &mut force);
+            for (body, force) in bodies.iter().zip(&force) {
+                let at = 3 * (env * links + body.link);
+                out[at..at + 3].iter_mut().zip(force).for_each(|(sum, f)| *sum += f);
+            }
+        }
+        out
+    }
+
+    /// Effort of each actuator in the last physics step, N m or N, `[num_envs, joints]`.
+    pub fn joint_torque(&self) -> Vec<f64> {
+        let joints = self.num_joints();
+        let mut out = Vec::with_capacity(self.num_envs * joints);
+        let mut effort = vec![0.0; joints];
+        let mut force = vec![[0.0; 3]; self.robot.topology.num_bodies];
+        for env in 0..self.num_envs {
+            self.packs.read_report(env, &mut effort, &mut force);
+            out.extend(&effort);
+        }
+        out
+    }
+}

@@ -1,0 +1,166 @@
+//! What a [`Simulation`](super::Simulation) is made from, and what can be wrong with it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use crate::config::ConfigError;
+use crate::dynamics::Simd;
+use crate::dynamics::lanes::SimdError;
+use crate::robot::RobotError;
+
+/// Numbers that a simulation computes with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// Single precision, many envs side by side in SIMD lanes.
+    #[default]
+    Single,
+    /// Double precision, one env at a time: slower, for reference.
+    Double,
+}
+
+/// What a simulation is made from. [`SimulationOptions::new`] has the defaults.
+#[derive(Clone, Debug)]
+pub struct SimulationOptions {
+    /// Name of a robot of the library, path of a robot's `.toml`, or path of a URDF (it ends in `.urdf` or exists).
+    pub robot: String,
+    /// Number of envs, one robot each. Default: 1.
+    pub num_envs: usize,
+    /// Physics step, s. Default: 0.005.
+    pub dt: f64,
+    /// Normal of the ground plane through the world's origin, of any length; `None`: no ground. Default: (0, 0, 1).
+    pub ground: Option<[f64; 3]>,
+    /// Gravity in world axes, m/s^2. Default: (0, 0, -9.81).
+    pub gravity: [f64; 3],
+    /// The physics engine; there is one, `articulated`.
+    pub engine: String,
+    /// Fix the base to the world, at its origin. Default: no.
+    pub fixed_base: bool,
+    /// Folder of each package in `package://<package>/...` mesh names.
+    pub package_dirs: BTreeMap<String, PathBuf>,
+    /// Static and dynamic friction coefficient, robot and ground combined. Default: 1.
+    pub friction: [f64; 2],
+    /// Restitution coefficient, robot and ground combined. Default: 0.
+    pub restitution: f64,
+    /// Reflected rotor inertia, kg m^2: one number or `[joints]`. Default: the robot's, 0 for a URDF.
+    pub armature: Option<Vec<f64>>,
+    /// Whether links of a robot collide with one another. Default: they do not.
+    pub self_collision: Option<bool>,
+    /// Sweeps of the contact solver per physics step. Default: 8.
+    pub solver_iterations: usize,
+    /// Threads. Default: all cores.
+    pub threads: Option<usize>,
+    /// Instruction set in single precision. Default: the fastest one, or what `POLYPOD_SIMD` says.
+    pub simd: Option<Simd>,
+    /// Default: single.
+    pub precision: Precision,
+}
+
+impl SimulationOptions {
+    /// The defaults for a robot.
+    pub fn new(robot: impl Into<String>, num_envs: usize) -> Self {
+        Self {
+            robot: robot.into(),
+            num_envs,
+            dt: 0.005,
+            ground: Some([0.0, 0.0, 1.0]),
+            gravity: [0.0, 0.0, -9.81],
+            engine: "articulated".into(),
+            fixed_base: false,
+            package_dirs: BTreeMap::new(),
+            friction: [1.0, 1.0],
+            restitution: 0.0,
+            armature: None,
+            self_collision: None,
+            solver_iterations: 8,
+            threads: None,
+            simd: None,
+            precision: Precision::Single,
+        }
+    }
+
+    /// Whether `robot` is the path of a URDF rather than a robot of the library.
+    pub fn is_urdf_path(&self) -> bool {
+        let path = Path::new(&self.robot);
+        let has_extension = |wanted: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(wanted));
+        has_extension("urdf") || (path.is_file() && !has_extension("toml"))
+    }
+
+    /// Checks what does not depend on the robot.
+    pub(super) fn validate(&self) -> Result<(), SimulationError> {
+        if self.engine != "articulated" {
+            return Err(argument("engine", format!("there is no engine `{}`", self.engine), "use \"articulated\""));
+        }
+        if self.self_collision == Some(true) {
+            let problem = "the articulated engine does not model collisions between links of a robot";
+            return Err(argument("self_collision", problem, "leave it out or pass false"));
+        }
+        if self.num_envs == 0 {
+            return Err(argument("num_envs", "0 envs", "pass at least 1"));
+        }
+        if self.threads == Some(0) {
+            return Err(argument("threads", "0 threads", "pass at least 1, or nothing for all cores"));
+        }
+        if self.solver_iterations == 0 {
+            return Err(argument("solver_iterations", "0 sweeps", "pass at least 1"));
+        }
+        if !(self.dt > 0.0 && self.dt.is_finite()) {
+            return Err(argument("dt", format!("a step of {} s", self.dt), "pass a positive number of seconds"));
+        }
+        if self.gravity.iter().any(|g| !g.is_finite()) {
+            return Err(argument("gravity", format!("{:?}", self.gravity), "pass three finite numbers in m/s^2"));
+        }
+        if let Some(normal) = self.ground
+            && !(normal.iter().all(|x| x.is_finite()) && normal.iter().any(|&x| x != 0.0))
+        {
+            return Err(argument("ground_normal", format!("{normal:?}"), "pass three finite numbers, not all zero"));
+        }
+        check_non_negative("friction", &self.friction)?;
+        if !(0.0..=1.0).contains(&self.restitution) {
+            return Err(argument("restitution", format!("{}", self.restitution), "pass a number from 0 to 1"));
+        }
+        Ok(())
+    }
+}
+
+/// A simulation could not be made, or an argument of one of its methods does not fit.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SimulationError {
+    /// The robot's config or a name.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The robot's URDF.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// The instruction set asked for.
+    #[error(transparent)]
+    Simd(#[from] SimdError),
+    /// An argument.
+    #[error("{element}: {problem}; {remedy}")]
+    Argument {
+        /// Which one.
+        element: &'static str,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A snapshot.
+    #[error("snapshot: {0}")]
+    Snapshot(String),
+}
+
+pub(super) fn argument(
+    element: &'static str,
+    problem: impl Into<String>,
+    remedy: impl Into<String>,
+) -> SimulationError {
+    SimulationError::Argument { element, problem: problem.into(), remedy: remedy.into() }
+}
+
+pub(super) fn check_non_negative(element: &'static str, values: &[f64]) -> Result<(), SimulationError> {
+    match values.iter().find(|x| !(x.is_finite() && **x >= 0.0)) {
+        Some(bad) => Err(argument(element, format!("{bad} among the values"), "pass finite numbers of at least 0")),
+        None => Ok(()),
+    }
+}

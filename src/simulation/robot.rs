@@ -1,0 +1,103 @@
+//! From a name or a path to what the engine needs of a robot.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+
+use super::options::{SimulationError, SimulationOptions, argument, check_non_negative};
+use super::rows::Rows;
+use crate::config::Library;
+use crate::dynamics::contact::MAX_DEPTH;
+use crate::dynamics::math::Spatial;
+use crate::dynamics::{ContactKind, Parameters, Topology, Workspace, kinematics};
+use crate::morphology::apply_actuator;
+use crate::robot::{self, Articulation, LoadOptions, Model};
+
+/// One kind of robot, in double precision.
+pub(super) struct Robot {
+    pub(super) model: Model,
+    pub(super) topology: Topology,
+    /// The numbers of every env to begin with.
+    pub(super) nominal: Parameters<f64>,
+    /// Turns a link's URDF axes into those of the engine, `[links]`.
+    pub(super) align: Vec<DMat3>,
+    /// Joint positions to begin with, rad or m.
+    pub(super) default_position: Vec<f64>,
+}
+
+impl Robot {
+    pub(super) fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
+        let mut robot = if options.is_urdf_path() {
+            let load = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
+            Self::assemble(robot::load(Path::new(&options.robot), &load)?, options)
+        } else {
+            Self::of_library(options)?
+        };
+        let depth = robot.topology.max_depth();
+        if depth > MAX_DEPTH {
+            let problem = format!("{}: a chain of {depth} moving joints", robot.model.source.display());
+            return Err(argument("robot", problem, format!("fix joints until no chain has more than {MAX_DEPTH}")));
+        }
+        let joints = robot.topology.num_joints();
+        if let Some(armature) = &options.armature {
+            check_non_negative("armature", armature)?;
+            let rows = Rows::of_joints("armature", armature, joints, 1)?;
+            robot.nominal.armature = (0..joints).map(|j| rows.get(0, j)).collect();
+        }
+        [robot.nominal.static_friction, robot.nominal.dynamic_friction] = options.friction;
+        robot.nominal.restitution = options.restitution;
+        Ok(robot)
+    }
+
+    fn assemble(mut model: Model, options: &SimulationOptions) -> Self {
+        if options.fixed_base {
+            // what cannot move feels no contact
+            model.bodies.retain(|body| body.link != 0);
+        }
+        let Articulation { topology, parameters, align } = Articulation::new(&model, !options.fixed_base, &[]);
+        let default_position = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
+        Self { model, topology, nominal: parameters, align, default_position }
+    }
+
+    fn of_library(options: &SimulationOptions) -> Result<Self, SimulationError> {
+        let loaded = Library::new(Vec::new()).robot(&options.robot)?;
+        let config = &loaded.config;
+        let mut package_dirs = config.package_dirs.clone();
+        package_dirs.extend(options.package_dirs.clone());
+        let load = LoadOptions { package_dirs, locked_joints: config.locked_joints.clone() };
+        let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &load)?;
+        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
+        let (pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
+        let mut robot = Self::assemble(model, options);
+        for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
+            robot.default_position[j] = pose[slot];
+            apply_actuator(&mut robot.topology.joints[j], &mut robot.nominal, j, actuators[slot].1);
+        }
+        Ok(robot)
+    }
+
+    /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base
+    /// level, m; 0 without candidates.
+    pub(super) fn lowest_point(&self, normal: &[f64; 3]) -> f64 {
+        let normal = DVec3::from_array(*normal);
+        let mut work = Workspace::new(&self.topology);
+        let rest = vec![0.0; self.topology.num_joints()];
+        let base = Spatial::zero();
+        kinematics::forward_kinematics(&self.topology, &self.nominal, &self.default_position, &rest, &base, &mut work);
+        let heights = self.topology.contacts.iter().enumerate().map(|(c, contact)| {
+            let link = &work.links[contact.link];
+            let axes = DMat3::from_cols_array_2d(&link.rotation).transpose();
+            let up = axes.transpose() * normal;
+            let rim = match contact.kind {
+                ContactKind::Point => 0.0,
+                ContactKind::Rim { across, .. } => {
+                    let [a, b] = across.map(|u| DVec3::from_array(u).dot(up));
+                    self.nominal.contact_rim[c] * a.hypot(b)
+                }
+            };
+            let centre = DVec3::from_array(link.position) + axes * DVec3::from_array(self.nominal.contact_position[c]);
+            normal.dot(centre) - self.nominal.contact_radius[c] - rim
+        });
+        heights.reduce(f64::min).unwrap_or(0.0)
+    }
+}

@@ -1,0 +1,112 @@
+//! Arguments that hold one value, one row, or one row per env.
+
+use super::options::{SimulationError, argument};
+
+/// Envs that an operation is about.
+pub(super) enum EnvIds<'a> {
+    All(usize),
+    Some(&'a [usize]),
+}
+
+impl<'a> EnvIds<'a> {
+    pub(super) fn new(env_ids: Option<&'a [usize]>, num_envs: usize) -> Result<Self, SimulationError> {
+        let Some(ids) = env_ids else {
+            return Ok(Self::All(num_envs));
+        };
+        match ids.iter().find(|&&id| id >= num_envs) {
+            Some(bad) => Err(argument(
+                "env_ids",
+                format!("there is no env {bad}"),
+                format!("this simulation has the envs 0 to {}", num_envs - 1),
+            )),
+            None => Ok(Self::Some(ids)),
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::All(n) => *n,
+            Self::Some(ids) => ids.len(),
+        }
+    }
+
+    /// The env of row `i`.
+    pub(super) fn get(&self, i: usize) -> usize {
+        match self {
+            Self::All(_) => i,
+            Self::Some(ids) => ids[i],
+        }
+    }
+}
+
+/// A row of `width` numbers for each of some envs: given once, one for each, or as one number.
+#[derive(Clone, Copy)]
+pub(super) struct Rows<'a> {
+    values: &'a [f64],
+    width: usize,
+}
+
+impl<'a> Rows<'a> {
+    /// Checks the length, 1, `width` or `rows * width`, and that all are finite.
+    pub(super) fn of_joints(
+        element: &'static str,
+        values: &'a [f64],
+        width: usize,
+        rows: usize,
+    ) -> Result<Self, SimulationError> {
+        if values.len() == 1 {
+            check_finite(element, values, width)?;
+            return Ok(Self { values, width });
+        }
+        Self::vectors(element, values, width, rows)
+    }
+
+    /// The same without the single number.
+    pub(super) fn vectors(
+        element: &'static str,
+        values: &'a [f64],
+        width: usize,
+        rows: usize,
+    ) -> Result<Self, SimulationError> {
+        if values.len() != width && values.len() != rows * width {
+            return Err(argument(
+                element,
+                format!("{} numbers", values.len()),
+                format!("pass {width}, the same in every env, or {rows} x {width}"),
+            ));
+        }
+        check_finite(element, values, width)?;
+        Ok(Self { values, width })
+    }
+
+    /// One row per env, already checked.
+    pub(super) fn per_env(values: &'a [f64], width: usize) -> Self {
+        Self { values, width }
+    }
+
+    /// Number `k` of row `i`.
+    #[inline]
+    pub(super) fn get(&self, i: usize, k: usize) -> f64 {
+        if self.values.len() == 1 {
+            self.values[0]
+        } else if self.values.len() == self.width {
+            self.values[k]
+        } else {
+            self.values[i * self.width + k]
+        }
+    }
+
+    /// The first three numbers of row `i`.
+    pub(super) fn vector(&self, i: usize) -> [f64; 3] {
+        std::array::from_fn(|k| self.get(i, k))
+    }
+}
+
+fn check_finite(element: &'static str, values: &[f64], width: usize) -> Result<(), SimulationError> {
+    let Some(at) = values.iter().position(|x| !x.is_finite()) else {
+        return Ok(());
+    };
+    let place =
+        if values.len() > width { format!("row {}, column {}", at / width, at % width) } else { format!("[{at}]") };
+    Err(argument(element, format!("{} at {place}", values[at]), "pass finite numbers"))
+}

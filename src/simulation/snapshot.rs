@@ -1,0 +1,139 @@
+//! Exact snapshots: everything that decides what happens next, as bytes.
+
+use serde::{Deserialize, Serialize};
+
+use super::Simulation;
+use super::options::{Precision, SimulationError};
+use super::robot::Robot;
+use crate::config::fnv1a;
+use crate::dynamics::{Parameters, State, StepSettings};
+
+/// Changes whenever the layout of a snapshot does.
+const FORMAT: u32 = 1;
+/// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
+const CHECKSUM: usize = size_of::<u64>();
+
+#[derive(Serialize, Deserialize, PartialEq, Debug)]
+struct Header {
+    format: u32,
+    version: String,
+    robot: String,
+    fingerprint: u64,
+    double: bool,
+    num_envs: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Snapshot {
+    header: Header,
+    steps: u64,
+    envs: Vec<Env>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Env {
+    position: [f64; 3],
+    rotation: [f64; 4],
+    linear_velocity: [f64; 3],
+    angular_velocity: [f64; 3],
+    joint_position: Vec<f64>,
+    joint_velocity: Vec<f64>,
+    impulse: Vec<[f64; 3]>,
+    parameters: Parameters<f64>,
+    effort: Vec<f64>,
+    force: Vec<[f64; 3]>,
+}
+
+/// A hash of what decides a step but for the state and the envs' own numbers.
+pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings) -> u64 {
+    fnv1a(format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal).as_bytes())
+}
+
+impl Simulation {
+    fn header(&self) -> Header {
+        Header {
+            format: FORMAT,
+            version: env!("CARGO_PKG_VERSION").to_string(),
+            robot: self.robot.model.name.clone(),
+            fingerprint: self.fingerprint,
+            double: self.precision == Precision::Double,
+            num_envs: self.num_envs,
+        }
+    }
+
+    /// State, time, contact warm starts and all numbers of all envs: restoring them and stepping gives, bit for bit, what
+    /// going on would have given, for any number of threads and on any instruction set.
+    ///
+    /// # Errors
+    /// When it cannot be encoded.
+    pub fn snapshot(&self) -> Result<Vec<u8>, SimulationError> {
+        let topology = &self.robot.topology;
+        let mut state = State::zeros(topology);
+        let envs = (0..self.num_envs)
+            .map(|env| {
+                self.packs.read_state(env, &mut state);
+                let mut parameters = Parameters::zeros(topology);
+                self.packs.read_parameters(env, &mut parameters);
+                let (mut effort, mut force) = (vec![0.0; topology.num_joints()], vec![[0.0; 3]; topology.num_bodies]);
+                self.packs.read_report(env, &mut effort, &mut force);
+                let State { position, rotation, linear_velocity, angular_velocity, .. } = state;
+                Env {
+                    position,
+                    rotation,
+                    linear_velocity,
+                    angular_velocity,
+                    joint_position: state.joint_position.clone(),
+                    joint_velocity: state.joint_velocity.clone(),
+                    impulse: state.impulse.clone(),
+                    parameters,
+                    effort,
+                    force,
+                }
+            })
+            .collect();
+        let snapshot = Snapshot { header: self.header(), steps: self.steps, envs };
+        let mut bytes = postcard::to_stdvec(&snapshot).map_err(|error| SimulationError::Snapshot(error.to_string()))?;
+        bytes.extend(fnv1a(&bytes).to_le_bytes());
+        Ok(bytes)
+    }
+
+    /// Goes back to a snapshot of a simulation with the same robot, options and number of envs.
+    ///
+    /// # Errors
+    /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
+    pub fn restore(&mut self, bytes: &[u8]) -> Result<(), SimulationError> {
+        let unreadable = |error: postcard::Error| {
+            SimulationError::Snapshot(format!(
+                "not a snapshot of a polypod simulation ({error}); pass what snapshot() gave"
+            ))
+        };
+        let (theirs, _) = postcard::take_from_bytes::<Header>(bytes).map_err(unreadable)?;
+        let ours = self.header();
+        if theirs != ours {
+            return Err(SimulationError::Snapshot(format!(
+                "it is of another simulation ({theirs:?}) than this one ({ours:?}); restore it where it was taken"
+            )));
+        }
+        let intact = bytes.split_last_chunk::<CHECKSUM>().filter(|(data, sum)| fnv1a(data).to_le_bytes() == **sum);
+        let Some((data, _)) = intact else {
+            return Err(SimulationError::Snapshot("it is damaged: its checksum does not fit; take it again".into()));
+        };
+        let snapshot = postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?;
+        for (env, from) in snapshot.envs.into_iter().enumerate() {
+            let state = State {
+                position: from.position,
+                rotation: from.rotation,
+                linear_velocity: from.linear_velocity,
+                angular_velocity: from.angular_velocity,
+                joint_position: from.joint_position,
+                joint_velocity: from.joint_velocity,
+                impulse: from.impulse,
+            };
+            self.packs.write_state(env, &state);
+            self.packs.write_parameters(env, &from.parameters);
+            self.packs.write_report(env, &from.effort, &from.force);
+        }
+        self.steps = snapshot.steps;
+        Ok(())
+    }
+}
