@@ -28,3 +28,9 @@ def test_a_block_on_a_slope_holds_or_slides_as_coulomb_says(friction: float, deg
     else:
         # 2 dt / t of a second's fall are the step's; the rest is f32
         assert slope.acceleration == pytest.approx(slope.formula, rel=0.005, abs=0.003)
+
+
+@pytest.mark.parametrize("uphill", ["front", "left"])
+@pytest.mark.parametrize("name", names())
+def test_a_robot_at_rest_on_a_slope_does_not_creep(name: str, uphill: str) -> None:
+    assert compare_slope_rest(load(name), uphill).creep < 1e-3

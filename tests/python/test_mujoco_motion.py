@@ -6,7 +6,11 @@ import pytest
 
 from polypod.accuracy.motion import compare_step_responses
 from polypod.accuracy.robot import load, names
-from polypod.accuracy.standing import compare_drop, compare_standing
+from polypod.accuracy.standing import FIRM, compare_drop, compare_standing
+
+HEIGHT = 0.005
+"""m."""
+PITCH = math.radians(0.5)
 
 
 @pytest.mark.parametrize("name", names())
@@ -17,10 +21,21 @@ def test_step_responses_converge_to_mujocos_and_are_as_close_at_5_ms(name: str) 
 
 
 @pytest.mark.parametrize("name", names())
-def test_a_dropped_robot_comes_to_stand_where_mujocos_does(name: str) -> None:
+def test_a_dropped_robot_comes_to_rest_where_mujocos_does(name: str) -> None:
     drop = compare_drop(load(name))
-    assert abs(drop.height - drop.mujoco_height) < 0.005
-    assert abs(drop.pitch - drop.mujoco_pitch) < math.radians(0.5)
+    assert drop.height_error < HEIGHT
+    assert drop.pitch_error < PITCH
+    # at the tasks' step; on gains this soft, some end in a crouch that depends on the step, in MuJoCo as well
+    crouches = name in ("unitree_a1", "unitree_go1", "unitree_go2")
+    assert drop.coarse_height_error < (0.008 if crouches else HEIGHT)
+    assert drop.coarse_pitch_error < (math.radians(4.0) if crouches else PITCH)
+
+
+@pytest.mark.parametrize("name", names())
+def test_at_the_tasks_step_a_robot_with_firm_legs_stands_where_mujocos_does(name: str) -> None:
+    drop = compare_drop(load(name), gains=FIRM)
+    assert max(drop.height_error, drop.coarse_height_error) < HEIGHT
+    assert max(drop.pitch_error, drop.coarse_pitch_error) < PITCH
 
 
 @pytest.mark.parametrize("name", names())

@@ -35,8 +35,6 @@ class StepResponse:
     """MuJoCo, `implicitfast`, at 0.5 ms."""
     mujoco_coarse: float
     """MuJoCo, `implicitfast`, at 5 ms."""
-    mujoco_euler: float
-    """MuJoCo with its default integrator at 5 ms: actuators are explicit there."""
     joints_further: int
     """Joints whose jump polypod follows less closely than MuJoCo's `implicitfast`, both at 5 ms."""
 
@@ -57,7 +55,6 @@ def compare_step_responses(robot: Robot) -> StepResponse:
         coarse=float(coarse.max()),
         mujoco_fine=float(deviation(_mujoco(robot, targets, FINE, "implicitfast")).max()),
         mujoco_coarse=float(mujoco_coarse.max()),
-        mujoco_euler=float(deviation(_mujoco(robot, targets, COARSE, "Euler")).max()),
         joints_further=int(np.sum(coarse > mujoco_coarse)),
     )
 

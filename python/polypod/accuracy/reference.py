@@ -2,8 +2,8 @@
 
 What is set, and why:
 
-- `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a fixed root link into
-  the world. polypod merges them too but keeps their names as contact bodies; links are compared by name.
+- `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a root link without a
+  joint into the world. polypod merges them too but keeps their names as contact bodies; links are compared by name.
 - A free joint on the root link, unless the base is fixed. qpos and qvel then mean what polypod's do: joints may come in
   another order, which is matched by name.
 - Position actuators with the gains of the robot's config, its armature, and their limits of effort. The URDF's own
@@ -12,9 +12,9 @@ What is set, and why:
 - Dry friction is a soft constraint in MuJoCo: with default settings a joint at rest creeps (up to 8 mrad in a second).
   Its time constant is set to two steps and its impedance to 0.9999, which makes it Coulomb's.
 - Shapes touch the ground alone, not each other.
-- Contacts with elliptic cones, three directions (`condim` 3), the same coefficient on both sides. The contact is made as
-  stiff as the step allows: time constant 2 steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal
-  direction (`impratio`), without which a standing robot creeps.
+- Contacts with elliptic cones, three directions (`condim` 3), the same coefficient on both sides. The contact is made
+  as stiff as the step allows: time constant 2 steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal
+  direction (`impratio`). With default settings a standing robot's feet creep apart and it sinks by centimetres.
 - `inertiafromgeom` is off in the URDFs themselves: else MuJoCo would give the massless feet the mass of their spheres.
   `balanceinertia`, `boundmass`, `discardvisual`, `strippath` and `alignfree` do not matter: inertias are valid, no mesh
   is read, visuals have no mass and a free base keeps the frame of its link.
@@ -29,7 +29,7 @@ import numpy as np
 from polypod import _core
 from polypod.accuracy.robot import Actuators, Array, Robot
 
-Integrator = Literal["implicitfast", "RK4", "Euler"]
+Integrator = Literal["implicitfast", "RK4"]
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -43,8 +43,6 @@ class Ground:
     """Coulomb's coefficient of every contact."""
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Of unit length."""
-    default_softness: bool = False
-    """Keeps MuJoCo's own `solref`, `solimp` and `impratio` = 1, as a user who changes nothing has them."""
 
 
 def mujoco() -> Any:
@@ -162,14 +160,6 @@ class Reference:
         """[nv], Coriolis, centrifugal and gravity forces."""
         return np.array(self.data.qfrc_bias[self.v])
 
-    def passive_force(self) -> Array:
-        """[nv], joint damping."""
-        return np.array(self.data.qfrc_passive[self.v])
-
-    def inverse_dynamics(self, qacc: Array) -> Array:
-        """[nv], force that an acceleration needs: `mass_matrix qacc + bias_force`."""
-        return self.mass_matrix() @ qacc + self.bias_force()
-
     def center_of_mass(self) -> Array:
         """[3], world axes."""
         return np.array(self.data.subtree_com[self.model.body(self.root).id])
@@ -204,7 +194,6 @@ class Reference:
 
 
 def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
-    stiff = ground is not None and not ground.default_softness
     for geom in spec.geoms:
         geom.contype, geom.conaffinity = (0 if ground is None else 1), 0
     if ground is None:
@@ -215,12 +204,10 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
     for geom in spec.geoms:
         geom.condim = 3
         geom.friction = [ground.friction, 0.0, 0.0]
-        if stiff:
-            geom.solref = [2.0 * dt, 1.0]
-            geom.solimp = [0.99, 0.999, 0.001, 0.5, 2.0]
+        geom.solref = [2.0 * dt, 1.0]
+        geom.solimp = [0.99, 0.999, 0.001, 0.5, 2.0]
     spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
-    if stiff:
-        spec.option.impratio = 100.0
+    spec.option.impratio = 100.0
 
 
 def _turn_z_to(normal: Array) -> Array:

@@ -10,6 +10,7 @@ from polypod.accuracy import reference, robot
 from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
 from polypod.accuracy.motion import StepResponse, compare_step_responses
 from polypod.accuracy.standing import (
+    FIRM,
     Drop,
     SlopeRest,
     Standing,
@@ -18,6 +19,9 @@ from polypod.accuracy.standing import (
     compare_standing,
 )
 from polypod.accuracy.statics import StaticsResult, compare_statics
+
+Progress = Callable[[str], None]
+"""Is told what comes next."""
 
 BEGIN, END = "<!-- accuracy:begin -->", "<!-- accuracy:end -->"
 """Between these lines a document's tables stand."""
@@ -43,7 +47,7 @@ class Report:
     slopes: list[Slope]
 
 
-def measure(names: Sequence[str] | None = None, progress: Callable[[str], None] = print) -> Report:
+def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
     """Runs every comparison for the robots named, or for all. Raises UnknownNameError."""
     robots = [robot.load(name) for name in names or robot.names()]
     report = Report(reference.version(), [], [], [], [], [], [], [])
@@ -51,7 +55,7 @@ def measure(names: Sequence[str] | None = None, progress: Callable[[str], None] 
         progress(f"{each.name}: identities, step responses, drop, standing, slope")
         report.statics.append(compare_statics(each))
         report.responses.append(compare_step_responses(each))
-        report.drops.append(compare_drop(each))
+        report.drops.extend(compare_drop(each, gains=gains) for gains in (1.0, FIRM))
         report.standing.append(compare_standing(each))
         report.rests.extend(compare_slope_rest(each, uphill) for uphill in ("front", "left"))
     progress("a block on planes and slopes")

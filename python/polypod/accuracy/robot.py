@@ -83,6 +83,12 @@ class Robot:
         """Number of joints."""
         return len(self.joint_names)
 
+    def with_gains(self, factor: float) -> "Robot":
+        """The same robot with `factor` times the stiffness and damping."""
+        actuators = self.actuators
+        stiffness, damping = factor * actuators.stiffness, factor * actuators.damping
+        return dataclasses.replace(self, actuators=dataclasses.replace(actuators, stiffness=stiffness, damping=damping))
+
 
 def names() -> list[str]:
     """The robots of the library."""

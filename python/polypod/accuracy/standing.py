@@ -14,24 +14,35 @@ DROP_HEIGHT = 0.3
 DROP_TIME = 3.0
 """s."""
 DT = 0.005
-"""polypod's physics step, s: that of the tasks."""
-MUJOCO_DT = 0.0005
-"""MuJoCo's, s."""
+"""Physics step of the tasks, s."""
+FINE = 0.0005
+"""MuJoCo's step where nothing else is said, s."""
+CONVERGED = 0.0001
+"""Step at which a landing on soft legs no longer depends on the step, s."""
 FRICTION = 0.8
 """Of all contacts."""
 SETTLE_TIME = 10.0
 """Until a robot that is set on its feet has stopped swaying, s."""
 SLOPE_ANGLE = math.radians(20.0)
 """rad."""
+SLOPE_FINE = 0.002
+"""MuJoCo's step on the slope, s."""
 REST_TIME = 10.0
 """During which nothing may creep, s."""
+FIRM = 4.0
+"""Factor on stiffness and damping that makes legs firm: on the gains that policies are trained with, some robots land
+in a deep crouch, and fall over when they stand still on a slope of 20 degrees, in MuJoCo as well."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Drop:
-    """Three seconds after a drop from 0.3 m onto its feet, targets in the default pose."""
+    """Three seconds after a drop from 0.3 m, targets in the default pose; both simulators at the same step."""
 
     robot: str
+    gains: float
+    """Factor on the robot's stiffness and damping."""
+    dt: float
+    """Of both, s."""
     height: float
     """Of the base, polypod's, m."""
     mujoco_height: float
@@ -40,8 +51,30 @@ class Drop:
     """Of the base, polypod's, rad."""
     mujoco_pitch: float
     """rad."""
-    soft_height: float
-    """MuJoCo's with its default contact parameters, m."""
+    coarse_height: float
+    """polypod's at 5 ms, m."""
+    coarse_pitch: float
+    """polypod's at 5 ms, rad."""
+
+    @property
+    def height_error(self) -> float:
+        """Against MuJoCo at the same step, m."""
+        return abs(self.height - self.mujoco_height)
+
+    @property
+    def pitch_error(self) -> float:
+        """Against MuJoCo at the same step, rad."""
+        return abs(self.pitch - self.mujoco_pitch)
+
+    @property
+    def coarse_height_error(self) -> float:
+        """Of polypod at 5 ms, m."""
+        return abs(self.coarse_height - self.mujoco_height)
+
+    @property
+    def coarse_pitch_error(self) -> float:
+        """Of polypod at 5 ms, rad."""
+        return abs(self.coarse_pitch - self.mujoco_pitch)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,23 +118,33 @@ class SlopeRest:
     """m."""
 
 
-def compare_drop(robot: Robot) -> Drop:
-    """Drops a robot."""
+def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
+    """Drops a robot on its own gains or on `gains` times these."""
+    robot = robot.with_gains(gains)
     start = _pose(robot, DROP_HEIGHT)
-    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False)
-    sim.set_state(start)
-    sim.step(targets=robot.default_position, n=round(DROP_TIME / DT))
-    qpos = sim.qpos[0]
-    ends = []
-    for default_softness in (False, True):
-        mujoco = Reference.of(
-            robot, dt=MUJOCO_DT, ground=Ground(FRICTION, default_softness=default_softness)
-        )
-        mujoco.set_state(start)
-        mujoco.step(robot.default_position, round(DROP_TIME / MUJOCO_DT), limited=True)
-        ends.append(mujoco.qpos)
-    stiff, soft = ends
-    return Drop(robot.name, qpos[2], stiff[2], _pitch(qpos), _pitch(stiff), soft[2])
+    dt = CONVERGED if gains < FIRM else FINE
+    mujoco = Reference.of(robot, dt=dt, ground=Ground(FRICTION))
+    mujoco.set_state(start)
+    mujoco.step(robot.default_position, round(DROP_TIME / dt), limited=True)
+
+    def drop(dt: float) -> Array:
+        sim = polypod.Simulation(robot.name, dt=dt, friction=FRICTION, self_collision=False)
+        sim.set_state(start)
+        _hold(sim, robot, DROP_TIME)
+        return np.array(sim.qpos[0])
+
+    fine, coarse, theirs = drop(dt), drop(DT), mujoco.qpos
+    return Drop(
+        robot=robot.name,
+        gains=gains,
+        dt=dt,
+        height=fine[2],
+        mujoco_height=theirs[2],
+        pitch=_pitch(fine),
+        mujoco_pitch=_pitch(theirs),
+        coarse_height=coarse[2],
+        coarse_pitch=_pitch(coarse),
+    )
 
 
 def compare_standing(robot: Robot) -> Standing:
@@ -109,10 +152,10 @@ def compare_standing(robot: Robot) -> Standing:
     start = _pose(robot, 0.0)
     sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False)
     sim.set_state(start)
-    sim.step(targets=robot.default_position, n=round(SETTLE_TIME / DT))
-    mujoco = Reference.of(robot, dt=MUJOCO_DT, ground=Ground(FRICTION))
+    _hold(sim, robot, SETTLE_TIME)
+    mujoco = Reference.of(robot, dt=FINE, ground=Ground(FRICTION))
     mujoco.set_state(start)
-    mujoco.step(robot.default_position, round(SETTLE_TIME / MUJOCO_DT))
+    mujoco.step(robot.default_position, round(SETTLE_TIME / FINE))
     links = list(sim.link_names)
     ours, theirs = sim.contact_forces[0], mujoco.contact_forces(links)
     feet = np.flatnonzero(theirs[:, 2] > 0.0)
@@ -127,7 +170,8 @@ def compare_standing(robot: Robot) -> Standing:
 
 
 def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
-    """Sets a robot on a slope; `uphill` is the side of it that looks up: "front" or "left"."""
+    """Sets a robot with firm legs on a slope; `uphill` is the side of it that looks up: "front" or "left"."""
+    robot = robot.with_gains(FIRM)
     axis = np.array([0.0, -1.0, 0.0]) if uphill == "front" else np.array([1.0, 0.0, 0.0])
     normal = _rotate(axis, np.array([0.0, 0.0, 1.0]))
     start = _pose(robot, 0.0)
@@ -136,23 +180,29 @@ def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
     x, y, z = (float(component) for component in normal)
     sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False)
     sim.set_state(start)
-    mujoco = Reference.of(robot, dt=DT, ground=Ground(FRICTION, (x, y, z)))
+    mujoco = Reference.of(robot, dt=SLOPE_FINE, ground=Ground(FRICTION, (x, y, z)))
     mujoco.set_state(start)
-    sim.step(targets=robot.default_position, n=round(SETTLE_TIME / DT))
-    mujoco.step(robot.default_position, round(SETTLE_TIME / DT))
+    _hold(sim, robot, SETTLE_TIME)
+    mujoco.step(robot.default_position, round(SETTLE_TIME / SLOPE_FINE))
     ours, theirs = sim.qpos[0, :3], mujoco.qpos[:3]
     creep = mujoco_creep = 0.0
     every = 0.1
     for _ in range(round(REST_TIME / every)):
-        sim.step(targets=robot.default_position, n=round(every / DT))
-        mujoco.step(robot.default_position, round(every / DT))
+        _hold(sim, robot, every)
+        mujoco.step(robot.default_position, round(every / SLOPE_FINE))
         creep = max(creep, float(np.linalg.norm(sim.qpos[0, :3] - ours)))
         mujoco_creep = max(mujoco_creep, float(np.linalg.norm(mujoco.qpos[:3] - theirs)))
     return SlopeRest(robot.name, uphill, creep, mujoco_creep)
 
 
+def _hold(sim: polypod.Simulation, robot: Robot, seconds: float) -> None:
+    """Holds the default pose."""
+    kp, kd = robot.actuators.stiffness, robot.actuators.damping
+    sim.step(targets=robot.default_position, kp=kp, kd=kd, n=round(seconds / sim.dt))
+
+
 def _pose(robot: Robot, above: float) -> Array:
-    """qpos of the default pose, level, with the lowest foot `above` the ground."""
+    """State in the default pose, level, with the lowest foot `above` the ground."""
     return np.array([0.0, 0.0, robot.base_height + above, 1.0, 0.0, 0.0, 0.0, *robot.default_position])
 
 

@@ -16,8 +16,8 @@ NUM_STATES = 200
 class StaticsResult:
     """Worst relative error of each quantity over all states.
 
-    The relative error of a vector or matrix is the largest absolute difference between entries over the largest absolute
-    entry of MuJoCo's, in each state by itself. A velocity or force mixes units (m, rad), as it does in both simulators.
+    The relative error of a vector or matrix is the largest absolute difference between entries over the largest
+    absolute entry of MuJoCo's, in each state by itself. A force or acceleration mixes units, as in both simulators.
     """
 
     robot: str
@@ -31,7 +31,7 @@ class StaticsResult:
     mass_matrix: float
     bias_force: float
     forward_dynamics: float
-    """Of qacc under random torques, over the largest entry of the state's qacc."""
+    """Of qacc under random torques, without damping, friction and joint limits; over the state's largest qacc."""
     inverse_dynamics: float
     """Of the forces that MuJoCo's qacc needs."""
 
@@ -57,15 +57,12 @@ def relative_error(value: Array, reference: Array) -> float:
 def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dtype: str = "float32") -> StaticsResult:
     """Compares a robot of the library at random states.
 
-    Base: position within 1 m of the origin, uniform orientation, up to 1 m/s and 3 rad/s along each axis. Joints: uniform
-    within their ranges (at most a half turn), up to 5 rad/s. Torques: up to the effort limit.
+    Base: position within 1 m of the origin, uniform orientation, up to 1 m/s and 3 rad/s along each axis. Joints:
+    uniform within their ranges (at most a half turn), up to 5 rad/s. Torques: up to the effort limit.
     """
     rng = np.random.default_rng(seed)
     sim = polypod.Simulation(robot.name, states, ground=None, dtype=dtype, self_collision=False)
     mujoco = Reference.of(robot, dt=sim.dt)
-    # dry friction and joint limits are constraints, which the identities leave out
-    mujoco.model.dof_frictionloss[:] = 0.0
-    mujoco.model.jnt_limited[:] = 0
     joints = robot.num_joints
     limits = np.clip(robot.joint_range, -np.pi, np.pi)
     quaternion = rng.standard_normal((states, 4))
@@ -88,18 +85,17 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
         "forward_dynamics": sim.forward_dynamics(torque),
     }
     theirs: dict[str, list[Array]] = {name: [] for name in ours}
-    damping = np.array(mujoco.model.dof_damping)[mujoco.v]
     for state in range(states):
         mujoco.set_state(qpos[state], qvel[state])
         at, turned = mujoco.link_pose(links)
-        force = np.concatenate([np.zeros(6), torque[state]]) - damping * qvel[state] - mujoco.bias_force()
+        force = np.concatenate([np.zeros(6), torque[state]]) - mujoco.bias_force()
         for name, value in {
             "center_of_mass": mujoco.center_of_mass(),
             "link_position": at,
             "link_rotation": turned,
             "mass_matrix": mujoco.mass_matrix(),
             "bias_force": mujoco.bias_force(),
-            "forward_dynamics": np.linalg.solve(mujoco.mass_matrix(), force),
+            "forward_dynamics": np.asarray(np.linalg.solve(mujoco.mass_matrix(), force), dtype=np.float64),
         }.items():
             theirs[name].append(value)
     qacc = np.array(theirs["forward_dynamics"])
