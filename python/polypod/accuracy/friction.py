@@ -119,7 +119,7 @@ def _polypod(
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "block.urdf"
         urdf.write_text(BLOCK, encoding="utf-8")
-        sim = polypod.Simulation(str(urdf), dt=dt, friction=friction, ground_normal=tuple(normal))
+        sim = polypod.Simulation(str(urdf), dt=dt, friction=friction, ground_normal=tuple(normal), threads=1)
     sim.set_state(start, np.concatenate([velocity, np.zeros(3)]))
     sim.step(n=round(seconds / dt))
     return np.array(sim.qpos[0, :3])

@@ -61,7 +61,9 @@ def compare_step_responses(robot: Robot) -> StepResponse:
 
 def _polypod(robot: Robot, targets: Array, dt: float) -> Array:
     """Joint positions [jumps, samples, joints] every 5 ms."""
-    sim = polypod.Simulation(robot.name, len(targets), dt=dt, ground=None, fixed_base=True, self_collision=False)
+    sim = polypod.Simulation(
+        robot.name, len(targets), dt=dt, ground=None, fixed_base=True, self_collision=False, threads=1
+    )
     sim.set_state(robot.default_position, np.zeros(robot.num_joints))
     track = []
     for _ in range(round(DURATION / COARSE)):

@@ -17,6 +17,8 @@ DT = 0.005
 """Physics step of the tasks, s."""
 FINE = 0.0005
 """MuJoCo's step where nothing else is said, s."""
+MUJOCO_COARSE = 0.0025
+"""The largest step at which MuJoCo's contacts, as stiff as they are set, stay calm, s."""
 CONVERGED = 0.0001
 """Step at which a landing on soft legs no longer depends on the step, s."""
 FRICTION = 0.8
@@ -51,6 +53,10 @@ class Drop:
     """Of the base, polypod's, rad."""
     mujoco_pitch: float
     """rad."""
+    mujoco_coarse_height: float
+    """MuJoCo's at 2.5 ms, m."""
+    mujoco_coarse_pitch: float
+    """MuJoCo's at 2.5 ms, rad."""
     coarse_height: float
     """polypod's at 5 ms, m."""
     coarse_pitch: float
@@ -123,17 +129,20 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
     robot = robot.with_gains(gains)
     start = _pose(robot, DROP_HEIGHT)
     dt = CONVERGED if gains < FIRM else FINE
-    mujoco = Reference.of(robot, dt=dt, ground=Ground(FRICTION))
-    mujoco.set_state(start)
-    mujoco.step(robot.default_position, round(DROP_TIME / dt), limited=True)
+
+    def mujoco_drop(dt: float) -> Array:
+        mujoco = Reference.of(robot, dt=dt, ground=Ground(FRICTION))
+        mujoco.set_state(start)
+        mujoco.step(robot.default_position, round(DROP_TIME / dt), limited=True)
+        return mujoco.qpos
 
     def drop(dt: float) -> Array:
-        sim = polypod.Simulation(robot.name, dt=dt, friction=FRICTION, self_collision=False)
+        sim = polypod.Simulation(robot.name, dt=dt, friction=FRICTION, self_collision=False, threads=1)
         sim.set_state(start)
         _hold(sim, robot, DROP_TIME)
         return np.array(sim.qpos[0])
 
-    fine, coarse, theirs = drop(dt), drop(DT), mujoco.qpos
+    fine, coarse, theirs, theirs_coarse = drop(dt), drop(DT), mujoco_drop(dt), mujoco_drop(MUJOCO_COARSE)
     return Drop(
         robot=robot.name,
         gains=gains,
@@ -142,6 +151,8 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
         mujoco_height=theirs[2],
         pitch=_pitch(fine),
         mujoco_pitch=_pitch(theirs),
+        mujoco_coarse_height=theirs_coarse[2],
+        mujoco_coarse_pitch=_pitch(theirs_coarse),
         coarse_height=coarse[2],
         coarse_pitch=_pitch(coarse),
     )
@@ -150,7 +161,7 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
 def compare_standing(robot: Robot) -> Standing:
     """Sets a robot on its feet and lets it settle."""
     start = _pose(robot, 0.0)
-    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False)
+    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False, threads=1)
     sim.set_state(start)
     _hold(sim, robot, SETTLE_TIME)
     mujoco = Reference.of(robot, dt=FINE, ground=Ground(FRICTION))
@@ -178,7 +189,9 @@ def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
     start[:3] = start[2] * normal
     start[3:7] = [math.cos(SLOPE_ANGLE / 2), *(math.sin(SLOPE_ANGLE / 2) * axis)]
     x, y, z = (float(component) for component in normal)
-    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False)
+    sim = polypod.Simulation(
+        robot.name, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False, threads=1
+    )
     sim.set_state(start)
     mujoco = Reference.of(robot, dt=SLOPE_FINE, ground=Ground(FRICTION, (x, y, z)))
     mujoco.set_state(start)

@@ -61,7 +61,7 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
     uniform within their ranges (at most a half turn), up to 5 rad/s. Torques: up to the effort limit.
     """
     rng = np.random.default_rng(seed)
-    sim = polypod.Simulation(robot.name, states, ground=None, dtype=dtype, self_collision=False)
+    sim = polypod.Simulation(robot.name, states, ground=None, dtype=dtype, self_collision=False, threads=1)
     mujoco = Reference.of(robot, dt=sim.dt)
     joints = robot.num_joints
     limits = np.clip(robot.joint_range, -np.pi, np.pi)
