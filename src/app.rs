@@ -464,7 +464,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros },
-        ContactImpulses(vec![[0.0; 3]; model.topology.contacts.len()].into()),
+        ContactImpulses(vec![[0.0; 3]; model.topology.num_impulses()].into()),
         ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
         Feet { position: smallvec![[0.0; 3]; model.feet.len()], velocity: smallvec![[0.0; 3]; model.feet.len()] },
         Body(Box::new(model.nominal.clone())),

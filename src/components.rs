@@ -197,7 +197,8 @@ pub struct JointEffort {
     pub acceleration: PerJoint,
 }
 
-/// Contact impulses (normal, two tangents) in N s per contact candidate; the contact solver's warm start.
+/// Contact impulses (normal, two tangents) in N s per contact candidate and pair of links; the contact solver's warm
+/// start.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactImpulses(pub Box<[[f32; 3]]>);
 

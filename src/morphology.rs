@@ -83,7 +83,8 @@ impl MorphologyModel {
         for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
             default_position[joint] = default_pose[slot];
         }
-        let (topology, nominal) = articulation(&model, &roles, &actuators);
+        let self_collision = config.self_collisions.then_some(&default_position[..]);
+        let (topology, nominal) = articulation(&model, &roles, &actuators, self_collision);
         if topology.max_depth() > MAX_DEPTH {
             return Err(ConfigError::invalid(
                 config.name.clone(),
@@ -175,11 +176,12 @@ fn articulation(
     model: &Model,
     roles: &Roles,
     actuators: &[(&str, &ActuatorConfig); 12],
+    self_collision: Option<&[f64]>,
 ) -> (Topology, Parameters<f32>) {
     let sites: Vec<Site> = (0..4)
         .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
         .collect();
-    let Articulation { mut topology, parameters: mut p, .. } = Articulation::new(model, true, &sites);
+    let Articulation { mut topology, parameters: mut p, .. } = Articulation::new(model, true, &sites, self_collision);
     topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
     for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
         let actuator = actuators[slot].1;

@@ -4,6 +4,11 @@
 >>> env = polypod.make("Velocity-Flat-HeteroQuadruped-v0", num_envs=4096)
 >>> observations, infos = env.reset(seed=0)
 
+`polypod.Simulation` is the physics alone, for any URDF:
+
+>>> sim = polypod.Simulation("unitree_go2", num_envs=16)
+>>> sim.step(targets=sim.default_qpos[7:], n=200)
+
 Importing polypod also registers its tasks with Gymnasium, as `polypod/<task>`. `polypod.rsl_rl` holds the adapter for
 rsl_rl; it needs the `train` extra, as does the command line (`polypod --help`).
 """

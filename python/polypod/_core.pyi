@@ -4,7 +4,8 @@ Arrays are NumPy arrays that the simulator owns. They are allocated once, at con
 into them; what is handed out is the array itself and never a copy, unless a docstring says so. Rows are envs.
 """
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
 import numpy as np
@@ -178,6 +179,270 @@ class VecSim:
 
     def restore(self, data: bytes) -> None:
         """Returns to a `snapshot` of an equal configuration. Raises ConfigError for any other bytes."""
+
+class Simulation:
+    """Physics without a task: robots of one kind, any tree of links that a URDF describes, one per env.
+
+    Generalised positions `qpos` are the base's position in the world (3, m), its quaternion (w, x, y, z) and the
+    joints' positions (rad or m) in the order of `joint_names`; velocities `qvel` are the linear velocity of the base's
+    origin in world axes (3, m/s), its angular velocity in base axes (3, rad/s) and the joints'. A fixed base has joints
+    only.
+
+    Arrays that are handed out are float64 copies. Arguments may be anything that NumPy makes an array of numbers of,
+    with one row per env, or one row for all envs; where it says so one number for all joints. Every trajectory is the
+    same, bit for bit, for any number of threads and envs and on any instruction set. A state that diverges holds NaN
+    from then on, in its own env only.
+    """
+
+    def __init__(
+        self,
+        robot: str | os.PathLike[str],
+        num_envs: int = 1,
+        *,
+        dt: float = 0.005,
+        ground: str | None = "plane",
+        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+        engine: str = "articulated",
+        fixed_base: bool = False,
+        package_dirs: Mapping[str, str | os.PathLike[str]] = {},
+        friction: npt.ArrayLike = 1.0,
+        restitution: float = 0.0,
+        armature: npt.ArrayLike | None = None,
+        self_collision: bool | None = None,
+        ground_normal: Sequence[float] = (0.0, 0.0, 1.0),
+        solver_iterations: int = 8,
+        threads: int | None = None,
+        simd: str | None = None,
+        dtype: str | type[np.floating] = "float32",
+    ) -> None:
+        """Loads the robot and puts one into each env, at rest in `default_qpos`.
+
+        Args:
+            robot: a robot of the library (its gains, rotor inertias, effort limits, motors and default pose come along,
+                its delays do not), the path of a robot's `.toml`, or the path of a URDF (gains 0; effort limits, joint
+                limits, damping and friction as in the URDF).
+            num_envs: number of envs.
+            dt: physics step, s.
+            ground: "plane", through the world's origin, or None.
+            gravity: world axes, m/s^2.
+            engine: "articulated".
+            fixed_base: fix the base to the world, its frame upon the world's; it then feels no ground.
+            package_dirs: folder of each package in `package://<package>/...` mesh names.
+            friction: coefficient of robot and ground combined, or (static, dynamic).
+            restitution: coefficient of robot and ground combined, from 0 to 1.
+            armature: reflected rotor inertia, kg m^2, one number or [num_joints]. None: the robot's, 0 for a URDF.
+            self_collision: whether a robot's links collide with one another, but for those joined by a joint or
+                touching in the default pose. None: as the robot's config says, no for a URDF.
+            ground_normal: normal of the ground plane, of any length.
+            solver_iterations: sweeps of the contact solver per physics step.
+            threads: None: all cores.
+            simd: instruction set: "avx512", "avx2", "neon" or "portable". None: the fastest one, or what `POLYPOD_SIMD`
+                says. Of no effect in float64.
+            dtype: "float32", or "float64" for reference, which is slower.
+
+        Raises:
+            RobotError: for a URDF that cannot be simulated. What it leaves open but can be assumed is told by
+                `warnings` and, for the path of a URDF, as UserWarning.
+            UnknownNameError: for a robot that does not exist.
+            ConfigError: for any other option.
+        """
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Joints that move, as in the URDF, parents before children."""
+
+    @property
+    def link_names(self) -> list[str]:
+        """Links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it."""
+
+    @property
+    def num_joints(self) -> int: ...
+    @property
+    def num_links(self) -> int: ...
+    @property
+    def num_envs(self) -> int: ...
+    @property
+    def nq(self) -> int:
+        """Columns of `qpos`: 7 + joints, or joints for a fixed base."""
+
+    @property
+    def nv(self) -> int:
+        """Columns of `qvel`: 6 + joints, or joints for a fixed base."""
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of a robot before any `set_mass`, kg."""
+
+    @property
+    def dt(self) -> float:
+        """Physics step, s."""
+
+    @property
+    def time(self) -> float:
+        """Simulated since construction, s."""
+
+    @property
+    def threads(self) -> int: ...
+    @property
+    def warnings(self) -> list[str]:
+        """What was assumed while reading the URDF; each names the file, the element and the remedy."""
+
+    @property
+    def default_qpos(self) -> npt.NDArray[np.float64]:
+        """[nq], the pose to begin with: the robot's default pose; for a URDF zero, or the limit nearest to it.
+
+        The base is level, with its lowest collision shape touching the ground; without ground it is at the origin.
+        """
+
+    @property
+    def joint_range(self) -> npt.NDArray[np.float64]:
+        """[num_joints, 2], lower and upper position limits, rad or m; infinite where there is none."""
+
+    @property
+    def effort_limit(self) -> npt.NDArray[np.float64]:
+        """[num_joints], largest effort at construction, N m or N; the largest one where it depends on the position."""
+
+    @property
+    def qpos(self) -> npt.NDArray[np.float64]:
+        """[num_envs, nq]."""
+
+    @property
+    def qvel(self) -> npt.NDArray[np.float64]:
+        """[num_envs, nv]."""
+
+    @property
+    def contact_forces(self) -> npt.NDArray[np.float64]:
+        """[num_envs, num_links, 3], net contact force on each link in the last physics step, N, world axes."""
+
+    @property
+    def joint_torque(self) -> npt.NDArray[np.float64]:
+        """[num_envs, num_joints], effort of the actuators in the last physics step, N m or N."""
+
+    def set_state(
+        self,
+        qpos: npt.ArrayLike | None = None,
+        qvel: npt.ArrayLike | None = None,
+        env_ids: npt.ArrayLike | None = None,
+    ) -> None:
+        """Sets positions, velocities or both; contacts start anew, `time` goes on.
+
+        Args:
+            qpos: [nq] or [n, nq]; quaternions are normalised. None: as they are.
+            qvel: [nv] or [n, nv]. None: as they are.
+            env_ids: the n envs. None: all.
+
+        Raises:
+            ValueError: for another shape, a number that is not finite, a quaternion of zeros, an env that is none.
+        """
+
+    def step(
+        self,
+        *,
+        torque: npt.ArrayLike | None = None,
+        targets: npt.ArrayLike | None = None,
+        kp: npt.ArrayLike | None = None,
+        kd: npt.ArrayLike | None = None,
+        effort_limit: npt.ArrayLike | None = None,
+        implicit: bool | None = None,
+        n: int = 1,
+    ) -> None:
+        """Advances every env by `n` physics steps, without holding the interpreter's lock.
+
+        Arrays are a number, [num_joints] or [num_envs, num_joints].
+
+        Args:
+            torque: joint efforts, N m or N, applied as they are within the limits of effort and motor.
+            targets: joint positions that the gains pull to, rad or m. With neither of both the joints are passive.
+            kp: stiffness, N m/rad; kept for later steps.
+            kd: damping, N m s/rad; kept for later steps.
+            effort_limit: largest effort, N m or N, infinity for none; kept for later steps.
+            implicit: True: the gains act on the end of each physics step, which is stable with any gains. False: on its
+                beginning, as a motor controller at that rate would. None: as the robot's config says, else implicitly.
+            n: number of steps, all with the same targets or torques.
+
+        Raises:
+            ValueError: for another shape, a number that is not finite, torque together with targets.
+        """
+
+    def link_pose(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Positions [num_envs, num_links, 3], m, and quaternions [num_envs, num_links, 4] of the links' URDF frames.
+
+        In the world; quaternions are (w, x, y, z) with w >= 0. This and the following are computed in double precision
+        from the present state.
+        """
+
+    def link_velocity(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Velocities of the links' origins, m/s, and angular ones, rad/s: [num_envs, num_links, 3], world axes."""
+
+    def mass_matrix(self) -> npt.NDArray[np.float64]:
+        """[num_envs, nv, nv], armature included."""
+
+    def bias_force(self) -> npt.NDArray[np.float64]:
+        """[num_envs, nv], `c` in `M qacc + c = force`, gravity included."""
+
+    def forward_dynamics(self, torque: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Accelerations [num_envs, nv] without contacts, limits, damping and friction.
+
+        Args:
+            torque: [num_joints], [num_envs, num_joints], or generalised forces [nv], [num_envs, nv].
+        """
+
+    def inverse_dynamics(self, qacc: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Generalised forces [num_envs, nv] that cause accelerations [nv] or [num_envs, nv]; no contacts."""
+
+    def jacobian(self, link: str | int, point: Sequence[float] = (0.0, 0.0, 0.0)) -> npt.NDArray[np.float64]:
+        """[num_envs, 6, nv], linear velocity of the point, then angular velocity of the link, both in world axes.
+
+        Args:
+            link: name or index.
+            point: in the link's URDF frame, m.
+        """
+
+    def energy(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Kinetic energy, armature included, and potential energy, zero at the world's origin: [num_envs], J."""
+
+    def center_of_mass(self) -> npt.NDArray[np.float64]:
+        """[num_envs, 3], in the world, m."""
+
+    def momentum(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Linear, kg m/s, and angular about the centre of mass, kg m^2/s: [num_envs, 3], world axes, without rotors."""
+
+    def set_mass(self, link: str | int, mass: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
+        """Sets a link's mass, kg: a number or [n]; its inertia is scaled along, as if the density had changed."""
+
+    def set_com(self, link: str | int, com: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
+        """Sets a link's centre of mass in its URDF frame, m: [3] or [n, 3]."""
+
+    def set_inertia(self, link: str | int, inertia: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
+        """Sets a link's inertia about its centre of mass in the axes of its URDF frame, kg m^2.
+
+        Args:
+            link: name or index.
+            inertia: [3, 3] or [n, 3, 3], or xx, yy, zz, xy, xz, yz as [6] or [n, 6].
+            env_ids: the n envs. None: all.
+        """
+
+    def set_friction(
+        self, static: npt.ArrayLike, dynamic: npt.ArrayLike | None = None, env_ids: npt.ArrayLike | None = None
+    ) -> None:
+        """Sets friction coefficients, robot and ground combined: a number or [n]. `dynamic` None: as `static`."""
+
+    def set_gains(
+        self,
+        kp: npt.ArrayLike | None = None,
+        kd: npt.ArrayLike | None = None,
+        env_ids: npt.ArrayLike | None = None,
+    ) -> None:
+        """Sets stiffness, N m/rad, and damping, N m s/rad: a number, [num_joints], [n, num_joints]. None: as it is."""
+
+    def set_armature(self, armature: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
+        """Sets reflected rotor inertias, kg m^2: a number, [num_joints] or [n, num_joints]."""
+
+    def snapshot(self) -> bytes:
+        """State, time, contact warm starts and every env's numbers; stepping on from it repeats every bit."""
+
+    def restore(self, data: bytes) -> None:
+        """Returns to a `snapshot` of an equal simulation. Raises ConfigError for any other bytes."""
 
 def tasks() -> list[TaskEntry]:
     """The tasks that ship with polypod."""

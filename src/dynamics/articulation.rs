@@ -106,6 +106,35 @@ pub struct ContactTopology {
     pub kind: ContactKind,
 }
 
+/// A simple shape that stands for a part of a link when links of the same robot touch each other.
+#[derive(Clone, Copy, Debug)]
+pub struct ColliderTopology {
+    /// Link it is fixed to.
+    pub link: usize,
+    /// Contact body whose force it adds to.
+    pub body: usize,
+    /// Axes of a box in link axes; none for a capsule.
+    pub box_rotation: Option<[[f64; 3]; 3]>,
+}
+
+/// Two colliders of different links that may touch each other.
+#[derive(Clone, Debug)]
+pub struct PairTopology {
+    /// Colliders: a capsule, then a capsule or a box.
+    pub colliders: [usize; 2],
+    /// Parts of the capsule's axis, whose ends are -1 and 1: each part is a contact of its own, so that links can lie
+    /// against each other.
+    pub spans: &'static [[f64; 2]],
+    /// The first of its impulses.
+    pub(super) first_impulse: usize,
+    /// Joints on the ways from both links to the base, leaves first, and the side of the joint: 1 carries the first
+    /// link only, -1 the second only, 0 both.
+    pub(super) path: Vec<usize>,
+    pub(super) side: Vec<f64>,
+    /// Where the ancestors of `path[p]` stand in `path`.
+    pub(super) ancestors: Vec<Vec<usize>>,
+}
+
 /// The articulation of one morphology: all that must be equal in the lanes of a pack.
 #[derive(Clone, Debug)]
 pub struct Topology {
@@ -115,6 +144,10 @@ pub struct Topology {
     pub joints: Vec<JointTopology>,
     /// Contact candidates, sorted by link.
     pub contacts: Vec<ContactTopology>,
+    /// Shapes for contact between the robot's own links.
+    pub colliders: Vec<ColliderTopology>,
+    /// Pairs of them that are looked at.
+    pub pairs: Vec<PairTopology>,
     /// Number of contact bodies.
     pub num_bodies: usize,
     /// Link of each site (a point whose position and velocity are reported, such as a foot).
@@ -129,6 +162,7 @@ pub struct Topology {
     link_contacts: Vec<std::ops::Range<usize>>,
     num_couplings: usize,
     max_depth: usize,
+    pair_of_impulse: Vec<usize>,
 }
 
 impl Topology {
@@ -166,6 +200,8 @@ impl Topology {
             floating,
             joints,
             contacts,
+            colliders: Vec::new(),
+            pairs: Vec::new(),
             num_bodies,
             sites,
             has_delay,
@@ -174,7 +210,66 @@ impl Topology {
             link_contacts,
             num_couplings,
             max_depth,
+            pair_of_impulse: Vec::new(),
         }
+    }
+
+    /// Lets pairs of `colliders` touch each other: a capsule and a capsule or box, and whether the first capsule is long
+    /// enough to touch in two points.
+    ///
+    /// # Panics
+    /// If indices name colliders or links that do not exist; loaders guarantee that they do.
+    pub fn set_pairs(&mut self, colliders: Vec<ColliderTopology>, pairs: &[([usize; 2], bool)]) {
+        let mut new = Vec::new();
+        let mut pair_of_impulse = Vec::new();
+        for &(pair, long) in pairs {
+            let [first, second] = pair.map(|c| self.path(colliders[c].link));
+            let mut path: Vec<usize> = first.iter().chain(second).copied().collect();
+            path.sort_unstable_by(|a, b| b.cmp(a));
+            path.dedup();
+            let side = |j: &usize| f64::from(i8::from(first.contains(j)) - i8::from(second.contains(j)));
+            let place = |j: &usize| path.iter().position(|k| k == j);
+            let spans: &[[f64; 2]] = if long { &[[-1.0, 0.0], [0.0, 1.0]] } else { &[[-1.0, 1.0]] };
+            let first_impulse = self.contacts.len() + pair_of_impulse.len();
+            pair_of_impulse.extend(spans.iter().map(|_| new.len()));
+            new.push(PairTopology {
+                colliders: pair,
+                spans,
+                first_impulse,
+                side: path.iter().map(side).collect(),
+                ancestors: path.iter().map(|&j| self.ancestors(j).iter().filter_map(place).collect()).collect(),
+                path,
+            });
+        }
+        self.pairs = new;
+        self.pair_of_impulse = pair_of_impulse;
+        self.colliders = colliders;
+    }
+
+    /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of the pairs.
+    pub fn num_impulses(&self) -> usize {
+        self.contacts.len() + self.pair_of_impulse.len()
+    }
+
+    /// The pair that an impulse belongs to; none for one of the ground's.
+    #[inline(always)]
+    pub(super) fn pair_of(&self, impulse: usize) -> Option<&PairTopology> {
+        let i = impulse.checked_sub(self.contacts.len())?;
+        Some(&self.pairs[self.pair_of_impulse[i]])
+    }
+
+    /// Joints that a contact acts on, nearest to the leaves first.
+    #[inline(always)]
+    pub(super) fn contact_path(&self, impulse: usize) -> &[usize] {
+        match self.pair_of(impulse) {
+            None => self.path(self.contacts[impulse].link),
+            Some(pair) => &pair.path,
+        }
+    }
+
+    /// The most joints that any contact acts on.
+    pub(super) fn max_contact_path(&self) -> usize {
+        self.pairs.iter().map(|pair| pair.path.len()).fold(self.max_depth, usize::max)
     }
 
     /// Number of joints.
@@ -294,6 +389,12 @@ parameters! {
     contact_rim: Vec<S>, list;
     /// Radius about the link's origin that holds all its contact candidates, m, `[links]`.
     contact_reach: Vec<S>, list;
+    /// Centre of a collider in its link's frame, m, `[colliders]`.
+    collider_centre: Vec<Vec3<S>>, arrays;
+    /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a box, m, `[colliders]`.
+    collider_half: Vec<Vec3<S>>, arrays;
+    /// Radius of a capsule, m, `[colliders]`.
+    collider_radius: Vec<S>, list;
     /// Position of a site in its link's frame, m, `[sites]`.
     site_position: Vec<Vec3<S>>, arrays;
     /// Friction coefficient of sticking contacts (robot and ground combined).
@@ -330,6 +431,9 @@ impl<S: Real> Parameters<S> {
             contact_radius: vec![z; contacts],
             contact_rim: vec![z; contacts],
             contact_reach: vec![z; links],
+            collider_centre: vec![[z; 3]; topology.colliders.len()],
+            collider_half: vec![[z; 3]; topology.colliders.len()],
+            collider_radius: vec![z; topology.colliders.len()],
             site_position: vec![[z; 3]; sites],
             static_friction: z,
             dynamic_friction: z,

@@ -1,12 +1,12 @@
-//! Contacts with the ground and joint bounds, as velocity constraints solved by warm-started Gauss-Seidel sweeps.
+//! Contacts and joint bounds, as velocity constraints solved by warm-started Gauss-Seidel sweeps.
 //!
 //! A constraint row `J` is kept as `Z = L^-T J^T`, which is zero off the path from its link to the base, so that
 //! `J M^-1 J^T = Z^T D^-1 Z` and a sweep works on the sparse velocity `y = L u` (see [`factor`](super::factor)).
 
-use super::articulation::{ContactKind, Parameters, Topology};
+use super::articulation::{ContactKind, PairTopology, Parameters, Topology};
 use super::factor::Factor;
 use super::lanes::Real;
-use super::math::{Vec3, add_scaled, cross, dot, mul_vec, mul_vec_transposed, scale, sub};
+use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, scale, sub};
 use super::state::{LinkState, State, Workspace};
 
 /// How contacts and joint bounds are solved.
@@ -74,7 +74,8 @@ const SPEED_MARGIN: f64 = 0.7;
 const NEVER: f64 = -1e6;
 
 #[derive(Clone, Debug)]
-struct ContactRows<S> {
+pub(super) struct ContactRows<S> {
+    /// Which impulse it has.
     contact: usize,
     base: [[S; 6]; 3],
     base_scaled: [[S; 6]; 3],
@@ -105,9 +106,14 @@ struct BoundRow<S> {
 /// Scratch memory of the contact solver.
 #[derive(Clone, Debug)]
 pub struct ContactWork<S> {
+    /// Ground contacts, then pairs of the robot's own links.
     contacts: Vec<ContactRows<S>>,
     bounds: Vec<BoundRow<S>>,
-    /// Joint parts of the contact rows, plain and divided by `D`: `[contact * depth + p]`, `p` along the path.
+    /// Number of joints that rows have room for.
+    stride: usize,
+    /// Normal and tangents of the pairs among `contacts`, in base axes.
+    pair_frames: Vec<[Vec3<S>; 3]>,
+    /// Joint parts of the contact rows, plain and divided by `D`: `[contact * stride + p]`, `p` along the path.
     contact_joint: Vec<[S; 3]>,
     contact_joint_scaled: Vec<[S; 3]>,
     bound_joint: Vec<S>,
@@ -122,15 +128,17 @@ impl<S: Real> ContactWork<S> {
     /// Memory for a topology.
     pub fn new(topology: &Topology) -> Self {
         let z = S::zero();
-        let depth = topology.max_depth();
-        let (contacts, joints) = (topology.contacts.len(), topology.num_joints());
+        let stride = topology.max_contact_path();
+        let (contacts, joints) = (topology.num_impulses(), topology.num_joints());
         Self {
             contacts: Vec::with_capacity(contacts),
             bounds: Vec::with_capacity(joints),
-            contact_joint: vec![[z; 3]; contacts * depth],
-            contact_joint_scaled: vec![[z; 3]; contacts * depth],
-            bound_joint: vec![z; joints * depth],
-            bound_joint_scaled: vec![z; joints * depth],
+            stride,
+            pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
+            contact_joint: vec![[z; 3]; contacts * stride],
+            contact_joint_scaled: vec![[z; 3]; contacts * stride],
+            bound_joint: vec![z; joints * stride],
+            bound_joint_scaled: vec![z; joints * stride],
             base: [z; 6],
             joints: vec![z; joints],
         }
@@ -210,9 +218,9 @@ pub fn build_contacts<S: Real>(
     work: &mut Workspace<S>,
 ) {
     let Workspace { base_rotation, links, axes, factor, contact: rows, .. } = work;
-    let depth = topology.max_depth();
     let margin = S::splat(CONTACT_MARGIN);
     rows.contacts.clear();
+    rows.pair_frames.clear();
     let Some(plane) = &settings.ground else {
         return;
     };
@@ -243,30 +251,30 @@ pub fn build_contacts<S: Real>(
                 continue;
             }
             let row = contact_rows(topology, factor, axes, at, &frame, c, &local, parameters.contact_radius[c], rows);
+            let mut target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
-            let push =
-                (gap * S::splat(-settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity));
-            let mut target = S::select(gap.lt(zero), push, -(gap * inverse_dt));
             if S::any(zero.lt(parameters.restitution)) {
-                let approach = rows.normal_velocity(topology.path(link), depth, &row);
+                let approach = rows.normal_velocity(topology.path(link), &row);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
                 target = S::select(bounces, target.max(-(approach * parameters.restitution)), target);
             }
-            let keep = |x: S| S::select(near, x, zero);
-            rows.contacts.push(ContactRows {
-                target: S::select(near, target, S::splat(NEVER)),
-                impulse: state.impulse[c].map(keep),
-                ..row
-            });
+            rows.push(row, near, target, &state.impulse[c]);
         }
     }
+}
+
+/// Least allowed separation speed at a gap: one that is open may close, a penetration is pushed out.
+#[inline(always)]
+pub(super) fn separation<S: Real>(gap: S, settings: &ContactSettings, inverse_dt: S) -> S {
+    let push = (gap * S::splat(-settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity));
+    S::select(gap.lt(S::zero()), push, -(gap * inverse_dt))
 }
 
 #[inline(always)]
 fn contact_rows<S: Real>(
     topology: &Topology,
     factor: &Factor<S>,
-    axes: &[super::math::Spatial<S>],
+    axes: &[Spatial<S>],
     at: &LinkState<S>,
     frame: &[Vec3<S>; 3],
     contact: usize,
@@ -274,13 +282,12 @@ fn contact_rows<S: Real>(
     radius: S,
     rows: &mut ContactWork<S>,
 ) -> ContactRows<S> {
-    let z = S::zero();
     let path = topology.path(topology.contacts[contact].link);
-    let start = rows.contacts.len() * topology.max_depth();
+    let start = rows.contacts.len() * rows.stride;
     let joint = &mut rows.contact_joint[start..start + path.len()];
-    let centre = super::math::add(&at.position, &mul_vec(&at.rotation, local));
+    let centre = add(&at.position, &mul_vec(&at.rotation, local));
     let point = sub(&centre, &scale(&frame[0], radius));
-    let mut base = [[z; 6]; 3];
+    let mut base = [[S::zero(); 6]; 3];
     for (d, direction) in frame.iter().enumerate() {
         let moment = cross(&point, direction);
         if topology.floating {
@@ -291,51 +298,117 @@ fn contact_rows<S: Real>(
         }
     }
     half_solve_path(topology, factor, path, joint, &mut base);
-    let scaled = &mut rows.contact_joint_scaled[start..start + path.len()];
-    let mut base_scaled = [[z; 6]; 3];
-    if topology.floating {
-        for d in 0..3 {
-            for r in 0..6 {
-                base_scaled[d][r] = base[d][r] * factor.base_inverse_diagonal[r];
-            }
-        }
-    }
-    for (p, &j) in path.iter().enumerate() {
-        for d in 0..3 {
-            scaled[p][d] = joint[p][d] * factor.inverse_diagonal[j];
-        }
-    }
-    let product = |a: usize, b: usize| {
-        let mut sum = dot6(&base[a], &base_scaled[b]);
-        for p in 0..path.len() {
-            sum = joint[p][a].mul_add(scaled[p][b], sum);
-        }
-        sum
-    };
-    let one = S::one();
-    // a point that nothing can move (a fixed base) has no compliance: keep the division finite
-    let invert = |x: S| one / x.max(S::splat(1e-9));
-    let coupling = [product(0, 1), product(0, 2), product(1, 2)];
-    let diagonal = [product(0, 0), product(1, 1), product(2, 2)];
-    let half = S::splat(0.5);
-    let difference = (diagonal[1] - diagonal[2]) * half;
-    let radius = difference.mul_add(difference, coupling[2] * coupling[2]).sqrt();
-    ContactRows {
-        contact,
-        coupling,
-        inverse: diagonal.map(invert),
-        slide: invert((diagonal[1] + diagonal[2]).mul_add(half, radius)),
-        base,
-        base_scaled,
-        target: z,
-        impulse: [z; 3],
-    }
+    rows.finish(topology, factor, contact, base)
 }
 
 impl<S: Real> ContactWork<S> {
+    /// Builds the rows of a pair of links that touch at a point: equal and opposite forces along the axes of `frame`.
     #[inline(always)]
-    fn normal_velocity(&self, path: &[usize], depth: usize, row: &ContactRows<S>) -> S {
-        let start = self.contacts.len() * depth;
+    pub(super) fn pair_rows(
+        &mut self,
+        topology: &Topology,
+        factor: &Factor<S>,
+        axes: &[Spatial<S>],
+        pair: &PairTopology,
+        impulse: usize,
+        frame: &[Vec3<S>; 3],
+        point: &Vec3<S>,
+    ) -> ContactRows<S> {
+        let PairTopology { path, side, ancestors, .. } = pair;
+        let start = self.contacts.len() * self.stride;
+        let joint = &mut self.contact_joint[start..start + path.len()];
+        for (d, direction) in frame.iter().enumerate() {
+            let moment = cross(point, direction);
+            for (p, &j) in path.iter().enumerate() {
+                // what carries both links feels nothing
+                joint[p][d] = (dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction)) * S::splat(side[p]);
+            }
+        }
+        let mut base = [[S::zero(); 6]; 3];
+        for p in 0..path.len() {
+            let (x, row) = (joint[p], topology.row(path[p]));
+            for (i, &q) in ancestors[p].iter().enumerate() {
+                let l = factor.couplings[row + i];
+                for d in 0..3 {
+                    joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
+                }
+            }
+            for d in 0..3 {
+                for r in 0..6 {
+                    base[d][r] = factor.base_couplings[path[p]][r].neg_mul_add(x[d], base[d][r]);
+                }
+            }
+        }
+        if topology.floating {
+            for row in base.iter_mut() {
+                factor.base_forward(row);
+            }
+        }
+        self.pair_frames.push(*frame);
+        self.finish(topology, factor, impulse, base)
+    }
+
+    /// Adds a contact that takes part in the lanes where it is `near`.
+    #[inline(always)]
+    pub(super) fn push(&mut self, row: ContactRows<S>, near: S::Mask, target: S, warm_start: &[S; 3]) {
+        let keep = |x: S| S::select(near, x, S::zero());
+        self.contacts.push(ContactRows {
+            target: S::select(near, target, S::splat(NEVER)),
+            impulse: warm_start.map(keep),
+            ..row
+        });
+    }
+
+    /// Scales half-solved rows by `D^-1` and finds their couplings.
+    #[inline(always)]
+    fn finish(&mut self, topology: &Topology, factor: &Factor<S>, contact: usize, base: [[S; 6]; 3]) -> ContactRows<S> {
+        let (z, one) = (S::zero(), S::one());
+        let path = topology.contact_path(contact);
+        let start = self.contacts.len() * self.stride;
+        let joint = &self.contact_joint[start..start + path.len()];
+        let scaled = &mut self.contact_joint_scaled[start..start + path.len()];
+        let mut base_scaled = [[z; 6]; 3];
+        if topology.floating {
+            for d in 0..3 {
+                for r in 0..6 {
+                    base_scaled[d][r] = base[d][r] * factor.base_inverse_diagonal[r];
+                }
+            }
+        }
+        for (p, &j) in path.iter().enumerate() {
+            for d in 0..3 {
+                scaled[p][d] = joint[p][d] * factor.inverse_diagonal[j];
+            }
+        }
+        let product = |a: usize, b: usize| {
+            let mut sum = dot6(&base[a], &base_scaled[b]);
+            for p in 0..path.len() {
+                sum = joint[p][a].mul_add(scaled[p][b], sum);
+            }
+            sum
+        };
+        // a point that nothing can move (a fixed base) has no compliance: keep the division finite
+        let invert = |x: S| one / x.max(S::splat(1e-9));
+        let coupling = [product(0, 1), product(0, 2), product(1, 2)];
+        let diagonal = [product(0, 0), product(1, 1), product(2, 2)];
+        let half = S::splat(0.5);
+        let difference = (diagonal[1] - diagonal[2]) * half;
+        let radius = difference.mul_add(difference, coupling[2] * coupling[2]).sqrt();
+        ContactRows {
+            contact,
+            coupling,
+            inverse: diagonal.map(invert),
+            slide: invert((diagonal[1] + diagonal[2]).mul_add(half, radius)),
+            base,
+            base_scaled,
+            target: z,
+            impulse: [z; 3],
+        }
+    }
+
+    #[inline(always)]
+    fn normal_velocity(&self, path: &[usize], row: &ContactRows<S>) -> S {
+        let start = self.contacts.len() * self.stride;
         let mut sum = dot6(&row.base[0], &self.base);
         for (p, &j) in path.iter().enumerate() {
             sum = self.contact_joint[start + p][0].mul_add(self.joints[j], sum);
@@ -359,7 +432,7 @@ pub fn build_bounds<S: Real>(
 ) {
     let Workspace { factor, contact: rows, .. } = work;
     let z = S::zero();
-    let depth = topology.max_depth();
+    let depth = rows.stride;
     let inverse_dt = S::one() / dt;
     let big = S::splat(-NEVER);
     rows.bounds.clear();
@@ -426,7 +499,7 @@ pub fn solve<S: Real>(
     settings: &ContactSettings,
     work: &mut ContactWork<S>,
 ) {
-    let depth = topology.max_depth();
+    let depth = work.stride;
     let ContactWork {
         contacts,
         bounds,
@@ -436,9 +509,10 @@ pub fn solve<S: Real>(
         bound_joint_scaled,
         base: y_base,
         joints: y_joint,
+        ..
     } = work;
     for (c, row) in contacts.iter().enumerate() {
-        let path = topology.path(topology.contacts[row.contact].link);
+        let path = topology.contact_path(row.contact);
         apply(row, &contact_joint_scaled[c * depth..], path, &row.impulse, y_base, y_joint);
     }
     for _ in 0..settings.iterations {
@@ -466,7 +540,7 @@ pub fn solve<S: Real>(
             }
         }
         for (c, row) in contacts.iter_mut().enumerate() {
-            let path = topology.path(topology.contacts[row.contact].link);
+            let path = topology.contact_path(row.contact);
             let joint = &contact_joint[c * depth..];
             let mut w = [dot6(&row.base[0], y_base), dot6(&row.base[1], y_base), dot6(&row.base[2], y_base)];
             for (p, &j) in path.iter().enumerate() {
@@ -523,6 +597,7 @@ pub fn report<S: Real>(
     topology: &Topology,
     settings: &ContactSettings,
     inverse_dt: S,
+    base_rotation: &Mat3<S>,
     work: &ContactWork<S>,
     state: &mut State<S>,
     force: &mut [Vec3<S>],
@@ -531,19 +606,30 @@ pub fn report<S: Real>(
     let z = S::zero();
     force.fill([z; 3]);
     normal_force.fill(z);
-    let Some(plane) = &settings.ground else {
-        return;
+    let ground = settings.ground.unwrap_or(Plane::level(0.0)).frame().map(|axis| axis.map(S::splat));
+    let on_ground = work.contacts.len() - work.pair_frames.len();
+    let mut add_force = |body: usize, frame: &[Vec3<S>; 3], f: &[S; 3]| {
+        for d in 0..3 {
+            force[body] = add_scaled(&force[body], &frame[d], f[d]);
+        }
     };
-    let world = plane.frame().map(|axis| axis.map(S::splat));
-    for row in &work.contacts {
+    for (c, row) in work.contacts.iter().enumerate() {
         // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
         let impulse = row.impulse.map(|x| x + z);
         state.impulse[row.contact] = impulse;
-        let body = topology.contacts[row.contact].body;
         let f = impulse.map(|x| x * inverse_dt);
-        for d in 0..3 {
-            force[body] = add_scaled(&force[body], &world[d], f[d]);
+        if let Some(pair) = topology.pair_of(row.contact) {
+            let frame = work.pair_frames[c - on_ground].map(|axis| mul_vec(base_rotation, &axis));
+            let [first, second] = pair.colliders.map(|c| topology.colliders[c].body);
+            add_force(first, &frame, &f);
+            add_force(second, &frame, &f.map(|x| -x));
+            for body in [first, second] {
+                normal_force[body] = normal_force[body] + f[0];
+            }
+        } else {
+            let body = topology.contacts[row.contact].body;
+            add_force(body, &ground, &f);
+            normal_force[body] = normal_force[body] + f[0];
         }
-        normal_force[body] = normal_force[body] + f[0];
     }
 }

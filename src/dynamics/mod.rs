@@ -7,12 +7,15 @@ pub mod factor;
 pub mod kinematics;
 pub mod lanes;
 pub mod math;
+pub mod proximity;
+pub mod self_contact;
 pub mod state;
 pub mod step;
 
 pub use algorithms::Dynamics;
 pub use articulation::{
-    Axis, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, Parameters, Topology,
+    Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, PairTopology,
+    Parameters, Topology,
 };
 pub use contact::{ContactSettings, Plane};
 pub use lanes::{Lanes, Real, Simd};

@@ -21,8 +21,8 @@ pub struct State<S> {
     pub joint_position: Vec<S>,
     /// Joint velocities, rad/s, `[joints]`.
     pub joint_velocity: Vec<S>,
-    /// Contact impulses of the last physics step (along the ground's normal and two tangents), N s, `[contacts]`; they
-    /// warm-start the next one.
+    /// Contact impulses of the last physics step (along the contact's normal and two tangents), N s, `[contacts, then
+    /// pairs]`; they warm-start the next one.
     pub impulse: Vec<[S; 3]>,
 }
 
@@ -65,7 +65,7 @@ impl<S: Real> State<S> {
             angular_velocity: [z; 3],
             joint_position: vec![z; topology.num_joints()],
             joint_velocity: vec![z; topology.num_joints()],
-            impulse: vec![[z; 3]; topology.contacts.len()],
+            impulse: vec![[z; 3]; topology.num_impulses()],
         }
     }
 }
@@ -136,6 +136,8 @@ pub struct Workspace<S> {
     pub effort_slope: Vec<S>,
     /// Target position of each joint in the current physics step.
     pub target: Vec<S>,
+    /// Where the colliders are, in base axes, m, `[colliders]`.
+    pub colliders: Vec<Vec3<S>>,
     /// Rows of active contacts and joint bounds.
     pub contact: ContactWork<S>,
 }
@@ -161,6 +163,7 @@ impl<S: Real> Workspace<S> {
             effort: vec![z; joints],
             effort_slope: vec![z; joints],
             target: vec![z; joints],
+            colliders: vec![[z; 3]; topology.colliders.len()],
             contact: ContactWork::new(topology),
         }
     }

@@ -6,6 +6,7 @@ use super::factor;
 use super::kinematics;
 use super::lanes::{Kernel, Real};
 use super::math::{Spatial, add_scaled, integrate_quat, mul_vec, mul_vec_transposed, quat_to_mat};
+use super::self_contact;
 use super::state::{Drive, Report, State, Workspace};
 
 /// What all packs of a simulation share.
@@ -184,6 +185,7 @@ fn physics_step<S: Real>(
         factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
     }
     contact::build_contacts(topology, parameters, &settings.contact, dt, state, work);
+    self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, work);
     for r in 0..6 {
         work.contact.base[r] = work.contact.base[r] + impulse[r];
     }
@@ -205,6 +207,7 @@ fn physics_step<S: Real>(
         topology,
         &settings.contact,
         S::one() / dt,
+        &work.base_rotation,
         &work.contact,
         state,
         &mut report.body_force,

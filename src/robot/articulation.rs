@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::colliders::add_pairs;
 use super::model::{Geometry, JointKind, Model, Shape};
 use crate::dynamics::{Axis, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology};
 
@@ -34,7 +35,10 @@ pub struct Articulation {
 impl Articulation {
     /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the URDF as limits and
     /// no actuator gains; velocity limits are left to actuators.
-    pub fn new(model: &Model, floating: bool, sites: &[Site]) -> Self {
+    ///
+    /// With `self_collision` links may touch each other; it is a pose (one position per joint, rad or m) in which none
+    /// is meant to: shapes that overlap there do so by design and are left alone, as are links joined by one joint.
+    pub fn new(model: &Model, floating: bool, sites: &[Site], self_collision: Option<&[f64]>) -> Self {
         let zero = vec![0.0; model.joints.len()];
         let align: Vec<DMat3> = model.forward_kinematics(&zero).iter().map(|pose| pose.rotation).collect();
         let joints = model
@@ -57,13 +61,15 @@ impl Articulation {
             .bodies
             .iter()
             .enumerate()
+            // what cannot move feels no ground
+            .filter(|(_, b)| floating || b.link != 0)
             .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
             .collect();
         candidates.sort_by_key(|c| c.topology.link);
         for c in &mut candidates {
             c.align(align[c.topology.link]);
         }
-        let topology = Topology::new(
+        let mut topology = Topology::new(
             floating,
             joints,
             candidates.iter().map(|c| c.topology).collect(),
@@ -100,6 +106,9 @@ impl Articulation {
         }
         for (s, site) in sites.iter().enumerate() {
             p.site_position[s] = (align[site.link] * site.position).to_array();
+        }
+        if let Some(reference) = self_collision {
+            add_pairs(model, &align, reference, &mut topology, &mut p);
         }
         Self { topology, parameters: p, align }
     }

@@ -3,6 +3,7 @@
 mod articulation;
 mod canonical;
 mod chains;
+mod colliders;
 mod error;
 mod feet;
 mod inertia;

@@ -8,10 +8,10 @@
 //! ```
 //! use polypod::{Control, Simulation, SimulationOptions};
 //!
-//! let mut sim = Simulation::new(&SimulationOptions::new("unitree_go2", 16))?;
-//! let stand = sim.default_qpos()[7..].to_vec();
-//! sim.step(&Control { targets: Some(&stand), ..Control::default() }, 200)?;
-//! assert!(sim.qpos()[2] > 0.2);
+//! let mut sim = Simulation::new(&SimulationOptions::new("tests/data/urdf/biped.urdf", 16))?;
+//! let stand = Control { targets: Some(&[0.0]), kp: Some(&[400.0]), kd: Some(&[10.0]), ..Control::default() };
+//! sim.step(&stand, 200)?;
+//! assert!((sim.qpos()[2] - sim.default_qpos()[2]).abs() < 0.02);
 //! # Ok::<(), polypod::SimulationError>(())
 //! ```
 

@@ -43,7 +43,8 @@ pub struct SimulationOptions {
     pub restitution: f64,
     /// Reflected rotor inertia, kg m^2: one number or `[joints]`. Default: the robot's, 0 for a URDF.
     pub armature: Option<Vec<f64>>,
-    /// Whether links of a robot collide with one another. Default: they do not.
+    /// Whether links of a robot collide with one another, but for those joined by a joint or touching in the default pose.
+    /// Default: what the robot's config says; no for a URDF.
     pub self_collision: Option<bool>,
     /// Sweeps of the contact solver per physics step. Default: 8.
     pub solver_iterations: usize,
@@ -89,10 +90,6 @@ impl SimulationOptions {
     pub(super) fn validate(&self) -> Result<(), SimulationError> {
         if self.engine != "articulated" {
             return Err(argument("engine", format!("there is no engine `{}`", self.engine), "use \"articulated\""));
-        }
-        if self.self_collision == Some(true) {
-            let problem = "the articulated engine does not model collisions between links of a robot";
-            return Err(argument("self_collision", problem, "leave it out or pass false"));
         }
         if self.num_envs == 0 {
             return Err(argument("num_envs", "0 envs", "pass at least 1"));

@@ -29,7 +29,9 @@ impl Robot {
     pub(super) fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
         let mut robot = if options.is_urdf_path() {
             let load = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
-            Self::assemble(robot::load(Path::new(&options.robot), &load)?, options)
+            let model = robot::load(Path::new(&options.robot), &load)?;
+            let position = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
+            Self::assemble(model, position, !options.fixed_base, options.self_collision.unwrap_or(false))
         } else {
             Self::of_library(options)?
         };
@@ -49,13 +51,9 @@ impl Robot {
         Ok(robot)
     }
 
-    fn assemble(mut model: Model, options: &SimulationOptions) -> Self {
-        if options.fixed_base {
-            // what cannot move feels no contact
-            model.bodies.retain(|body| body.link != 0);
-        }
-        let Articulation { topology, parameters, align } = Articulation::new(&model, !options.fixed_base, &[]);
-        let default_position = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
+    fn assemble(model: Model, default_position: Vec<f64>, floating: bool, self_collision: bool) -> Self {
+        let reference = self_collision.then_some(&default_position[..]);
+        let Articulation { topology, parameters, align } = Articulation::new(&model, floating, &[], reference);
         Self { model, topology, nominal: parameters, align, default_position }
     }
 
@@ -68,9 +66,13 @@ impl Robot {
         let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &load)?;
         let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
         let (pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
-        let mut robot = Self::assemble(model, options);
+        let mut position = vec![0.0; model.joints.len()];
         for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
-            robot.default_position[j] = pose[slot];
+            position[j] = pose[slot];
+        }
+        let self_collision = options.self_collision.unwrap_or(config.self_collisions);
+        let mut robot = Self::assemble(model, position, !options.fixed_base, self_collision);
+        for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
             apply_actuator(&mut robot.topology.joints[j], &mut robot.nominal, j, actuators[slot].1);
         }
         Ok(robot)

@@ -28,6 +28,14 @@ def test_module():
     assert public(names(stub().body)) - typed_dicts <= public(dir(_core))
 
 
+def members(name):
+    (found,) = (node for node in stub().body if isinstance(node, ast.ClassDef) and node.name == name)
+    return public(names(found.body))
+
+
 def test_vec_sim(make):
-    (vec_sim,) = (node for node in stub().body if isinstance(node, ast.ClassDef) and node.name == "VecSim")
-    assert public(names(vec_sim.body)) == public(dir(make().sim))
+    assert members("VecSim") == public(dir(make().sim))
+
+
+def test_simulation():
+    assert members("Simulation") == public(dir(_core.Simulation))
