@@ -27,7 +27,7 @@ RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -t
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 
-.PHONY: help build train eval test bench lint format lock clean
+.PHONY: help build train eval test bench accuracy lint format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -46,6 +46,9 @@ test: build ## Run the tests of Rust and of Python
 
 bench: build ## Run the benchmarks
 	cargo bench --locked
+
+accuracy: build ## Compare the physics with MuJoCo and write the tables
+	$(BIN)/polypod accuracy --out docs/physics.md --readme README.md $(ARGS)
 
 lint: $(VENV)/.dependencies ## Check formatting, lints and types
 	cargo fmt --check

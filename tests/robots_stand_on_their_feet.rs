@@ -1,4 +1,4 @@
-//! Each robot, holding its default pose, keeps standing for 5 s, and its contact forces add up to its weight.
+//! Each robot, holding its default pose, keeps standing for 10 s, and its contact forces add up to its weight.
 
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId};
 use polypod::{Sim, SimOptions};
@@ -23,10 +23,11 @@ fn calm() -> Sim {
 }
 
 #[test]
-fn every_robot_stands_for_five_seconds_and_weighs_what_it_weighs() {
+fn every_robot_stands_for_ten_seconds_and_weighs_what_it_weighs() {
     let mut sim = calm();
     let actions = vec![0.0; sim.batch().actions.len()];
-    for _ in 0..250 {
+    // on gains this soft some robots sway for 8 s before the forces settle (in MuJoCo too)
+    for _ in 0..500 {
         sim.step(&actions).unwrap();
         assert!(!sim.batch().terminated.contains(&true), "a robot's base touched the ground");
     }

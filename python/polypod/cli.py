@@ -1,4 +1,4 @@
-"""The command line: `polypod train | eval | check | list | info`."""
+"""The command line: `polypod train | eval | check | accuracy | list | info`."""
 
 import dataclasses
 import functools
@@ -92,6 +92,18 @@ class Check:
 
 
 @dataclasses.dataclass(frozen=True)
+class Accuracy:
+    """Compare the physics with MuJoCo on the same URDFs."""
+
+    robots: Robots = None
+    """Names of the robots, with commas between. Default: all."""
+    out: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the tables to this document, between its marks."""
+    readme: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the summary to this document, between its marks."""
+
+
+@dataclasses.dataclass(frozen=True)
 class List:
     """List the tasks and the robots."""
 
@@ -105,6 +117,7 @@ Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
@@ -132,7 +145,7 @@ def main(arguments: Sequence[str]) -> int:
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
 
 
-def _run(command: Train | Eval | Check | List | Info) -> int:
+def _run(command: Train | Eval | Check | Accuracy | List | Info) -> int:
     match command:
         case Train():
             return _train(command)
@@ -140,6 +153,8 @@ def _run(command: Train | Eval | Check | List | Info) -> int:
             return _eval(command)
         case Check():
             print(_core.check(command.file, _package_dirs(command.package_dir)), end="")
+        case Accuracy():
+            return _accuracy(command)
         case List():
             print("tasks")
             for task in _core.tasks():
@@ -213,6 +228,21 @@ def _package_dirs(pairs: Sequence[str]) -> dict[str, str]:
             raise _core.ConfigError(f"--package-dir {pair} is not NAME=DIR")
         folders[name] = folder
     return folders
+
+
+def _accuracy(command: Accuracy) -> int:
+    from polypod.accuracy import markdown, report
+
+    for document in (command.out, command.readme):
+        if document is not None:
+            report.check_document(document)
+    measured = report.measure(_names(command.robots), functools.partial(print, flush=True))
+    tables, summary = markdown.tables(measured), markdown.summary(measured)
+    print(f"\n{tables}\n\n{summary}")
+    for document, text in ((command.out, tables), (command.readme, summary)):
+        if document is not None:
+            report.replace_block(document, text)
+    return 0
 
 
 def _names(text: str | None) -> list[str] | None:

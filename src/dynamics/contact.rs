@@ -85,6 +85,8 @@ pub(super) struct ContactRows<S> {
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     coupling: [S; 3],
     inverse: [S; 3],
+    /// Mass of a sliding step: the inverse of the tangential block's largest eigenvalue.
+    slide: S,
     /// Least allowed separation speed, m/s.
     target: S,
     impulse: [S; 3],
@@ -427,10 +429,16 @@ impl<S: Real> ContactWork<S> {
         };
         // a point that nothing can move (a fixed base) has no compliance: keep the division finite
         let invert = |x: S| one / x.max(S::splat(1e-9));
+        let coupling = [product(0, 1), product(0, 2), product(1, 2)];
+        let diagonal = [product(0, 0), product(1, 1), product(2, 2)];
+        let half = S::splat(0.5);
+        let difference = (diagonal[1] - diagonal[2]) * half;
+        let radius = difference.mul_add(difference, coupling[2] * coupling[2]).sqrt();
         ContactRows {
             contact,
-            coupling: [product(0, 1), product(0, 2), product(1, 2)],
-            inverse: [invert(product(0, 0)), invert(product(1, 1)), invert(product(2, 2))],
+            coupling,
+            inverse: diagonal.map(invert),
+            slide: invert((diagonal[1] + diagonal[2]).mul_add(half, radius)),
             base,
             base_scaled,
             target: z,
@@ -583,17 +591,16 @@ pub fn solve<S: Real>(
             let old = row.impulse;
             let normal = (w[0] - row.target).neg_mul_add(row.inverse[0], old[0]).max(S::zero());
             let dn = normal - old[0];
-            let t1 = row.coupling[0].mul_add(dn, w[1]).neg_mul_add(row.inverse[1], old[1]);
-            let w2 = row.coupling[1].mul_add(dn, w[2]);
+            let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
+            // sticks if the impulse that stops the point is inside the disc of the static coefficient
+            let t1 = w1.neg_mul_add(row.inverse[1], old[1]);
             let t2 = row.coupling[2].mul_add(t1 - old[1], w2).neg_mul_add(row.inverse[2], old[2]);
-            // sticks inside the disc of the static coefficient
-            let length = |t1: S, t2: S| t1.mul_add(t1, t2.mul_add(t2, S::splat(1e-20))).sqrt();
-            let slides = (parameters.static_friction * normal).lt(length(t1, t2));
-            // else slides with the dynamic one, against the slip: a step of the same size in both directions
-            let size = row.inverse[1].min(row.inverse[2]);
-            let w1 = row.coupling[0].mul_add(dn, w[1]);
-            let (s1, s2) = (w1.neg_mul_add(size, old[1]), w2.neg_mul_add(size, old[2]));
-            let shrink = parameters.dynamic_friction * normal / length(s1, s2);
+            let hold = parameters.static_friction * normal;
+            let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
+            // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
+            let (s1, s2) = (w1.neg_mul_add(row.slide, old[1]), w2.neg_mul_add(row.slide, old[2]));
+            let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
+            let shrink = (parameters.dynamic_friction * normal / length).min(S::one());
             let new = [normal, S::select(slides, s1 * shrink, t1), S::select(slides, s2 * shrink, t2)];
             let change = [dn, new[1] - old[1], new[2] - old[2]];
             row.impulse = new;

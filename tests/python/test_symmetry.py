@@ -1,12 +1,13 @@
 """Mirror images: an involution that exchanges left and right, and that the physics agrees with."""
 
 import numpy as np
-import polypod
-import polypod.rsl_rl
 import pytest
 import torch
-from polypod.training.symmetry import Mirror
 from tensordict import TensorDict
+
+import polypod
+import polypod.rsl_rl
+from polypod.training.symmetry import Mirror
 
 TASKS = ["velocity_flat_play", "velocity_flat_universal_play"]
 

@@ -1,0 +1,230 @@
+"""MuJoCo's model of a robot, compiled by MuJoCo itself from the URDF that polypod reads.
+
+What is set, and why:
+
+- `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a root link without a
+  joint into the world. polypod merges them too but keeps their names as contact bodies; links are compared by name.
+- A free joint on the root link, unless the base is fixed. qpos and qvel then mean what polypod's do: joints may come in
+  another order, which is matched by name.
+- Position actuators with the gains of the robot's config, its armature, and their limits of effort. The URDF's own
+  `effort` becomes a limit of the joint in MuJoCo; it is taken off, since a robot's config may state another.
+- Joint damping and dry friction: those of the URDF, as in polypod, unless the robot's config states others.
+- Dry friction is a soft constraint in MuJoCo: with default settings a joint at rest creeps (up to 8 mrad in a second).
+  Its time constant is set to two steps and its impedance to 0.9999, which makes it Coulomb's.
+- Shapes touch the ground alone, not each other.
+- Contacts with elliptic cones, three directions (`condim` 3), the same coefficient on both sides. The contact is made
+  as stiff as the step allows: time constant 2 steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal
+  direction (`impratio`). With default settings a standing robot's feet creep apart and it sinks by centimetres.
+- `inertiafromgeom` is off in the URDFs themselves: else MuJoCo would give the massless feet the mass of their spheres.
+  `balanceinertia`, `boundmass`, `discardvisual`, `strippath` and `alignfree` do not matter: inertias are valid, no mesh
+  is read, visuals have no mass and a free base keeps the frame of its link.
+"""
+
+import dataclasses
+import importlib
+from typing import Any, Literal
+
+import numpy as np
+
+from polypod import _core
+from polypod.accuracy.robot import Actuators, Array, Robot
+
+Integrator = Literal["implicitfast", "RK4"]
+
+GRAVITY = 9.81
+"""m/s^2."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ground:
+    """A plane through the world's origin."""
+
+    friction: float
+    """Coulomb's coefficient of every contact."""
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Of unit length."""
+
+
+def mujoco() -> Any:
+    """The module. Raises ConfigError where it is not installed."""
+    try:
+        return importlib.import_module("mujoco")
+    except ModuleNotFoundError as error:
+        raise _core.ConfigError(
+            "comparing with MuJoCo needs the package mujoco; install it: pip install 'polypod[bench]'"
+        ) from error
+
+
+def version() -> str:
+    """MuJoCo's."""
+    return str(mujoco().__version__)
+
+
+class Reference:
+    """One robot in MuJoCo; positions and velocities go in and come out in polypod's order of joints."""
+
+    def __init__(
+        self,
+        urdf: str,
+        *,
+        joint_names: tuple[str, ...] = (),
+        actuators: Actuators | None = None,
+        dt: float,
+        integrator: Integrator = "implicitfast",
+        fixed_base: bool = False,
+        ground: Ground | None = None,
+        gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
+    ) -> None:
+        """Compiles the model.
+
+        Args:
+            urdf: the URDF's text.
+            joint_names: all joints that move, in polypod's order.
+            actuators: of these joints; None: none.
+            dt: s.
+            integrator: MuJoCo's.
+            fixed_base: holds the root link.
+            ground: what the robot can touch; None: nothing.
+            gravity: m/s^2, world axes.
+        """
+        mj = mujoco()
+        spec = mj.MjSpec.from_string(urdf)
+        spec.compiler.fusestatic = False
+        root = spec.worldbody.first_body()
+        if not fixed_base:
+            root.add_freejoint()
+        _add_ground(mj, spec, ground, dt)
+        if actuators is not None:
+            _add_actuators(spec, joint_names, actuators)
+        spec.option.timestep = dt
+        spec.option.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
+        spec.option.gravity = gravity
+        self.model = spec.compile()
+        self.data = mj.MjData(self.model)
+        self.root = root.name
+        self.actuators = actuators
+        self._mj = mj
+        # dry friction as near to Coulomb's as the step allows
+        self.model.dof_solref[:] = [2.0 * dt, 1.0]
+        self.model.dof_solimp[:] = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+        joints = [self.model.joint(name) for name in joint_names]
+        free_q, free_v = (0, 0) if fixed_base else (7, 6)
+        self.q = np.array([*range(free_q), *(joint.qposadr[0] for joint in joints)], dtype=np.intp)
+        self.v = np.array([*range(free_v), *(joint.dofadr[0] for joint in joints)], dtype=np.intp)
+        self.num_joints = len(joints)
+
+    @classmethod
+    def of(cls, robot: Robot, **options: Any) -> "Reference":
+        """A robot of the library; `options` as in the constructor."""
+        return cls(robot.urdf, joint_names=robot.joint_names, actuators=robot.actuators, **options)
+
+    @property
+    def qpos(self) -> Array:
+        """[nq], a copy."""
+        return np.array(self.data.qpos[self.q])
+
+    @property
+    def qvel(self) -> Array:
+        """[nv], a copy."""
+        return np.array(self.data.qvel[self.v])
+
+    def set_state(self, qpos: Array, qvel: Array | None = None) -> None:
+        """Begins anew in a state; without velocity, at rest."""
+        self._mj.mj_resetData(self.model, self.data)
+        self.data.qpos[self.q] = qpos
+        self.data.qvel[self.v] = 0.0 if qvel is None else qvel
+        self._mj.mj_forward(self.model, self.data)
+
+    def step(self, targets: Array | None = None, n: int = 1, *, limited: bool = False) -> None:
+        """`n` physics steps towards position targets; `limited`: within the actuators' limits."""
+        if targets is not None:
+            self.data.ctrl[:] = targets
+        if not limited or self.actuators is None:
+            self._mj.mj_step(self.model, self.data, n)
+            return
+        self.model.actuator_forcelimited[:] = 1
+        for _ in range(n):
+            joints = slice(-self.num_joints, None)
+            self.model.actuator_forcerange[:] = self.actuators.effort_range(self.qpos[joints], self.qvel[joints])
+            self._mj.mj_step(self.model, self.data)
+
+    def mass_matrix(self) -> Array:
+        """[nv, nv] of the present state."""
+        matrix = np.zeros((self.model.nv, self.model.nv))
+        # MuJoCo 3 and 4 differ in the arguments of mj_fullM
+        for column, unit in zip(matrix, np.eye(self.model.nv), strict=True):
+            self._mj.mj_mulM(self.model, self.data, column, unit)
+        return matrix[np.ix_(self.v, self.v)]
+
+    def bias_force(self) -> Array:
+        """[nv], Coriolis, centrifugal and gravity forces."""
+        return np.array(self.data.qfrc_bias[self.v])
+
+    def center_of_mass(self) -> Array:
+        """[3], world axes."""
+        return np.array(self.data.subtree_com[self.model.body(self.root).id])
+
+    def link_pose(self, links: list[str]) -> tuple[Array, Array]:
+        """Positions [links, 3] and rotation matrices [links, 3, 3], world."""
+        ids = [self.model.body(name).id for name in links]
+        return np.array(self.data.xpos[ids]), np.array(self.data.xmat[ids]).reshape(-1, 3, 3)
+
+    def contact_forces(self, links: list[str]) -> Array:
+        """Net force [links, 3] of the ground on each link and on what is fixed to it, world axes, N."""
+        forces = np.zeros((len(links), 3))
+        wrench = np.zeros(6)
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            self._mj.mj_contactForce(self.model, self.data, index, wrench)
+            force = np.reshape(contact.frame, (3, 3)).T @ wrench[:3]
+            # the force acts on the second geom; the ground may be either
+            for geom, sign in ((contact.geom1, -1.0), (contact.geom2, 1.0)):
+                link = self._kept(int(self.model.geom_bodyid[geom]), links)
+                if link is not None:
+                    forces[link] += sign * force
+        return forces
+
+    def _kept(self, body: int, links: list[str]) -> int | None:
+        while body != 0:
+            name = self.model.body(body).name
+            if name in links:
+                return links.index(name)
+            body = int(self.model.body_parentid[body])
+        return None
+
+
+def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
+    for geom in spec.geoms:
+        geom.contype, geom.conaffinity = (0 if ground is None else 1), 0
+    if ground is None:
+        return
+    plane = spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
+    plane.contype, plane.conaffinity = 0, 1
+    plane.quat = _turn_z_to(np.array(ground.normal))
+    for geom in spec.geoms:
+        geom.condim = 3
+        geom.friction = [ground.friction, 0.0, 0.0]
+        geom.solref = [2.0 * dt, 1.0]
+        geom.solimp = [0.99, 0.999, 0.001, 0.5, 2.0]
+    spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 100.0
+
+
+def _turn_z_to(normal: Array) -> Array:
+    """The quaternion of the shortest turn from the z axis to `normal`."""
+    quaternion = np.array([1.0 + normal[2], -normal[1], normal[0], 0.0])
+    return quaternion / np.linalg.norm(quaternion)
+
+
+def _add_actuators(spec: Any, joint_names: tuple[str, ...], actuators: Actuators) -> None:
+    mj = mujoco()
+    for index, name in enumerate(joint_names):
+        joint = spec.joint(name)
+        joint.armature = actuators.armature[index]
+        joint.actfrclimited = mj.mjtLimited.mjLIMITED_FALSE
+        if not np.isnan(actuators.joint_damping[index]):
+            joint.damping = actuators.joint_damping[index]
+        if not np.isnan(actuators.friction[index]):
+            joint.frictionloss = actuators.friction[index]
+        actuator = spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=actuators.stiffness[index], kv=actuators.damping[index])

@@ -1,0 +1,136 @@
+"""What both simulators are told about a robot: one URDF and one set of actuators."""
+
+import dataclasses
+import functools
+import json
+import sys
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Actuators:
+    """Position actuators in the order of the robot's joints; infinity where there is no limit.
+
+    The effort is `stiffness (target - q) - damping qd`, held within the torque-speed line of a DC motor, where there is
+    one, and within the effort limit or its table over the joint angle.
+    """
+
+    stiffness: Array
+    """N m/rad."""
+    damping: Array
+    """N m s/rad."""
+    armature: Array
+    """Rotor inertia as seen at the joint, kg m^2."""
+    joint_damping: Array
+    """Viscous friction of the joint, N m s/rad; NaN: the URDF's."""
+    friction: Array
+    """Dry friction of the joint, N m; NaN: the URDF's."""
+    effort_limit: Array
+    """N m."""
+    saturation_effort: Array
+    """Torque of a DC motor at standstill, N m."""
+    no_load_speed: Array
+    """Of a DC motor, rad/s."""
+    effort_tables: tuple[Array | None, ...]
+    """Rows of (rad, N m) in place of the effort limit."""
+
+    def effort_range(self, position: Array, velocity: Array) -> Array:
+        """Least and most effort [joints, 2] of each actuator at the joints' positions and velocities."""
+        limit = self.effort_limit.copy()
+        for joint, table in enumerate(self.effort_tables):
+            if table is not None:
+                limit[joint] = np.interp(position[joint], table[:, 0], table[:, 1])
+        motor = np.isfinite(self.saturation_effort)
+        stall = np.where(motor, self.saturation_effort, 0.0)
+        speed = velocity / self.no_load_speed
+        most = np.where(motor, np.clip(stall * (1.0 - speed), 0.0, limit), limit)
+        least = np.where(motor, np.clip(-stall * (1.0 + speed), -limit, 0.0), -limit)
+        return np.stack([least, most], axis=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A robot of the library."""
+
+    name: str
+    urdf: str
+    """The URDF's text."""
+    joint_names: tuple[str, ...]
+    """In polypod's order."""
+    default_position: Array
+    """Of the joints, rad."""
+    joint_range: Array
+    """[joints, 2], rad."""
+    base_height: float
+    """Of the base above the lowest foot in the default pose, m."""
+    actuators: Actuators
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    def with_gains(self, factor: float) -> "Robot":
+        """The same robot with `factor` times the stiffness and damping."""
+        actuators = self.actuators
+        stiffness, damping = factor * actuators.stiffness, factor * actuators.damping
+        return dataclasses.replace(self, actuators=dataclasses.replace(actuators, stiffness=stiffness, damping=damping))
+
+
+def names() -> list[str]:
+    """The robots of the library."""
+    return [entry["name"] for entry in _core.robots()]
+
+
+@functools.cache
+def load(name: str) -> Robot:
+    """Reads a robot of the library with its actuators. Raises UnknownNameError."""
+    urdf = _core.robot_urdf(name)
+    sim = _core.VecSim("velocity_flat_play", 1, robots=[name], threads=1)
+    info = json.loads(sim.robot_info())[name]
+    groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"].values()
+    slots = dict(zip(info["joint_of_slot"], sim.canonical_joint_names, strict=True))
+    rows = [
+        next(group for group in groups if any(fnmatchcase(slots[joint], pattern) for pattern in group["joints"]))
+        for joint in range(len(info["joint_names"]))
+    ]
+    return Robot(
+        name=name,
+        urdf=urdf,
+        joint_names=tuple(info["joint_names"]),
+        default_position=np.array(info["default_pose"]),
+        joint_range=np.stack([info["lower"], info["upper"]], axis=1),
+        base_height=info["base_height"],
+        actuators=_actuators(rows),
+    )
+
+
+def _actuators(rows: list[dict[str, Any]]) -> Actuators:
+    def column(key: str, default: float) -> Array:
+        return np.array([row.get(key, default) for row in rows], dtype=np.float64)
+
+    motor = np.array([row["model"] == "dc_motor" for row in rows])
+    return Actuators(
+        stiffness=column("stiffness", 0.0),
+        damping=column("damping", 0.0),
+        armature=column("armature", 0.0),
+        joint_damping=column("joint_damping", np.nan),
+        friction=column("friction", np.nan),
+        effort_limit=column("effort_limit", np.inf),
+        saturation_effort=np.where(motor, column("saturation_effort", np.inf), np.inf),
+        no_load_speed=np.where(motor, column("velocity_limit", np.inf), np.inf),
+        effort_tables=tuple(np.array(row["effort_table"]) if row.get("effort_table") else None for row in rows),
+    )

@@ -1,0 +1,229 @@
+"""Contact under a robot: a drop from 0.3 m, the forces on standing feet, and rest on a slope."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+import polypod
+from polypod.accuracy.reference import GRAVITY, Ground, Reference
+from polypod.accuracy.robot import Array, Robot
+
+DROP_HEIGHT = 0.3
+"""Of the lowest foot above the ground, m."""
+DROP_TIME = 3.0
+"""s."""
+DT = 0.005
+"""Physics step of the tasks, s."""
+FINE = 0.0005
+"""MuJoCo's step where nothing else is said, s."""
+MUJOCO_COARSE = 0.0025
+"""The largest step at which MuJoCo's contacts, as stiff as they are set, stay calm, s."""
+CONVERGED = 0.0001
+"""Step at which a landing on soft legs no longer depends on the step, s."""
+FRICTION = 0.8
+"""Of all contacts."""
+SETTLE_TIME = 10.0
+"""Until a robot that is set on its feet has stopped swaying, s."""
+SLOPE_ANGLE = math.radians(20.0)
+"""rad."""
+SLOPE_FINE = 0.002
+"""MuJoCo's step on the slope, s."""
+REST_TIME = 10.0
+"""During which nothing may creep, s."""
+FIRM = 4.0
+"""Factor on stiffness and damping that makes legs firm: on the gains that policies are trained with, some robots land
+in a deep crouch, and fall over when they stand still on a slope of 20 degrees, in MuJoCo as well."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Drop:
+    """Three seconds after a drop from 0.3 m, targets in the default pose; both simulators at the same step."""
+
+    robot: str
+    gains: float
+    """Factor on the robot's stiffness and damping."""
+    dt: float
+    """Of both, s."""
+    height: float
+    """Of the base, polypod's, m."""
+    mujoco_height: float
+    """m."""
+    pitch: float
+    """Of the base, polypod's, rad."""
+    mujoco_pitch: float
+    """rad."""
+    mujoco_coarse_height: float
+    """MuJoCo's at 2.5 ms, m."""
+    mujoco_coarse_pitch: float
+    """MuJoCo's at 2.5 ms, rad."""
+    coarse_height: float
+    """polypod's at 5 ms, m."""
+    coarse_pitch: float
+    """polypod's at 5 ms, rad."""
+
+    @property
+    def height_error(self) -> float:
+        """Against MuJoCo at the same step, m."""
+        return abs(self.height - self.mujoco_height)
+
+    @property
+    def pitch_error(self) -> float:
+        """Against MuJoCo at the same step, rad."""
+        return abs(self.pitch - self.mujoco_pitch)
+
+    @property
+    def coarse_height_error(self) -> float:
+        """Of polypod at 5 ms, m."""
+        return abs(self.coarse_height - self.mujoco_height)
+
+    @property
+    def coarse_pitch_error(self) -> float:
+        """Of polypod at 5 ms, rad."""
+        return abs(self.coarse_pitch - self.mujoco_pitch)
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """Forces of the ground on the feet of a robot at rest in its default pose."""
+
+    robot: str
+    weight: float
+    """N."""
+    normal: Array
+    """Normal force per foot, polypod's, N."""
+    mujoco_normal: Array
+    """N."""
+    tangential: Array
+    """Horizontal force per foot [feet, 2], polypod's, N."""
+    mujoco_tangential: Array
+    """N."""
+
+    @property
+    def normal_error(self) -> float:
+        """Largest difference of a foot's normal force, relative to MuJoCo's on that foot."""
+        return float((np.abs(self.normal - self.mujoco_normal) / self.mujoco_normal).max())
+
+    @property
+    def tangential_error(self) -> float:
+        """Largest difference of a foot's horizontal force, relative to MuJoCo's normal force on that foot."""
+        difference = np.linalg.norm(self.tangential - self.mujoco_tangential, axis=1)
+        return float((difference / self.mujoco_normal).max())
+
+
+@dataclasses.dataclass(frozen=True)
+class SlopeRest:
+    """How far a robot's base moves in 10 s on a slope of 20 degrees, after it has settled."""
+
+    robot: str
+    uphill: str
+    """Which side of the robot looks up the slope."""
+    creep: float
+    """Largest distance from where it was after settling, polypod's, m."""
+    mujoco_creep: float
+    """m."""
+
+
+def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
+    """Drops a robot on its own gains or on `gains` times these."""
+    robot = robot.with_gains(gains)
+    start = _pose(robot, DROP_HEIGHT)
+    dt = CONVERGED if gains < FIRM else FINE
+
+    def mujoco_drop(dt: float) -> Array:
+        mujoco = Reference.of(robot, dt=dt, ground=Ground(FRICTION))
+        mujoco.set_state(start)
+        mujoco.step(robot.default_position, round(DROP_TIME / dt), limited=True)
+        return mujoco.qpos
+
+    def drop(dt: float) -> Array:
+        sim = polypod.Simulation(robot.name, dt=dt, friction=FRICTION, self_collision=False, threads=1)
+        sim.set_state(start)
+        _hold(sim, robot, DROP_TIME)
+        return np.array(sim.qpos[0])
+
+    fine, coarse, theirs, theirs_coarse = drop(dt), drop(DT), mujoco_drop(dt), mujoco_drop(MUJOCO_COARSE)
+    return Drop(
+        robot=robot.name,
+        gains=gains,
+        dt=dt,
+        height=fine[2],
+        mujoco_height=theirs[2],
+        pitch=_pitch(fine),
+        mujoco_pitch=_pitch(theirs),
+        mujoco_coarse_height=theirs_coarse[2],
+        mujoco_coarse_pitch=_pitch(theirs_coarse),
+        coarse_height=coarse[2],
+        coarse_pitch=_pitch(coarse),
+    )
+
+
+def compare_standing(robot: Robot) -> Standing:
+    """Sets a robot on its feet and lets it settle."""
+    start = _pose(robot, 0.0)
+    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False, threads=1)
+    sim.set_state(start)
+    _hold(sim, robot, SETTLE_TIME)
+    mujoco = Reference.of(robot, dt=FINE, ground=Ground(FRICTION))
+    mujoco.set_state(start)
+    mujoco.step(robot.default_position, round(SETTLE_TIME / FINE))
+    links = list(sim.link_names)
+    ours, theirs = sim.contact_forces[0], mujoco.contact_forces(links)
+    feet = np.flatnonzero(theirs[:, 2] > 0.0)
+    return Standing(
+        robot=robot.name,
+        weight=sim.total_mass * GRAVITY,
+        normal=ours[feet, 2],
+        mujoco_normal=theirs[feet, 2],
+        tangential=ours[feet, :2],
+        mujoco_tangential=theirs[feet, :2],
+    )
+
+
+def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
+    """Sets a robot with firm legs on a slope; `uphill` is the side of it that looks up: "front" or "left"."""
+    robot = robot.with_gains(FIRM)
+    axis = np.array([0.0, -1.0, 0.0]) if uphill == "front" else np.array([1.0, 0.0, 0.0])
+    normal = _rotate(axis, np.array([0.0, 0.0, 1.0]))
+    start = _pose(robot, 0.0)
+    start[:3] = start[2] * normal
+    start[3:7] = [math.cos(SLOPE_ANGLE / 2), *(math.sin(SLOPE_ANGLE / 2) * axis)]
+    x, y, z = (float(component) for component in normal)
+    sim = polypod.Simulation(
+        robot.name, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False, threads=1
+    )
+    sim.set_state(start)
+    mujoco = Reference.of(robot, dt=SLOPE_FINE, ground=Ground(FRICTION, (x, y, z)))
+    mujoco.set_state(start)
+    _hold(sim, robot, SETTLE_TIME)
+    mujoco.step(robot.default_position, round(SETTLE_TIME / SLOPE_FINE))
+    ours, theirs = sim.qpos[0, :3], mujoco.qpos[:3]
+    creep = mujoco_creep = 0.0
+    every = 0.1
+    for _ in range(round(REST_TIME / every)):
+        _hold(sim, robot, every)
+        mujoco.step(robot.default_position, round(every / SLOPE_FINE))
+        creep = max(creep, float(np.linalg.norm(sim.qpos[0, :3] - ours)))
+        mujoco_creep = max(mujoco_creep, float(np.linalg.norm(mujoco.qpos[:3] - theirs)))
+    return SlopeRest(robot.name, uphill, creep, mujoco_creep)
+
+
+def _hold(sim: polypod.Simulation, robot: Robot, seconds: float) -> None:
+    """Holds the default pose."""
+    kp, kd = robot.actuators.stiffness, robot.actuators.damping
+    sim.step(targets=robot.default_position, kp=kp, kd=kd, n=round(seconds / sim.dt))
+
+
+def _pose(robot: Robot, above: float) -> Array:
+    """State in the default pose, level, with the lowest foot `above` the ground."""
+    return np.array([0.0, 0.0, robot.base_height + above, 1.0, 0.0, 0.0, 0.0, *robot.default_position])
+
+
+def _rotate(axis: Array, vector: Array) -> Array:
+    """`vector`, at right angles to the unit vector `axis`, turned about it by the slope's angle."""
+    return math.cos(SLOPE_ANGLE) * vector + math.sin(SLOPE_ANGLE) * np.cross(axis, vector)
+
+
+def _pitch(qpos: Array) -> float:
+    w, x, y, z = qpos[3:7]
+    return math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))

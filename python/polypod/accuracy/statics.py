@@ -1,0 +1,123 @@
+"""Identities: what both simulators compute from one state, at many random states."""
+
+import dataclasses
+
+import numpy as np
+
+import polypod
+from polypod.accuracy.reference import Reference
+from polypod.accuracy.robot import Array, Robot
+
+NUM_STATES = 200
+"""Random states per robot."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StaticsResult:
+    """Worst relative error of each quantity over all states.
+
+    The relative error of a vector or matrix is the largest absolute difference between entries over the largest
+    absolute entry of MuJoCo's, in each state by itself. A force or acceleration mixes units, as in both simulators.
+    """
+
+    robot: str
+    states: int
+    total_mass: float
+    center_of_mass: float
+    link_position: float
+    """Of the origins of all links, world axes."""
+    link_rotation: float
+    """Of their rotation matrices."""
+    mass_matrix: float
+    bias_force: float
+    forward_dynamics: float
+    """Of qacc under random torques, without damping, friction and joint limits; over the state's largest qacc."""
+    inverse_dynamics: float
+    """Of the forces that MuJoCo's qacc needs."""
+
+    def worst(self) -> float:
+        """The largest of the errors."""
+        return max(
+            self.total_mass,
+            self.center_of_mass,
+            self.link_position,
+            self.link_rotation,
+            self.mass_matrix,
+            self.bias_force,
+            self.forward_dynamics,
+            self.inverse_dynamics,
+        )
+
+
+def relative_error(value: Array, reference: Array) -> float:
+    """Largest absolute difference over the largest absolute entry of `reference`."""
+    return float(np.abs(value - reference).max() / np.abs(reference).max())
+
+
+def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dtype: str = "float32") -> StaticsResult:
+    """Compares a robot of the library at random states.
+
+    Base: position within 1 m of the origin, uniform orientation, up to 1 m/s and 3 rad/s along each axis. Joints:
+    uniform within their ranges (at most a half turn), up to 5 rad/s. Torques: up to the effort limit.
+    """
+    rng = np.random.default_rng(seed)
+    sim = polypod.Simulation(robot.name, states, ground=None, dtype=dtype, self_collision=False, threads=1)
+    mujoco = Reference.of(robot, dt=sim.dt)
+    joints = robot.num_joints
+    limits = np.clip(robot.joint_range, -np.pi, np.pi)
+    quaternion = rng.standard_normal((states, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    qpos = np.hstack(
+        [rng.uniform(-1.0, 1.0, (states, 3)), quaternion, rng.uniform(limits[:, 0], limits[:, 1], (states, joints))]
+    )
+    qvel = np.hstack([rng.uniform(-s, s, (states, n)) for s, n in ((1.0, 3), (3.0, 3), (5.0, joints))])
+    torque = rng.uniform(-1.0, 1.0, (states, joints)) * np.asarray(sim.effort_limit)
+    sim.set_state(qpos, qvel)
+
+    links = list(sim.link_names)
+    position, rotation = sim.link_pose()
+    ours = {
+        "center_of_mass": sim.center_of_mass(),
+        "link_position": position,
+        "link_rotation": _matrices(rotation),
+        "mass_matrix": sim.mass_matrix(),
+        "bias_force": sim.bias_force(),
+        "forward_dynamics": sim.forward_dynamics(torque),
+    }
+    theirs: dict[str, list[Array]] = {name: [] for name in ours}
+    for state in range(states):
+        mujoco.set_state(qpos[state], qvel[state])
+        at, turned = mujoco.link_pose(links)
+        force = np.concatenate([np.zeros(6), torque[state]]) - mujoco.bias_force()
+        for name, value in {
+            "center_of_mass": mujoco.center_of_mass(),
+            "link_position": at,
+            "link_rotation": turned,
+            "mass_matrix": mujoco.mass_matrix(),
+            "bias_force": mujoco.bias_force(),
+            "forward_dynamics": np.asarray(np.linalg.solve(mujoco.mass_matrix(), force), dtype=np.float64),
+        }.items():
+            theirs[name].append(value)
+    qacc = np.array(theirs["forward_dynamics"])
+    ours["inverse_dynamics"] = sim.inverse_dynamics(qacc)
+    theirs["inverse_dynamics"] = [
+        matrix @ acceleration + bias
+        for matrix, acceleration, bias in zip(theirs["mass_matrix"], qacc, theirs["bias_force"], strict=True)
+    ]
+    errors = {
+        name: max(relative_error(a, b) for a, b in zip(values, theirs[name], strict=True))
+        for name, values in ours.items()
+    }
+    mass = float(np.sum(mujoco.model.body_mass))
+    return StaticsResult(robot.name, states, abs(sim.total_mass - mass) / mass, **errors)
+
+
+def _matrices(quaternion: Array) -> Array:
+    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4] (w, x, y, z)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
