@@ -27,7 +27,7 @@ RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -t
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 
-.PHONY: help build train eval test bench accuracy lint format lock clean
+.PHONY: help build train eval test bench soak accuracy lint format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -49,6 +49,9 @@ bench: build ## Run the benchmarks
 
 accuracy: build ## Compare the physics with MuJoCo and write the tables
 	$(BIN)/polypod accuracy --out docs/physics.md --readme README.md $(ARGS)
+
+soak: build ## Step all robots for an hour of simulated time under random targets; about 25 minutes on 2 cores
+	target/release/polypod-sim soak $(ARGS)
 
 lint: $(VENV)/.dependencies ## Check formatting, lints and types
 	cargo fmt --check

@@ -407,6 +407,9 @@ class Simulation:
             point: in the link's URDF frame, m.
         """
 
+    def ground_gap(self) -> npt.NDArray[np.float64]:
+        """[num_envs, num_links], distance of each link's shapes from the ground, m, negative inside; inf without shapes."""
+
     def energy(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Kinetic energy, armature included, and potential energy, zero at the world's origin: [num_envs], J."""
 

@@ -4,6 +4,7 @@ mod check;
 mod inspect;
 mod replay;
 mod rollout;
+mod soak;
 
 use std::io::Write;
 
@@ -31,6 +32,8 @@ enum Command {
     Check(check::Check),
     /// Steps a dumped broken state again and says whether it breaks with the same bits.
     Replay(replay::Replay),
+    /// Steps robots for hours under random targets and fails when anything breaks.
+    Soak(soak::Soak),
     /// Lists tasks and robots.
     List,
 }
@@ -42,6 +45,7 @@ impl Cli {
             Command::Inspect(inspect) => inspect.run(),
             Command::Check(check) => check.run(),
             Command::Replay(replay) => replay.run(),
+            Command::Soak(soak) => soak.run(),
             Command::List => list(),
         }
     }

@@ -73,6 +73,9 @@ const CONTACT_MARGIN: f64 = 0.02;
 const BOUND_MARGIN: f64 = 0.05;
 /// ... or when it moves faster than this share of its velocity limit.
 const SPEED_MARGIN: f64 = 0.7;
+/// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
+/// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
+const SOFTNESS: f64 = 1e-3;
 /// Target speed that keeps an absent contact from ever pushing, m/s.
 const NEVER: f64 = -1e6;
 
@@ -114,6 +117,8 @@ pub struct ContactWork<S> {
     bounds: Vec<BoundRow<S>>,
     /// Number of joints that rows have room for.
     stride: usize,
+    /// How far a contact gives way to an impulse along its normal, m/s per N s.
+    softness: S,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows, plain and divided by `D`: `[contact * stride + p]`, `p` along the path.
@@ -137,6 +142,7 @@ impl<S: Real> ContactWork<S> {
             contacts: Vec::with_capacity(contacts),
             bounds: Vec::with_capacity(joints),
             stride,
+            softness: z,
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
             contact_joint: vec![[z; 3]; contacts * stride],
             contact_joint_scaled: vec![[z; 3]; contacts * stride],
@@ -258,11 +264,14 @@ pub fn build_contacts<S: Real>(
     state: &mut State<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { base_rotation, links, axes, factor, contact: rows, .. } = work;
+    let Workspace { base_rotation, links, axes, inertia, factor, contact: rows, .. } = work;
     let margin = S::splat(CONTACT_MARGIN);
     rows.contacts.clear();
     rows.pair_frames.clear();
+    // composite by now: the whole robot's
+    rows.softness = S::splat(SOFTNESS) / inertia[0].mass;
     let Some(plane) = &settings.ground else {
+        state.impulse[..topology.contacts.len()].fill([S::zero(); 3]);
         return;
     };
     let world = plane.frame().map(|axis| axis.map(S::splat));
@@ -427,8 +436,9 @@ impl<S: Real> ContactWork<S> {
             }
             sum
         };
-        // a point that nothing can move (a fixed base) has no compliance: keep the division finite
-        let invert = |x: S| one / x.max(S::splat(1e-9));
+        // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
+        // give way at all: keep the division finite
+        let invert = |x: S| one / x.max(self.softness * S::splat(0.5 / SOFTNESS));
         let coupling = [product(0, 1), product(0, 2), product(1, 2)];
         let diagonal = [product(0, 0), product(1, 1), product(2, 2)];
         let half = S::splat(0.5);
@@ -437,7 +447,7 @@ impl<S: Real> ContactWork<S> {
         ContactRows {
             contact,
             coupling,
-            inverse: diagonal.map(invert),
+            inverse: [one / (diagonal[0] + self.softness), invert(diagonal[1]), invert(diagonal[2])],
             slide: invert((diagonal[1] + diagonal[2]).mul_add(half, radius)),
             base,
             base_scaled,
@@ -539,7 +549,7 @@ pub fn solve<S: Real>(
     settings: &ContactSettings,
     work: &mut ContactWork<S>,
 ) {
-    let depth = work.stride;
+    let (depth, softness) = (work.stride, work.softness);
     let ContactWork {
         contacts,
         bounds,
@@ -589,7 +599,8 @@ pub fn solve<S: Real>(
                 }
             }
             let old = row.impulse;
-            let normal = (w[0] - row.target).neg_mul_add(row.inverse[0], old[0]).max(S::zero());
+            let missing = softness.mul_add(old[0], w[0] - row.target);
+            let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
             let dn = normal - old[0];
             let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
             // sticks if the impulse that stops the point is inside the disc of the static coefficient

@@ -373,6 +373,10 @@ impl Simulation {
         array(py, rows, &[self.sim.num_envs(), 6, self.sim.nv()])
     }
 
+    fn ground_gap<'py>(&self, py: Python<'py>) -> Array<'py> {
+        array(py, py.detach(|| self.sim.ground_gap()), &[self.sim.num_envs(), self.sim.num_links()])
+    }
+
     fn energy<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let (kinetic, potential) = py.detach(|| self.sim.energy());
         let shape = [self.sim.num_envs()];

@@ -9,6 +9,7 @@ use super::options::SimulationError;
 use super::parameters::LinkId;
 use super::rows::Rows;
 use crate::dynamics::algorithms::Dynamics;
+use crate::dynamics::contact::candidate_gaps;
 use crate::dynamics::math::{Spatial, mul_vec, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{Parameters, State, Workspace, kinematics};
 use crate::rows::MatrixRows;
@@ -150,6 +151,19 @@ impl Simulation {
         Rows::vectors("point", &point, 3, 1)?;
         let point = (self.robot.align[link] * DVec3::from_array(point)).to_array();
         Ok(self.query(6 * self.nv(), |body, _, out| out.copy_from_slice(&body.jacobian(link, &point))))
+    }
+
+    /// Distance of each link's shapes from the ground, m, negative inside it, `[num_envs, links]`; infinite for a link
+    /// without shapes and without ground.
+    pub fn ground_gap(&self) -> Vec<f64> {
+        let topology = &self.robot.topology;
+        self.query(self.num_links(), |body, _, out| {
+            out.fill(f64::INFINITY);
+            let gaps = candidate_gaps(topology, body.parameters, &self.settings.contact, body.state, body.work);
+            for (contact, gap) in topology.contacts.iter().zip(gaps) {
+                out[contact.link] = out[contact.link].min(gap);
+            }
+        })
     }
 
     /// Kinetic energy, armature included, and potential energy in gravity, zero at the world's origin, J, `[num_envs]`

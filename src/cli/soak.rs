@@ -1,0 +1,213 @@
+//! `polypod-sim soak`
+
+use std::io::{IsTerminal, Write};
+use std::time::Instant;
+
+use anyhow::bail;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use polypod::components::EnvRng;
+use polypod::config::Library;
+use polypod::morphology::MorphologyModel;
+use polypod::{Control, SimError, Simulation, SimulationOptions};
+
+/// Arguments of `soak`.
+#[derive(Args)]
+pub(super) struct Soak {
+    /// Robots, separated by commas; all robots by default.
+    #[arg(long, value_delimiter = ',')]
+    robots: Option<Vec<String>>,
+    /// Number of envs, shared out evenly.
+    #[arg(long, default_value_t = 1000)]
+    num_envs: usize,
+    /// Simulated minutes.
+    #[arg(long, default_value_t = 60)]
+    minutes: usize,
+    /// Physics step, s.
+    #[arg(long, default_value_t = 0.005)]
+    dt: f64,
+    /// Seed of the targets.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Threads; all cores by default.
+    #[arg(long)]
+    threads: Option<usize>,
+}
+
+/// Of each minute: random targets over the whole range of the joints, ...
+const RANDOM_S: f64 = 55.0;
+/// ... passive joints, while energy may only fall, ...
+const PASSIVE_S: f64 = 2.0;
+/// ... and the default pose held, until nothing is in the ground.
+const HOLD_S: f64 = 3.0;
+/// How long a target stands, s.
+const TARGET_S: f64 = 0.25;
+/// Limits of joints without any, rad or m.
+const UNLIMITED: f64 = 3.0;
+/// How far a robot at rest may be in the ground, m.
+const MAX_DEPTH: f64 = 0.01;
+/// Energy that passive joints may win, as a height of the whole robot, m: contacts push what is in the ground out of it.
+const MAX_LIFT: f64 = 0.01;
+
+/// The worst of a robot's envs.
+#[derive(Default)]
+struct Worst {
+    broken: usize,
+    depth: f64,
+    lift: f64,
+    over_limit: f64,
+    speed: f64,
+}
+
+impl Soak {
+    /// Fails when a state broke, a robot rested in the ground, or energy came from nothing.
+    pub(super) fn run(self) -> anyhow::Result<()> {
+        let mut out = std::io::stdout().lock();
+        let library = Library::new(Vec::new());
+        let robots = match &self.robots {
+            Some(robots) => robots.clone(),
+            None => library.robots().map_err(SimError::from)?.into_iter().map(|robot| robot.name).collect(),
+        };
+        if robots.is_empty() || self.num_envs < robots.len() || self.minutes == 0 {
+            bail!(
+                "nothing to do: pass at least one minute, and at least one env for each of the {} robots",
+                robots.len()
+            );
+        }
+        writeln!(
+            out,
+            "{} envs, {} min simulated in steps of {} ms: random targets over the joints' whole range, at the extremes of \
+             the randomisation",
+            self.num_envs,
+            self.minutes,
+            1e3 * self.dt
+        )?;
+        writeln!(
+            out,
+            "{:<14} {:>5} {:>7} {:>14} {:>17} {:>16} {:>14} {:>9}",
+            "robot", "envs", "broken", "depth at rest", "energy won / m g", "past a limit", "fastest joint", "time"
+        )?;
+        let mut failed = false;
+        for (i, robot) in robots.iter().enumerate() {
+            let envs = self.num_envs / robots.len() + usize::from(i < self.num_envs % robots.len());
+            let began = Instant::now();
+            let worst = self.soak(&library, robot, envs)?;
+            failed |= worst.broken > 0 || worst.depth > MAX_DEPTH || worst.lift > MAX_LIFT;
+            writeln!(
+                out,
+                "{robot:<14} {envs:>5} {:>7} {:>11.2} mm {:>14.2} mm {:>10.2} mrad {:>8.1} rad/s {:>7.1} s",
+                worst.broken,
+                1e3 * worst.depth,
+                1e3 * worst.lift,
+                1e3 * worst.over_limit,
+                worst.speed,
+                began.elapsed().as_secs_f64()
+            )?;
+        }
+        if failed {
+            bail!(
+                "a state broke, a robot rested more than {} mm in the ground, or passive joints won more energy than \
+                 lifting the robot by {} mm takes",
+                1e3 * MAX_DEPTH,
+                1e3 * MAX_LIFT
+            );
+        }
+        Ok(())
+    }
+
+    fn soak(&self, library: &Library, robot: &str, envs: usize) -> anyhow::Result<Worst> {
+        let model = MorphologyModel::new(&library.robot(robot).map_err(SimError::from)?).map_err(SimError::from)?;
+        let options =
+            SimulationOptions { dt: self.dt, threads: self.threads, ..SimulationOptions::new(robot.to_string(), envs) };
+        let mut sim = Simulation::new(&options)?;
+        set_extremes(&mut sim, &model)?;
+        let steps = |seconds: f64| ((seconds / self.dt).round() as usize).max(1);
+        let default_pose: Vec<f64> = sim.default_qpos()[7..].to_vec();
+        let joints = sim.num_joints();
+        let range: Vec<[f32; 2]> =
+            sim.joint_range().iter().map(|r| [r[0].max(-UNLIMITED) as f32, r[1].min(UNLIMITED) as f32]).collect();
+        let mut rngs: Vec<EnvRng> = (0..envs).map(|env| EnvRng::new(self.seed, env as u32)).collect();
+        let mut targets = vec![0.0; envs * joints];
+        let mut worst = Worst::default();
+        let progress = if std::io::stderr().is_terminal() {
+            let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} min, {eta} left")?;
+            ProgressBar::new(self.minutes as u64).with_style(style).with_message(robot.to_string())
+        } else {
+            ProgressBar::hidden()
+        };
+        for _ in 0..self.minutes {
+            for _ in 0..(RANDOM_S / TARGET_S) as usize {
+                for (row, rng) in targets.chunks_mut(joints).zip(&mut rngs) {
+                    for (target, range) in row.iter_mut().zip(&range) {
+                        *target = f64::from(rng.uniform(*range));
+                    }
+                }
+                sim.step(&Control { targets: Some(&targets), ..Control::default() }, steps(TARGET_S))?;
+                worst.look(&mut sim)?;
+            }
+            let mut least = total_energy(&sim);
+            for _ in 0..(PASSIVE_S / 0.1) as usize {
+                sim.step(&Control::default(), steps(0.1))?;
+                for (env, energy) in total_energy(&sim).into_iter().enumerate() {
+                    worst.lift = worst.lift.max((energy - least[env]) / (sim.total_mass() * 9.81));
+                    least[env] = least[env].min(energy);
+                }
+                worst.look(&mut sim)?;
+            }
+            sim.step(&Control { targets: Some(&default_pose), ..Control::default() }, steps(HOLD_S))?;
+            worst.look(&mut sim)?;
+            worst.depth = sim.ground_gap().into_iter().fold(worst.depth, |worst, gap| worst.max(-gap));
+            progress.inc(1);
+        }
+        progress.finish_and_clear();
+        Ok(worst)
+    }
+}
+
+impl Worst {
+    /// Counts envs whose state is broken and starts them anew; notes speeds and violated limits.
+    fn look(&mut self, sim: &mut Simulation) -> anyhow::Result<()> {
+        let (qpos, qvel) = (sim.qpos(), sim.qvel());
+        let (nq, nv) = (sim.nq(), sim.nv());
+        let range = sim.joint_range();
+        let mut broken = Vec::new();
+        for env in 0..sim.num_envs() {
+            let (q, v) = (&qpos[env * nq..(env + 1) * nq], &qvel[env * nv..(env + 1) * nv]);
+            if q.iter().chain(v).any(|x| !x.is_finite()) || v.iter().any(|x| x.abs() > 1e3) {
+                broken.push(env);
+                continue;
+            }
+            for (x, [low, high]) in q[7..].iter().zip(&range) {
+                self.over_limit = self.over_limit.max(low - x).max(x - high);
+            }
+            self.speed = v[6..].iter().fold(self.speed, |worst, x| worst.max(x.abs()));
+        }
+        if !broken.is_empty() {
+            self.broken += broken.len();
+            let (qpos, qvel) = (sim.default_qpos().to_vec(), vec![0.0; nv]);
+            sim.set_state(Some(&broken), Some(&qpos), Some(&qvel))?;
+        }
+        Ok(())
+    }
+}
+
+fn total_energy(sim: &Simulation) -> Vec<f64> {
+    let (kinetic, potential) = sim.energy();
+    kinetic.into_iter().zip(potential).map(|(a, b)| a + b).collect()
+}
+
+/// Gives each env a corner of the robot's randomisation: the base's mass and centre of mass, and friction.
+fn set_extremes(sim: &mut Simulation, model: &MorphologyModel) -> anyhow::Result<()> {
+    let base = &model.model.links[0];
+    let ranges = &model.config.randomization;
+    let shift = &ranges.base_com_offset;
+    for env in 0..sim.num_envs() {
+        let corner = |bit: usize, range: [f64; 2]| range[(env >> bit) & 1];
+        sim.set_mass(Some(&[env]), 0, &[base.mass + corner(0, ranges.base_mass_offset)])?;
+        let com = [base.com.x + corner(1, shift.x), base.com.y + corner(2, shift.y), base.com.z + corner(3, shift.z)];
+        sim.set_com(Some(&[env]), 0, &com)?;
+        let of = |range| corner(4, range);
+        sim.set_friction(Some(&[env]), &[of(ranges.static_friction)], Some(&[of(ranges.dynamic_friction)]))?;
+    }
+    Ok(())
+}
