@@ -1,6 +1,6 @@
 //! Assembles the Bevy app from a task and its robots, spawns envs, robots and sensors, and steps them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use bevy_app::App;
 use bevy_ecs::prelude::*;
@@ -13,14 +13,15 @@ use crate::components::{
     MountedOn, PerJoint, Robot,
 };
 use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::dump::DumpError;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
 use crate::morphology::{Morphologies, MorphologyError, MorphologyModel};
 use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::rows::Workers;
 use crate::systems::{
-    Autoreset, CompiledTask, ControlStep, Logs, PhysicsEngine, PipelinePlugin, Registry, ResetEnvs, ResetRequest,
-    TermError, history_length, randomise_at_startup,
+    Autoreset, BrokenStates, CompiledTask, ControlStep, Logs, PhysicsEngine, PipelinePlugin, Registry, ResetEnvs,
+    ResetRequest, TermError, history_length, randomise_at_startup,
 };
 use crate::world::{WorldError, WorldPlugin};
 
@@ -55,6 +56,9 @@ pub enum SimError {
     /// A snapshot.
     #[error("snapshot: {0}")]
     Snapshot(String),
+    /// The dump of a broken state.
+    #[error(transparent)]
+    Dump(#[from] DumpError),
 }
 
 fn argument(element: &'static str, problem: impl Into<String>, remedy: impl Into<String>) -> SimError {
@@ -82,6 +86,8 @@ pub struct SimOptions {
     pub roots: Vec<PathBuf>,
     /// Instruction set of the physics; the fastest one, or what `POLYPOD_SIMD` says, when absent.
     pub simd: Option<Simd>,
+    /// Directory for the dump of the first state of each robot that breaks; none is dumped when absent.
+    pub dump_dir: Option<PathBuf>,
 }
 
 impl SimOptions {
@@ -97,6 +103,7 @@ impl SimOptions {
             autoreset: Autoreset::SameStep,
             roots: Vec::new(),
             simd: None,
+            dump_dir: None,
         }
     }
 }
@@ -116,6 +123,7 @@ pub struct Sim {
     counts: Vec<usize>,
     seed: u64,
     simd: Simd,
+    dump_dir: Option<PathBuf>,
 }
 
 impl Sim {
@@ -145,6 +153,16 @@ impl Sim {
         }
         let robots = names.iter().map(|name| library.robot(name)).collect::<Result<Vec<_>, _>>()?;
         check_distinct(&robots)?;
+        Self::assemble(options, task, robots, registry)
+    }
+
+    /// The same of a task and robots that are loaded.
+    pub(crate) fn assemble(
+        options: &SimOptions,
+        task: LoadedTask,
+        robots: Vec<LoadedRobot>,
+        registry: &Registry,
+    ) -> Result<Self, SimError> {
         let morphologies = robots.iter().map(MorphologyModel::new).collect::<Result<Vec<_>, _>>()?;
         for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
             tracing::warn!("{warning}");
@@ -167,12 +185,14 @@ impl Sim {
         world.insert_resource(Batch::new(options.num_envs, compiled.num_obs(), CANONICAL_JOINT_NAMES.len()));
         world.insert_resource(Logs::new(&compiled));
         world.insert_resource(options.autoreset);
+        world.insert_resource(BrokenStates::new(robots.len()));
         spawn(world, &morphologies, &compiled, &counts);
         world.insert_resource(morphologies);
         world.insert_resource(compiled);
         world.insert_resource(ground);
         let world = std::mem::take(app.world_mut());
-        let mut sim = Self { world, task, robots, counts, seed: options.seed, simd };
+        let mut sim = Self { world, task, robots, counts, seed: options.seed, simd, dump_dir: None };
+        sim.set_dump_dir(options.dump_dir.clone());
         sim.reset(Some(options.seed), None)?;
         Ok(sim)
     }
@@ -201,6 +221,7 @@ impl Sim {
         batch.actions.copy_from_slice(actions);
         self.world.resource_mut::<ResetRequest>().0 = false;
         self.world.run_schedule(ControlStep);
+        self.dump_broken_states();
         Ok(())
     }
 
@@ -349,6 +370,18 @@ impl Sim {
     /// Instruction set of the physics.
     pub fn simd(&self) -> Simd {
         self.simd
+    }
+
+    /// Where broken states are dumped, if they are.
+    pub fn dump_dir(&self) -> Option<&Path> {
+        self.dump_dir.as_deref()
+    }
+
+    /// From now on dumps the first state of each robot that breaks to a file in this directory, or none. A robot of which
+    /// a state was dumped before is left out.
+    pub fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) {
+        self.world.resource_mut::<BrokenStates>().watch(dump_dir.is_some());
+        self.dump_dir = dump_dir;
     }
 
     /// Changes episode lengths, control steps, `[num_envs]`: a learner spreads the resets that way.

@@ -6,6 +6,7 @@ pub mod app;
 pub mod batch;
 pub mod components;
 pub mod config;
+pub mod dump;
 pub mod dynamics;
 pub mod morphology;
 #[cfg(feature = "python")]

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use bevy_ecs::prelude::Resource;
 
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
-use crate::dynamics::contact::MAX_DEPTH;
 use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
 use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
 
@@ -85,15 +84,6 @@ impl MorphologyModel {
         }
         let self_collision = config.self_collisions.then_some(&default_position[..]);
         let (topology, nominal) = articulation(&model, &roles, &actuators, self_collision);
-        if topology.max_depth() > MAX_DEPTH {
-            return Err(ConfigError::invalid(
-                config.name.clone(),
-                "urdf",
-                format!("a chain of {} moving joints", topology.max_depth()),
-                format!("lock joints with [locked_joints] until no chain has more than {MAX_DEPTH}"),
-            )
-            .into());
-        }
         let lowest_foot = lowest_foot(&model, &roles, &default_position);
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {

@@ -72,6 +72,19 @@ snapshot! {
     bodies: Body, contacts: ContactSensor, imus: Imu,
 }
 
+/// A value as bytes, with a checksum at the end.
+pub(crate) fn seal(value: &impl Serialize) -> Result<Vec<u8>, postcard::Error> {
+    let mut bytes = postcard::to_stdvec(value)?;
+    bytes.extend(fnv1a(&bytes).to_le_bytes());
+    Ok(bytes)
+}
+
+/// What [`seal`] encoded, if the checksum fits.
+pub(crate) fn unseal(bytes: &[u8]) -> Option<&[u8]> {
+    let (data, sum) = bytes.split_last_chunk::<CHECKSUM>()?;
+    (fnv1a(data).to_le_bytes() == *sum).then_some(data)
+}
+
 fn header(sim: &Sim) -> Header {
     Header {
         format: FORMAT,
@@ -104,10 +117,7 @@ impl Sim {
     /// # Errors
     /// When it cannot be encoded.
     pub fn snapshot(&mut self) -> Result<Vec<u8>, SimError> {
-        let mut bytes =
-            postcard::to_stdvec(&Snapshot::take(self)).map_err(|error| SimError::Snapshot(error.to_string()))?;
-        bytes.extend(fnv1a(&bytes).to_le_bytes());
-        Ok(bytes)
+        seal(&Snapshot::take(self)).map_err(|error| SimError::Snapshot(error.to_string()))
     }
 
     /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs.
@@ -124,8 +134,7 @@ impl Sim {
             )));
         }
         // a length that no longer fits would only be found in the middle of a later step
-        let intact = bytes.split_last_chunk::<CHECKSUM>().filter(|(data, sum)| fnv1a(data).to_le_bytes() == **sum);
-        let Some((data, _)) = intact else {
+        let Some(data) = unseal(bytes) else {
             return Err(SimError::Snapshot("it is damaged: its checksum does not fit; take it again".into()));
         };
         postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?.apply(self)

@@ -1,6 +1,7 @@
 //! The pipeline: what happens to every env in one control step, and in which order.
 
 mod act;
+mod broken;
 mod command;
 mod disturb;
 mod logs;
@@ -20,11 +21,13 @@ use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleT
 
 use crate::app::SimError;
 
+pub use broken::{BrokenState, BrokenStates, Motion};
 pub use logs::{EpisodeStats, Logs, RobotLog};
 pub use physics::PhysicsEngine;
-pub(crate) use physics::history_length;
+pub(crate) use physics::{history_length, run_physics};
 pub use reset::NewState;
 pub use startup::{NewBody, randomise_at_startup};
+pub use terminate::{Quantity, StateLimits, Violation};
 pub use terms::{CompiledTask, EventBody, Registry, TermError};
 pub use view::RobotView;
 
@@ -116,7 +119,9 @@ impl Plugin for PipelinePlugin {
             act::apply_actions.in_set(PipelineSet::Act),
             command::update_commands.in_set(PipelineSet::Command),
             disturb::apply_interval_events.in_set(PipelineSet::Disturb),
-            (physics::upload_bodies, physics::step_physics).chain().in_set(PipelineSet::Physics),
+            (physics::upload_bodies, physics::step_physics, broken::describe_broken_states)
+                .chain()
+                .in_set(PipelineSet::Physics),
             (sense::read_contacts, sense::read_imus).chain().in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
             (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),

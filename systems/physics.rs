@@ -1,7 +1,13 @@
 //! Physics: robots are gathered into packs, stepped, and scattered back to their components.
+//!
+//! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
+//! that broke is noticed together with what it came from, see [`BrokenStates`].
 
 use bevy_ecs::prelude::*;
+use bevy_ecs::system::RegisteredSystemError;
 
+use super::broken::{BrokenStates, Evidence, Motion};
+use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ContactForces, ContactImpulses, EnvId, Feet, JointEffort, JointState,
@@ -20,8 +26,16 @@ pub struct PhysicsEngine(Box<dyn Engine>);
 trait Engine: Send + Sync {
     /// Takes over a robot's numbers.
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
-    /// One control step of all robots.
-    fn step(&mut self, morphologies: &Morphologies, workers: &Workers, rows: PhysicsRows);
+    /// One control step of all robots. Of each morphology in `watched` the first env whose new state is broken is
+    /// returned.
+    fn step(
+        &mut self,
+        morphologies: &Morphologies,
+        workers: &Workers,
+        rows: PhysicsRows,
+        limits: &StateLimits,
+        watched: &[bool],
+    ) -> Vec<Evidence>;
 }
 
 /// The components that the engine reads and writes, row `i` belonging to env `i`.
@@ -62,6 +76,33 @@ impl SplitRows for PhysicsRows<'_> {
                 feet: feet2,
             },
         )
+    }
+}
+
+impl PhysicsRows<'_> {
+    fn motion(&self, row: usize) -> Motion {
+        Motion {
+            pose: self.poses[row],
+            velocity: self.velocities[row],
+            joints: self.joints[row].clone(),
+            effort: self.efforts[row].clone(),
+            impulses: self.impulses[row].clone(),
+        }
+    }
+}
+
+impl Evidence {
+    /// What is known before the new state is written; `after` is still the old one.
+    fn before(morphology: usize, first_env: usize, row: usize, rows: &PhysicsRows) -> Self {
+        let before = rows.motion(row);
+        Self {
+            morphology,
+            env: first_env + row,
+            after: before.clone(),
+            before,
+            targets: rows.targets[row].clone(),
+            delay: rows.delays[row].clone(),
+        }
     }
 }
 
@@ -115,6 +156,8 @@ pub(super) fn upload_bodies(
 pub(super) fn step_physics(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
+    task: Res<CompiledTask>,
+    mut broken: ResMut<BrokenStates>,
     mut engine: ResMut<PhysicsEngine>,
     mut poses: Query<&'static mut BasePose>,
     mut velocities: Query<&'static mut BaseVelocity>,
@@ -137,7 +180,14 @@ pub(super) fn step_physics(
         forces: write_rows(&mut forces),
         feet: write_rows(&mut feet),
     };
-    engine.0.step(&morphologies, &workers, rows);
+    let evidence = engine.0.step(&morphologies, &workers, rows, &task.limits, broken.watched());
+    broken.note(evidence);
+}
+
+/// The physics of one control step alone, for replays.
+pub(crate) fn run_physics(world: &mut World) -> Result<(), RegisteredSystemError> {
+    world.run_system_cached(upload_bodies)?;
+    world.run_system_cached(step_physics)
 }
 
 /// Up to `L::LANES` robots of one morphology side by side.
@@ -149,6 +199,8 @@ struct Pack<L> {
     state: State<L>,
     drive: Drive<L>,
     report: Report<L>,
+    /// Of the present control step, on its way out.
+    evidence: Option<Box<Evidence>>,
 }
 
 /// All packs, with scratch memory for each chunk of work and morphology.
@@ -176,6 +228,7 @@ impl<L: Lanes> Packs<L> {
                     state: State::zeros(topology),
                     drive: Drive::zeros(topology, ages),
                     report: Report::zeros(topology, settings.decimation),
+                    evidence: None,
                 });
                 first_env += count;
             }
@@ -206,7 +259,14 @@ impl<L: Lanes> Engine for Packs<L> {
         }
     }
 
-    fn step(&mut self, morphologies: &Morphologies, workers: &Workers, rows: PhysicsRows) {
+    fn step(
+        &mut self,
+        morphologies: &Morphologies,
+        workers: &Workers,
+        rows: PhysicsRows,
+        limits: &StateLimits,
+        watched: &[bool],
+    ) -> Vec<Evidence> {
         let settings = &self.settings;
         let per_chunk = self.packs.len().div_ceil(self.workspaces.len()).max(1);
         let mut rest = Some(rows);
@@ -231,9 +291,22 @@ impl<L: Lanes> Engine for Packs<L> {
                     report: &mut pack.report,
                     work: &mut workspaces[pack.morphology],
                 });
+                let broken = if watched[pack.morphology] { pack.first_broken(limits) } else { None };
+                let before = broken.map(|lane| (lane, Evidence::before(pack.morphology, pack.first_env, lane, &mine)));
                 pack.scatter(&mut mine);
+                if let Some((lane, mut evidence)) = before {
+                    evidence.after = mine.motion(lane);
+                    pack.evidence = Some(Box::new(evidence));
+                }
             }
         });
+        if !watched.contains(&true) {
+            return Vec::new();
+        }
+        // in the order of the envs, whatever the threads did first
+        let mut found: Vec<Evidence> = self.packs.iter_mut().filter_map(|pack| Some(*pack.evidence.take()?)).collect();
+        found.dedup_by_key(|evidence| evidence.morphology);
+        found
     }
 }
 
@@ -279,6 +352,21 @@ impl<L: Real> Pack<L> {
             }
             put(&mut drive.delay, &rows.delays[row].0, lane);
         }
+    }
+
+    /// The first lane whose new state is not finite or beyond the limits.
+    fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
+        let state = &self.state;
+        let numbers: StateNumbers<L> = [
+            &state.position,
+            &state.rotation,
+            &state.linear_velocity,
+            &state.angular_velocity,
+            &state.joint_position,
+            &state.joint_velocity,
+            &self.report.joint_effort,
+        ];
+        (0..self.count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
     }
 
     fn scatter(&self, rows: &mut PhysicsRows) {

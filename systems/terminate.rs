@@ -1,7 +1,7 @@
 //! Which episodes end, and why.
 
 use bevy_ecs::prelude::*;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::Autoreset;
 use super::terms::{CompiledTask, NoParams, Registry};
@@ -60,7 +60,7 @@ pub(super) fn end_episodes(
 }
 
 /// Speeds beyond which a state counts as broken.
-#[derive(Deserialize, Clone, Copy, Debug)]
+#[derive(Serialize, Deserialize, Clone, Copy, Debug)]
 #[serde(deny_unknown_fields, default)]
 pub struct StateLimits {
     /// Of the base, m/s.
@@ -77,18 +77,77 @@ impl Default for StateLimits {
     }
 }
 
+/// The quantities of a state that have a limit.
+#[derive(Serialize, Deserialize, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Position of the base, m.
+    BasePosition,
+    /// Orientation of the base, unit quaternion w, x, y, z.
+    BaseRotation,
+    /// Linear velocity of the base, m/s.
+    BaseLinearVelocity,
+    /// Angular velocity of the base, rad/s.
+    BaseAngularVelocity,
+    /// Joint positions, rad.
+    JointPosition,
+    /// Joint velocities, rad/s.
+    JointVelocity,
+    /// Efforts of the actuators, N m.
+    JointEffort,
+}
+
+/// The numbers of one state, a slice for each [`Quantity`] in the order of that enum.
+pub(super) type StateNumbers<'a, T> = [&'a [T]; 7];
+
+/// A number of a state that is not finite or beyond its limit.
+#[derive(Serialize, Deserialize, Clone, Copy, Debug, PartialEq)]
+pub struct Violation {
+    /// What it belongs to.
+    pub quantity: Quantity,
+    /// Which number of the quantity: an axis, or a joint in physical order.
+    pub index: usize,
+    /// The number.
+    pub value: f32,
+    /// Largest allowed magnitude.
+    pub limit: f32,
+}
+
 impl StateLimits {
+    /// The first number that is not finite or beyond its limit; `value` reads one.
+    pub(super) fn violation<T: Copy>(
+        &self,
+        numbers: StateNumbers<'_, T>,
+        value: impl Fn(T) -> f32,
+    ) -> Option<Violation> {
+        let limits = [
+            (Quantity::BasePosition, 1e6),
+            (Quantity::BaseRotation, 2.0),
+            (Quantity::BaseLinearVelocity, self.max_lin_vel),
+            (Quantity::BaseAngularVelocity, self.max_ang_vel),
+            (Quantity::JointPosition, 1e6),
+            (Quantity::JointVelocity, self.max_joint_vel),
+            (Quantity::JointEffort, 1e9),
+        ];
+        limits.into_iter().zip(numbers).find_map(|((quantity, limit), xs)| {
+            // a NaN is not below anything
+            let is_allowed = |x: f32| x.abs() <= limit;
+            let index = xs.iter().position(|&x| !is_allowed(value(x)))?;
+            Some(Violation { quantity, index, value: value(xs[index]), limit })
+        })
+    }
+
     /// Whether the state is finite and within the limits.
     fn allow(&self, view: &RobotView) -> bool {
-        // written so that a NaN fails
-        let below = |xs: &[f32], limit: f32| xs.iter().all(|x| x.abs() <= limit);
-        below(&view.pose.position, 1e6)
-            && below(&view.pose.rotation, 2.0)
-            && below(&view.velocity.linear, self.max_lin_vel)
-            && below(&view.velocity.angular, self.max_ang_vel)
-            && below(&view.joints.velocity, self.max_joint_vel)
-            && below(&view.joints.position, 1e6)
-            && below(&view.effort.applied, 1e9)
+        let numbers = [
+            &view.pose.position[..],
+            &view.pose.rotation,
+            &view.velocity.linear,
+            &view.velocity.angular,
+            &view.joints.position,
+            &view.joints.velocity,
+            &view.effort.applied,
+        ];
+        self.violation(numbers, |x| x).is_none()
     }
 }
 

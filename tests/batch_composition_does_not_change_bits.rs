@@ -22,6 +22,18 @@ fn more_envs_of_the_same_robot_change_nothing() {
 }
 
 #[test]
+fn an_env_alone_is_the_first_of_many() {
+    for robot in ["spot", "anymal_d"] {
+        let (mut alone, mut many) = (sim(&[robot], 1), sim(&[robot], 37));
+        for t in 0..STEPS {
+            step(&mut alone, t);
+            step(&mut many, t);
+            assert_same(&mut alone, 0..1, &mut many, 0..1, &format!("{robot}, step {t}"));
+        }
+    }
+}
+
+#[test]
 fn the_actions_of_others_change_nothing() {
     let (mut a, mut b) = (sim(&["spot"], 40), sim(&["spot"], 40));
     let is_watched = |env: usize| env.is_multiple_of(3);
@@ -55,5 +67,25 @@ fn the_place_in_the_pack_changes_nothing() {
         step(&mut a, t);
         step(&mut b, t);
         assert_same(&mut a, 20..30, &mut b, 20..30, &format!("step {t}"));
+    }
+}
+
+#[test]
+fn every_lane_gives_the_same_bits() {
+    const ENV: usize = 39;
+    const MOST_LANES: usize = 16;
+    // the fewer envs there are, the later in its robot's block is this one
+    let mut sims: Vec<Sim> = (0..MOST_LANES).map(|place| sim(&["unitree_a1", "spot"], 2 * (ENV - place))).collect();
+    for (place, sim) in sims.iter().enumerate() {
+        assert!(sim.env_ids(1).contains(&ENV) && sim.simd().lanes() <= MOST_LANES);
+        assert_eq!(sim.index_in_block(ENV), place);
+    }
+    for t in 0..60 {
+        let (first, others) = sims.split_first_mut().unwrap();
+        step(first, t);
+        for (place, other) in (1..).zip(others) {
+            step(other, t);
+            assert_same(first, ENV..ENV + 1, other, ENV..ENV + 1, &format!("place {place}, step {t}"));
+        }
     }
 }

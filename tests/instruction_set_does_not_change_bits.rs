@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::process::{Command, Output};
+
 use common::{ROBOTS, assert_all_same, busy, ended, step};
 use polypod::dynamics::Simd;
 use polypod::{Sim, SimOptions};
@@ -12,6 +14,10 @@ fn every_instruction_set_gives_the_same_bits() {
     let options = busy(&ROBOTS, 88);
     let make = |simd| Sim::new(&SimOptions { simd: Some(simd), ..options.clone() }).unwrap();
     let mut reference = make(Simd::Portable);
+    let missing = [Simd::Avx512, Simd::Avx2, Simd::Neon].map(|simd| (simd, Simd::available().contains(&simd)));
+    for (simd, _) in missing.iter().filter(|(_, available)| !available) {
+        println!("skipped: this machine has no {}", simd.name());
+    }
     let mut others: Vec<Sim> = Simd::available().into_iter().filter(|&s| s != Simd::Portable).map(make).collect();
     let mut episodes = 0;
     for t in 0..100 {
@@ -32,4 +38,34 @@ fn every_instruction_set_gives_the_same_bits() {
             sim.simd().name()
         );
     }
+}
+
+fn rollout(simd: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_polypod-sim"))
+        .args(["rollout", "--num-envs", "40", "--steps", "60", "--set", "sim.episode_length_s=0.5"])
+        .env("POLYPOD_SIMD", simd)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_environment_variable_chooses_the_instruction_set() {
+    let mut tables = Vec::new();
+    for simd in Simd::available() {
+        let output = rollout(simd.name());
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let first = text.lines().next().unwrap();
+        assert!(first.contains(&format!("threads, {},", simd.name())), "{first}");
+        // what follows the speed are statistics of the episodes
+        tables
+            .push(text.lines().skip_while(|line| !line.starts_with("finished")).map(String::from).collect::<Vec<_>>());
+    }
+    assert!(tables[0].len() > 8, "{tables:?}");
+    assert!(tables.iter().all(|table| *table == tables[0]), "{tables:?}");
+
+    let refused = rollout("sse9");
+    let error = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(2), "{error}");
+    assert!(error.contains("`sse9`") && error.contains("portable") && error.contains("POLYPOD_SIMD"), "{error}");
 }

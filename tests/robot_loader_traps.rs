@@ -4,7 +4,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use polypod::robot::{Geometry, JointKind, LoadOptions, Model, RobotError, load, load_str};
+use polypod::dynamics::contact::MAX_DEPTH;
+use polypod::robot::{Geometry, JointKind, LoadOptions, Model, RobotError, detect, load, load_str};
 
 const MASS: &str = r#"<inertial><mass value="1"/>
     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>"#;
@@ -199,6 +200,11 @@ fn limits_make_sense() {
         &["joint \"j\"", "lower limit 1 is above its upper limit -1"],
     );
     refused(&limit("lower='-1' upper='1' effort='-5' velocity='1'"), &["negative effort -5"]);
+    refused(&limit("lower='inf' upper='inf' effort='1' velocity='1'"), &["joint \"j\"", "leave no position"]);
+    refused(
+        &pair("revolute", &format!("{LIMIT}<dynamics damping='1e300'/>")),
+        &["joint \"j\"", "damping", "overflows"],
+    );
     warned(&limit("lower='-1' upper='1' effort='0' velocity='1'"), &["joint \"j\"", "zero effort", "cannot be driven"]);
     warned(&limit("lower='-1' upper='1' effort='1' velocity='0'"), &["zero velocity"]);
     let extra = loaded(&limit("lower='-1' upper='1' effort='1' velocity='1' command_effort='x' current='40'"));
@@ -392,18 +398,17 @@ fn meshes_are_found_without_ros() {
     let visual = loaded(&with_part(&format!("<visual>{}</visual>", mesh("package://body/foot.dae"))));
     assert!(visual.warnings.is_empty());
 
-    // this package's own manifest stands in for a mesh
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let options = LoadOptions {
-        package_dirs: BTreeMap::from([("body".to_string(), root.to_path_buf())]),
-        ..LoadOptions::default()
-    };
-    let model = load_str(&collision("package://body/Cargo.toml"), Path::new("trap.urdf"), &options).unwrap();
-    let wanted = root.join("Cargo.toml");
-    assert!(matches!(&model.bodies[0].shapes[0].geometry, Geometry::Mesh { path, .. } if *path == wanted));
-    let above = collision("package://src/lib.rs");
-    let deep = root.join("assets/robots/trap/robot.urdf");
-    assert!(load_str(&above, &deep, &LoadOptions::default()).unwrap().warnings.is_empty());
+    // in a folder that the options name, or in one with the package's name beside or above the URDF
+    let meshes = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/urdf/meshes");
+    let options =
+        LoadOptions { package_dirs: BTreeMap::from([("body".to_string(), meshes.clone())]), ..LoadOptions::default() };
+    let named = load_str(&collision("package://body/cube.stl"), Path::new("trap.urdf"), &options).unwrap();
+    assert_eq!(named.bodies.len(), 1);
+    let deep = meshes.join("../trap/robot.urdf");
+    let above = load_str(&collision("package://meshes/cube.stl"), &deep, &LoadOptions::default()).unwrap();
+    assert_eq!(above.bodies.len(), 1);
+    // a folder is no mesh
+    assert!(load_str(&collision("package://urdf/meshes"), &deep, &LoadOptions::default()).unwrap().bodies.is_empty());
 }
 
 #[test]
@@ -423,4 +428,172 @@ fn what_is_not_the_body_is_passed_over() {
         &robot(&(link("a") + "<loop_joint name='l'/><loop_joint name='m'/>")),
         &["<loop_joint> inside <robot> is not read (2 in the file)"],
     );
+}
+
+const CUBE_SENSOR: &str = "<inertial><mass value='0.1'/>\
+    <inertia ixx='8.7e-6' ixy='0' ixz='0' iyy='6.7e-4' iyz='0' izz='1.37e-3'/></inertial>";
+
+#[test]
+fn sensors_that_no_body_could_be_merge_into_a_sound_base() {
+    let parts: String = (0..4)
+        .map(|i| {
+            format!("<link name='camera{i}'>{CUBE_SENSOR}</link>")
+                + &joint(&format!("camera{i}_joint"), "fixed", "base", &format!("camera{i}"), "<origin xyz='0.3 0 0'/>")
+        })
+        .collect();
+    let model = loaded(&robot(
+        &("<link name='base'/>".to_string() + &link("inside") + &joint("f", "fixed", "base", "inside", "") + &parts),
+    ));
+    assert_eq!(model.links[0].merged.len(), 5);
+    assert!((model.total_mass() - 1.4).abs() < 1e-12);
+    // each part is named, the base is not: together they are sound
+    let warned: Vec<&str> = model.warnings.iter().map(|warning| warning.element.as_str()).collect();
+    assert_eq!(warned, ["link \"camera0\"", "link \"camera1\"", "link \"camera2\"", "link \"camera3\""]);
+    assert!(model.warnings.iter().all(|warning| warning.problem.contains("triangle inequality")));
+}
+
+#[test]
+fn specks_of_mass_weigh_next_to_nothing() {
+    let speck = "<inertial><mass value='4.19e-15'/>\
+        <inertia ixx='0' ixy='0' ixz='0' iyy='0' iyz='0' izz='0'/></inertial>";
+    let model = loaded(&with_part(speck));
+    assert!(model.warnings.is_empty(), "{:?}", model.warnings);
+    assert!((model.total_mass() - 1.0).abs() < 1e-14);
+    let moving =
+        robot(&(link("a") + &format!("<link name='b'>{speck}</link>") + &joint("j", "revolute", "a", "b", LIMIT)));
+    refused(&moving, &["link \"b\"", "not positive definite"]);
+}
+
+#[test]
+fn an_inertial_frame_may_be_turned() {
+    // a rod along the inertial frame's x, which lies along the link's y
+    let rod = "<inertial><origin xyz='0 0 1' rpy='0 0 1.5707963267948966'/><mass value='2'/>\
+        <inertia ixx='0.01' ixy='0' ixz='0' iyy='0.5' iyz='0' izz='0.5'/></inertial>";
+    let base = &loaded(&robot(&format!("<link name='rod'>{rod}</link>"))).links[0];
+    assert_eq!(base.com.to_array(), [0.0, 0.0, 1.0]);
+    for (value, wanted) in base.inertia.to_cols_array().iter().zip([0.5, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.5]) {
+        assert!((value - wanted).abs() < 1e-12, "{}", base.inertia);
+    }
+}
+
+#[test]
+fn frames_of_expanded_robots_are_named() {
+    let text = robot(&(link("a") + "<frame name='f'/>" + &joint("j", "fixed", "a", "b", "<frame/>") + &link("b")));
+    let model = loaded(&text);
+    let warnings: Vec<String> = model.warnings.iter().map(ToString::to_string).collect();
+    assert_eq!(warnings.len(), 2, "{warnings:?}");
+    for (warning, words) in
+        warnings.iter().zip([["<frame> inside <joint>", "joint \"j\""], ["<frame> inside <robot>", "1"]])
+    {
+        assert_words(warning, &words);
+    }
+}
+
+#[test]
+fn wheels_turn_and_lifts_slide() {
+    let text = robot(
+        &(link("base")
+            + &link("wheel")
+            + &link("mast")
+            + &joint("axle", "continuous", "base", "wheel", "<axis xyz='0 1 0'/>")
+            + &joint("lift", "prismatic", "base", "mast", &format!("{LIMIT}<axis xyz='0 0 1'/>"))),
+    );
+    let model = loaded(&text);
+    let kinds: Vec<JointKind> = model.joints.iter().map(|joint| joint.kind).collect();
+    assert_eq!(kinds, [JointKind::Continuous, JointKind::Prismatic]);
+    let poses = model.forward_kinematics(&[std::f64::consts::PI, 0.5]);
+    assert!((poses[1].rotation.x_axis.x + 1.0).abs() < 1e-12);
+    assert_eq!(poses[2].translation.to_array(), [0.0, 0.0, 0.5]);
+}
+
+#[test]
+fn a_robot_may_have_no_joints() {
+    let model = loaded(&robot(&link("stone")));
+    assert_eq!((model.links.len(), model.joints.len()), (1, 0));
+    let error = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap_err().to_string();
+    assert_words(&error, &["0 legs", "no chains of moving joints"]);
+}
+
+/// A base with four legs of these joints, and more.
+fn legged(kind: &str, axes: &[&str], more: &str) -> String {
+    let mut text = link("base");
+    for (leg, x, y) in [("lf", 1, 1), ("rf", 1, -1), ("lh", -1, 1), ("rh", -1, -1)] {
+        let mut parent = "base".to_string();
+        for (i, axis) in axes.iter().enumerate() {
+            let child = format!("{leg}{i}");
+            let origin = if i == 0 { format!("{x} {y} 0") } else { format!("0 {} -0.5", 0.1 * f64::from(y)) };
+            let inside = format!("<origin xyz='{origin}'/><axis xyz='{axis}'/>{LIMIT}");
+            let foot = "<collision><origin xyz='0 0 -0.5'/><geometry><sphere radius='0.05'/></geometry></collision>";
+            text += &format!("<link name='{child}'>{MASS}{}</link>", if i + 1 == axes.len() { foot } else { "" });
+            text += &joint(&format!("{child}_joint"), kind, &parent, &child, &inside);
+            parent = child;
+        }
+    }
+    robot(&(text + more))
+}
+
+#[test]
+fn legs_may_turn_without_limits() {
+    let model = loaded(&legged("continuous", &["1 0 0", "0 1 0", "0 1 0"], ""));
+    assert!(detect(&model, &BTreeMap::new(), &BTreeMap::new()).is_ok());
+}
+
+#[test]
+fn two_joints_do_not_make_a_leg() {
+    let model = loaded(&legged("revolute", &["0 1 0", "0 1 0"], ""));
+    assert_eq!(model.joints.len(), 8);
+    let error = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap_err();
+    assert!(matches!(error, RobotError::Roles(_)));
+    assert_words(&error.to_string(), &["0 legs were found instead of 4", "lf0_joint"]);
+}
+
+#[test]
+fn an_arm_is_no_leg() {
+    let mut arm = String::new();
+    let mut parent = "base".to_string();
+    for (i, axis) in ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0"].iter().enumerate() {
+        let child = format!("arm{i}");
+        arm += &link(&child);
+        arm += &joint(
+            &format!("arm{i}_joint"),
+            "revolute",
+            &parent,
+            &child,
+            &format!("<origin xyz='0.1 0 0.3'/><axis xyz='{axis}'/>{LIMIT}"),
+        );
+        parent = child;
+    }
+    let model = loaded(&legged("revolute", &["1 0 0", "0 1 0", "0 1 0"], &arm));
+    assert_eq!(model.joints.len(), 17);
+    let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap();
+    assert!(roles.joint_of_slot.iter().all(|joint| !model.joints[*joint].name.starts_with("arm")));
+    let feet: Vec<&str> = roles.foot_body.iter().map(|body| model.bodies[*body].name.as_str()).collect();
+    assert_eq!(feet, ["lf2", "lh2", "rf2", "rh2"]);
+}
+
+#[test]
+fn chains_are_no_longer_than_the_engine_can_solve() {
+    let chain = |joints: usize| {
+        let mut text = link("l0");
+        for i in 1..=joints {
+            text += &link(&format!("l{i}"));
+            text += &joint(&format!("j{i}"), "revolute", &format!("l{}", i - 1), &format!("l{i}"), LIMIT);
+        }
+        robot(&text)
+    };
+    assert_eq!(loaded(&chain(MAX_DEPTH)).joints.len(), MAX_DEPTH);
+    let error = refused(&chain(MAX_DEPTH + 1), &["joint \"j65\"", "number 65 in a chain", "locked_joints"]);
+    assert!(matches!(error, RobotError::Unsupported(_)));
+}
+
+#[test]
+fn numbers_that_overflow_are_refused() {
+    let heavy = MASS.replace("value=\"1\"", "value=\"1e300\"");
+    refused(&robot(&format!("<link name='a'>{heavy}</link>")), &["link \"a\"", "overflows"]);
+    refused(&pair("revolute", &format!("<origin xyz='1e200 0 0'/>{LIMIT}")), &["joint \"j\"", "origin overflows"]);
+    let far = "<collision><origin xyz='1e300 0 0'/><geometry><sphere radius='1'/></geometry></collision>";
+    let model = warned(&with_part(far), &["link \"part\", <collision>", "overflows", "left out"]);
+    assert!(model.bodies.is_empty());
+    let huge = "<collision><geometry><sphere radius='1e300'/></geometry></collision>";
+    refused(&with_part(huge), &["<sphere radius>", "no length"]);
 }

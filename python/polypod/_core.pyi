@@ -55,6 +55,7 @@ class VecSim:
         threads: int | None = None,
         overrides: Sequence[str] = (),
         autoreset: str = "same_step",
+        dump_dir: str | os.PathLike[str] | None = None,
     ) -> None:
         """Builds the envs and resets them, so that `observation` is valid at once.
 
@@ -66,6 +67,7 @@ class VecSim:
             threads: worker threads; None: one per core.
             overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML syntax.
             autoreset: "same_step", "next_step" or "disabled".
+            dump_dir: see `set_dump_dir`.
 
         Raises:
             ConfigError: for an unknown task, robot, key or autoreset mode, and for a value out of range.
@@ -172,6 +174,13 @@ class VecSim:
 
         Keys: episodes, falls, fall_rate, episode_length_s (s), error_vel_xy (m/s), error_vel_yaw (rad/s), command_xy
         (m/s), command_yaw (rad/s), reward_per_s. The command's means are the errors of standing still.
+        """
+
+    def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:
+        """From now on dumps the first state of each robot that breaks to a file in this directory, or with None none.
+
+        A state breaks when it becomes non-finite or runs away; its episode ends as `illegal_state`. A robot of which a
+        state was dumped before is left out. A dump that cannot be written stops nothing.
         """
 
     def snapshot(self) -> bytes:
@@ -455,6 +464,12 @@ def train_config(name: str) -> str:
 
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""
+
+def check(path: str | os.PathLike[str], package_dirs: Mapping[str, str | os.PathLike[str]]) -> str:
+    """What the URDF file at `path` is read as: links, joints, contact bodies, legs, and every warning.
+
+    `package_dirs` names the folder of each ROS package in `package://` names. Raises RobotError.
+    """
 
 def info() -> CoreInfo:
     """The version, the instruction set in use and the number of threads."""

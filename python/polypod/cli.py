@@ -1,4 +1,4 @@
-"""The command line: `polypod train | eval | accuracy | list | info`."""
+"""The command line: `polypod train | eval | check | accuracy | list | info`."""
 
 import dataclasses
 import functools
@@ -82,6 +82,16 @@ class Eval:
 
 
 @dataclasses.dataclass(frozen=True)
+class Check:
+    """Show what a URDF file is read as, with every warning; it needs no config."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """The URDF file."""
+    package_dir: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="NAME=DIR")] = ()
+    """Where a ROS package of `package://` names lies. May be repeated."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Accuracy:
     """Compare the physics with MuJoCo on the same URDFs."""
 
@@ -106,6 +116,7 @@ class Info:
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
@@ -134,12 +145,14 @@ def main(arguments: Sequence[str]) -> int:
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
 
 
-def _run(command: Train | Eval | Accuracy | List | Info) -> int:
+def _run(command: Train | Eval | Check | Accuracy | List | Info) -> int:
     match command:
         case Train():
             return _train(command)
         case Eval():
             return _eval(command)
+        case Check():
+            print(_core.check(command.file, _package_dirs(command.package_dir)), end="")
         case Accuracy():
             return _accuracy(command)
         case List():
@@ -205,6 +218,16 @@ def _eval(command: Eval) -> int:
         except OSError as error:
             raise _core.ConfigError(f"cannot write {command.json}: {error.strerror}; choose another --json") from error
     return 0
+
+
+def _package_dirs(pairs: Sequence[str]) -> dict[str, str]:
+    folders = {}
+    for pair in pairs:
+        name, _, folder = pair.partition("=")
+        if not name or not folder:
+            raise _core.ConfigError(f"--package-dir {pair} is not NAME=DIR")
+        folders[name] = folder
+    return folders
 
 
 def _accuracy(command: Accuracy) -> int:

@@ -1,6 +1,7 @@
 """The batch as a `gymnasium.vector.VectorEnv`."""
 
 import operator
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,6 +34,7 @@ def make(
     threads: int | None = None,
     copy: bool = False,
     overrides: Sequence[str] = (),
+    dump_dir: str | os.PathLike[str] | None = None,
 ) -> "VectorEnv":
     """Builds a vector env.
 
@@ -45,11 +47,13 @@ def make(
         threads: worker threads; None: one per core.
         copy: hand out fresh arrays rather than the simulator's own, see `VectorEnv`.
         overrides: `key=value` pairs for the task's configuration, e.g. `"sim.episode_length_s=10.0"`.
+        dump_dir: directory for a dump of the first state of each robot that breaks (`polypod-sim replay` steps it
+            again); None: no dump.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
     """
-    return VectorEnv(task_id, num_envs, robots, seed, autoreset, threads, copy, overrides)
+    return VectorEnv(task_id, num_envs, robots, seed, autoreset, threads, copy, overrides, dump_dir)
 
 
 class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[Any]]):
@@ -72,6 +76,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         threads: int | None = None,
         copy: bool = False,
         overrides: Sequence[str] = (),
+        dump_dir: str | os.PathLike[str] | None = None,
     ) -> None:
         """Builds the envs; `make` documents the arguments."""
         mode = _autoreset_mode(autoreset)
@@ -85,6 +90,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             threads=threads,
             overrides=list(overrides),
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
+            dump_dir=dump_dir,
         )
         self.copy = copy
         self.autoreset_mode = mode

@@ -88,6 +88,6 @@ fn name(geometry: &Geometry) -> &'static str {
         Geometry::Box { .. } => "box",
         Geometry::Cylinder { .. } => "cylinder",
         Geometry::Capsule { .. } => "capsule",
-        Geometry::Mesh { .. } => "mesh",
+        Geometry::Hull { .. } => "hull",
     }
 }

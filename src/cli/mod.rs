@@ -1,6 +1,8 @@
 //! The command line of `polypod-sim`.
 
+mod check;
 mod inspect;
+mod replay;
 mod rollout;
 
 use std::io::Write;
@@ -11,7 +13,7 @@ use polypod::config::Library;
 
 /// Headless simulator of many different legged robots.
 ///
-/// Exit codes: 0 success, 2 bad input, 1 anything else.
+/// Exit codes: 0 success, 2 bad input, 1 anything else, such as a replay that gives something else.
 #[derive(Parser)]
 #[command(version, about, long_about = None)]
 pub(crate) struct Cli {
@@ -25,6 +27,10 @@ enum Command {
     Rollout(rollout::Rollout),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
+    /// Prints what a URDF file is read as, with every warning; it needs no config.
+    Check(check::Check),
+    /// Steps a dumped broken state again and says whether it breaks with the same bits.
+    Replay(replay::Replay),
     /// Lists tasks and robots.
     List,
 }
@@ -34,6 +40,8 @@ impl Cli {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
             Command::Inspect(inspect) => inspect.run(),
+            Command::Check(check) => check.run(),
+            Command::Replay(replay) => replay.run(),
             Command::List => list(),
         }
     }

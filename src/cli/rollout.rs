@@ -1,6 +1,7 @@
 //! `polypod-sim rollout`
 
 use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::{Args, ValueEnum};
@@ -37,6 +38,9 @@ pub(super) struct Rollout {
     /// Changes to the task, such as `sim.decimation=2`; may be given several times.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
+    /// Directory for a dump of the first state of each robot that breaks, for `replay`.
+    #[arg(long)]
+    dump_dir: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -55,6 +59,7 @@ impl Rollout {
             seed: self.seed,
             threads: self.threads,
             overrides: self.overrides,
+            dump_dir: self.dump_dir,
             ..SimOptions::new(self.task, self.num_envs)
         };
         let began = Instant::now();

@@ -5,8 +5,11 @@
 
 use super::articulation::{ContactKind, PairTopology, Parameters, Topology};
 use super::factor::Factor;
+use super::kinematics::forward_kinematics;
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, scale, sub};
+use super::math::{
+    Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, quat_to_mat, scale, sub,
+};
 use super::state::{LinkState, State, Workspace};
 
 /// How contacts and joint bounds are solved.
@@ -199,12 +202,50 @@ fn half_solve_path<S: Real, const N: usize>(
     }
 }
 
+/// The lowest point of a candidate (see [`candidate_point`]) and its distance from the ground, m.
+#[inline(always)]
+fn candidate<S: Real>(
+    parameters: &Parameters<S>,
+    contact: usize,
+    kind: ContactKind,
+    up: &Vec3<S>,
+    origin_height: S,
+) -> (Vec3<S>, S) {
+    let local = candidate_point(parameters, contact, kind, up);
+    (local, origin_height + dot(up, &local) - parameters.contact_radius[contact])
+}
+
 #[inline(always)]
 fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
     // two chains, for latency
     let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
     let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
     even + odd
+}
+
+/// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order; negative inside the
+/// ground, and empty where there is none. For tools and tests: a step finds its contacts itself.
+pub fn candidate_gaps<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    settings: &ContactSettings,
+    state: &State<S>,
+    work: &mut Workspace<S>,
+) -> Vec<S> {
+    let Some(plane) = &settings.ground else {
+        return Vec::new();
+    };
+    let (positions, velocities) = (&state.joint_position, &state.joint_velocity);
+    forward_kinematics(topology, parameters, positions, velocities, &Spatial::zero(), work);
+    let normal = plane.normal.map(S::splat);
+    let ground = dot(&normal, &state.position) - S::splat(plane.offset);
+    let normal = mul_vec_transposed(&quat_to_mat(&state.rotation), &normal);
+    let gaps = topology.contacts.iter().enumerate().map(|(c, contact)| {
+        let at = &work.links[contact.link];
+        let up = mul_vec_transposed(&at.rotation, &normal);
+        candidate(parameters, c, contact.kind, &up, ground + dot(&normal, &at.position)).1
+    });
+    gaps.collect()
 }
 
 /// Finds the contacts near the ground and builds their rows.
@@ -243,8 +284,7 @@ pub fn build_contacts<S: Real>(
         }
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
         for c in candidates {
-            let local = candidate_point(parameters, c, topology.contacts[c].kind, &up);
-            let gap = origin_height + dot(&up, &local) - parameters.contact_radius[c];
+            let (local, gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
             let near = gap.lt(margin);
             if !S::any(near) {
                 state.impulse[c] = [S::zero(); 3];

@@ -28,21 +28,34 @@ pub struct Capsule<S> {
     pub radius: S,
 }
 
-/// A box in any orientation.
-#[derive(Clone, Copy, Debug)]
-pub struct OrientedBox<S> {
-    /// m.
-    pub centre: Vec3<S>,
-    /// Box axes in the outer frame.
-    pub rotation: Mat3<S>,
-    /// Half edge lengths, m.
-    pub half: Vec3<S>,
+impl<S: Real> Capsule<S> {
+    /// The same capsule seen from a frame at `origin` with axes `rotation`.
+    #[inline(always)]
+    pub fn seen_from(&self, origin: &Vec3<S>, rotation: &Mat3<S>) -> Self {
+        Self {
+            centre: mul_vec_transposed(rotation, &sub(&self.centre, origin)),
+            half: mul_vec_transposed(rotation, &self.half),
+            radius: self.radius,
+        }
+    }
+}
+
+impl<S: Real> Proximity<S> {
+    /// The inverse of [`Capsule::seen_from`].
+    #[inline(always)]
+    pub fn from_frame(&self, origin: &Vec3<S>, rotation: &Mat3<S>) -> Self {
+        Self {
+            gap: self.gap,
+            normal: mul_vec(rotation, &self.normal),
+            point: add(origin, &mul_vec(rotation, &self.point)),
+        }
+    }
 }
 
 /// Squared lengths below this count as none, m^2.
 const TINY: f64 = 1e-10;
-/// Halvings in the search for a segment's point nearest to a box: they leave 1/4096 of the segment.
-const HALVINGS: usize = 12;
+/// Halvings in the search for a segment's point nearest to a box: they leave 1/512 of it.
+const HALVINGS: usize = 9;
 
 /// Distance of two capsules, of the first the part `from..to` of its axis, whose ends are -1 and 1 (the nearest points of
 /// two segments: Ericson, Real-Time Collision Detection, 2005, section 5.1.9, with parallel segments taken at the middle of that part).
@@ -80,32 +93,41 @@ fn rounded<S: Real>(on_a: &Vec3<S>, on_b: &Vec3<S>, radius_a: S, radius_b: S) ->
     Proximity { gap, normal, point: add_scaled(&surface, &normal, gap * S::splat(0.5)) }
 }
 
-/// Distance of a box and a capsule (first), of the latter the part `from..to` of its axis, whose ends are -1 and 1: the
-/// nearest point of the axis by halving the range in which the distance still falls, then that point's signed distance.
+/// Whether a capsule (first) comes within `margin` of a box about the origin on each of the box's axes; if not, it does
+/// not come within it at all.
 #[inline(always)]
-pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &OrientedBox<S>) -> Proximity<S> {
+pub fn may_touch_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, margin: S) -> S::Mask {
+    let reach = a.radius + margin;
+    let apart = |i: usize| a.centre[i].abs() - a.half[i].abs() - box_half[i];
+    apart(0).max(apart(1)).max(apart(2)).lt(reach)
+}
+
+/// Distance of a capsule (first) and a box about the origin, along its axes, with half edge lengths `box_half`; of the
+/// capsule the part `from..to` of its axis, whose ends are -1 and 1. The nearest point of the axis is found by halving
+/// the range in which the distance still falls; then comes that point's signed distance.
+#[inline(always)]
+pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], box_half: &Vec3<S>) -> Proximity<S> {
     let (zero, one) = (S::zero(), S::one());
-    let centre = mul_vec_transposed(&b.rotation, &sub(&a.centre, &b.centre));
-    let half = mul_vec_transposed(&b.rotation, &a.half);
-    let clamp = |p: &Vec3<S>| -> Vec3<S> { std::array::from_fn(|i| p[i].clamp(-b.half[i], b.half[i])) };
+    let Capsule { centre, half, radius } = a;
+    let clamp = |p: &Vec3<S>| -> Vec3<S> { std::array::from_fn(|i| p[i].clamp(-box_half[i], box_half[i])) };
     let mut t = S::splat(0.5 * (from + to));
     let mut quarter = 0.25 * (to - from);
     for _ in 0..HALVINGS {
-        let p = add_scaled(&centre, &half, t);
-        let slope = dot(&sub(&p, &clamp(&p)), &half);
+        let p = add_scaled(centre, half, t);
+        let slope = dot(&sub(&p, &clamp(&p)), half);
         let step = S::splat(quarter);
         let down = S::select(zero.lt(slope), -step, zero);
         t = t + S::select(slope.lt(zero), step, down);
         quarter *= 0.5;
     }
-    let p = add_scaled(&centre, &half, t);
+    let p = add_scaled(centre, half, t);
     let c = clamp(&p);
     let out = sub(&p, &c);
     let squared = dot(&out, &out);
     let inside = squared.lt(S::splat(TINY));
     let distance = squared.max(S::splat(TINY)).sqrt();
     // inside, the nearest face is the way out
-    let depth: Vec3<S> = std::array::from_fn(|i| b.half[i] - p[i].abs());
+    let depth: Vec3<S> = std::array::from_fn(|i| box_half[i] - p[i].abs());
     let side = |i: usize| S::select(p[i].lt(zero), -one, one);
     let x_first = S::and(depth[0].lt(depth[1]), depth[0].lt(depth[2]));
     let y_first = depth[1].lt(depth[2]);
@@ -117,10 +139,9 @@ pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Orient
     let faces = [x_out, y_out, z_out];
     let normal: Vec3<S> = std::array::from_fn(|i| S::select(inside, faces[i], out[i] * inverse));
     let signed = S::select(inside, -shallow, distance);
-    let gap = signed - a.radius;
+    let gap = signed - *radius;
     let surface = sub(&p, &scale(&normal, signed));
-    let point = add_scaled(&surface, &normal, gap * S::splat(0.5));
-    Proximity { gap, normal: mul_vec(&b.rotation, &normal), point: add(&b.centre, &mul_vec(&b.rotation, &point)) }
+    Proximity { gap, normal, point: add_scaled(&surface, &normal, gap * S::splat(0.5)) }
 }
 
 #[cfg(test)]
@@ -171,8 +192,7 @@ mod tests {
 
     #[test]
     fn capsule_on_a_box() {
-        let identity = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let b = OrientedBox { centre: [0.0; 3], rotation: identity, half: [1.0, 0.5, 0.25] };
+        let b = [1.0, 0.5, 0.25];
         let above = Capsule { centre: [0.2, 0.0, 0.5], half: [0.0, 0.0, 0.1], radius: 0.05 };
         let p = capsule_and_box(&above, [-1.0, 1.0], &b);
         near(p.gap, 0.1);

@@ -4,12 +4,11 @@ use super::articulation::{Parameters, Topology};
 use super::contact::{ContactSettings, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Vec3, add, add_scaled, cross, dot, mul_vec, scale, sub};
-use super::proximity::{Capsule, OrientedBox, Proximity, capsule_and_box, capsules};
+use super::proximity::{Capsule, Proximity, capsule_and_box, capsules, may_touch_box};
 use super::state::{LinkState, State, Workspace};
 
-/// A pair takes part in a physics step when its links are nearer to each other than this, m: two legs that swing at each
-/// other at 10 m/s are noticed a 5 ms step before they meet.
-const PAIR_MARGIN: f64 = 0.05;
+/// A pair takes part in a physics step when its links are nearer to each other than this, m.
+const PAIR_MARGIN: f64 = 0.02;
 
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
@@ -30,12 +29,13 @@ pub fn build_pairs<S: Real>(
     let inverse_dt = S::one() / dt;
     for pair in &topology.pairs {
         let impulses = pair.first_impulse..pair.first_impulse + pair.spans.len();
-        if !S::any(may_touch(parameters, colliders, pair.colliders)) {
+        let shapes = PairShapes::new(topology, parameters, links, colliders, pair.colliders);
+        if !S::any(shapes.may_touch(margin)) {
             state.impulse[impulses].fill([S::zero(); 3]);
             continue;
         }
         for (i, span) in impulses.zip(pair.spans) {
-            let found = proximity(topology, parameters, links, colliders, pair.colliders, *span);
+            let found = shapes.proximity(*span);
             let near = found.gap.lt(margin);
             if !S::any(near) {
                 state.impulse[i] = [S::zero(); 3];
@@ -50,10 +50,9 @@ pub fn build_pairs<S: Real>(
 /// Distance of the two links of a pair, m (negative when they overlap); [`place_colliders`] must have been called.
 #[inline(always)]
 pub fn pair_gap<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &Workspace<S>, pair: usize) -> S {
-    let gap = |span: &[f64; 2]| {
-        proximity(topology, parameters, &work.links, &work.colliders, topology.pairs[pair].colliders, *span).gap
-    };
-    topology.pairs[pair].spans.iter().map(gap).fold(S::splat(f64::MAX), S::min)
+    let pair = &topology.pairs[pair];
+    let shapes = PairShapes::new(topology, parameters, &work.links, &work.colliders, pair.colliders);
+    pair.spans.iter().map(|span| shapes.proximity(*span).gap).fold(S::splat(f64::MAX), S::min)
 }
 
 /// Puts the colliders where the workspace's kinematics has their links.
@@ -61,44 +60,68 @@ pub fn pair_gap<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: 
 pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
     for (c, collider) in topology.colliders.iter().enumerate() {
         let at = &work.links[collider.link];
-        work.colliders[c] = add(&at.position, &mul_vec(&at.rotation, &parameters.collider_centre[c]));
+        let radius = parameters.collider_radius[c];
+        let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
+        // a box is turned when it meets a capsule
+        let half = if collider.box_rotation.is_some() { *half } else { mul_vec(&at.rotation, half) };
+        work.colliders[c] = Capsule { centre: add(&at.position, &mul_vec(&at.rotation, centre)), half, radius };
     }
 }
 
-/// Whether the spheres about two colliders come within the margin.
-#[inline(always)]
-fn may_touch<S: Real>(parameters: &Parameters<S>, centres: &[Vec3<S>], [a, b]: [usize; 2]) -> S::Mask {
-    let apart = sub(&centres[a], &centres[b]);
-    let reach = |c: usize| {
-        let half = &parameters.collider_half[c];
-        dot(half, half).sqrt() + parameters.collider_radius[c]
-    };
-    let limit = reach(a) + reach(b) + S::splat(PAIR_MARGIN);
-    dot(&apart, &apart).lt(limit * limit)
+/// The shapes of a pair, made ready to be compared.
+enum PairShapes<'a, S> {
+    Capsules([&'a Capsule<S>; 2]),
+    /// The capsule as seen from the box; the box's half edge lengths, place and axes.
+    CapsuleAndBox(Capsule<S>, &'a Vec3<S>, &'a Vec3<S>, Mat3<S>),
 }
 
-/// Distance of two colliders, in base axes.
-#[inline(always)]
-fn proximity<S: Real>(
-    topology: &Topology,
-    parameters: &Parameters<S>,
-    links: &[LinkState<S>],
-    centres: &[Vec3<S>],
-    [a, b]: [usize; 2],
-    span: [f64; 2],
-) -> Proximity<S> {
-    let capsule = |c: usize| Capsule {
-        centre: centres[c],
-        half: mul_vec(&links[topology.colliders[c].link].rotation, &parameters.collider_half[c]),
-        radius: parameters.collider_radius[c],
-    };
-    match &topology.colliders[b].box_rotation {
-        None => capsules(&capsule(a), span, &capsule(b)),
-        Some(rotation) => {
-            let link = &links[topology.colliders[b].link].rotation;
-            let rotation = product(link, &rotation.map(|row| row.map(S::splat)));
-            let solid = OrientedBox { centre: centres[b], rotation, half: parameters.collider_half[b] };
-            capsule_and_box(&capsule(a), span, &solid)
+impl<'a, S: Real> PairShapes<'a, S> {
+    #[inline(always)]
+    fn new(
+        topology: &Topology,
+        parameters: &'a Parameters<S>,
+        links: &[LinkState<S>],
+        colliders: &'a [Capsule<S>],
+        [a, b]: [usize; 2],
+    ) -> Self {
+        match &topology.colliders[b].box_rotation {
+            None => Self::Capsules([&colliders[a], &colliders[b]]),
+            Some(rotation) => {
+                let link = topology.colliders[b].link;
+                let turn = rotation.map(|row| row.map(S::splat));
+                // the base's axes are those that everything is expressed in
+                let rotation = if link == 0 { turn } else { product(&links[link].rotation, &turn) };
+                let centre = &colliders[b].centre;
+                let capsule = colliders[a].seen_from(centre, &rotation);
+                Self::CapsuleAndBox(capsule, &parameters.collider_half[b], centre, rotation)
+            }
+        }
+    }
+
+    /// False only where the two are further apart than `margin`.
+    #[inline(always)]
+    fn may_touch(&self, margin: S) -> S::Mask {
+        match self {
+            Self::Capsules([a, b]) => {
+                let apart = sub(&a.centre, &b.centre);
+                // (x + y)^2 <= 2 x^2 + 2 y^2 saves the roots
+                let two = S::splat(2.0);
+                let rest = a.radius + b.radius + margin;
+                let lengths = two * (dot(&a.half, &a.half) + dot(&b.half, &b.half));
+                dot(&apart, &apart).lt(two * (rest * rest + lengths))
+            }
+            Self::CapsuleAndBox(capsule, half, ..) => may_touch_box(capsule, half, margin),
+        }
+    }
+
+    /// In base axes.
+    #[inline(always)]
+    fn proximity(&self, span: [f64; 2]) -> Proximity<S> {
+        match self {
+            Self::Capsules([a, b]) => capsules(a, span, b),
+            Self::CapsuleAndBox(capsule, half, centre, rotation) => {
+                capsule_and_box(capsule, span, half).from_frame(centre, rotation)
+            }
         }
     }
 }

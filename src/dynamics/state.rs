@@ -5,6 +5,7 @@ use super::contact::ContactWork;
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, SpatialInertia, Vec3};
+use super::proximity::Capsule;
 
 /// The state of one body or of a pack of bodies, and what one control step reports of it.
 #[derive(Clone, Debug)]
@@ -136,8 +137,8 @@ pub struct Workspace<S> {
     pub effort_slope: Vec<S>,
     /// Target position of each joint in the current physics step.
     pub target: Vec<S>,
-    /// Where the colliders are, in base axes, m, `[colliders]`.
-    pub colliders: Vec<Vec3<S>>,
+    /// Where the colliders are, in base axes, `[colliders]`; of a box only the centre.
+    pub colliders: Vec<Capsule<S>>,
     /// Rows of active contacts and joint bounds.
     pub contact: ContactWork<S>,
 }
@@ -163,7 +164,7 @@ impl<S: Real> Workspace<S> {
             effort: vec![z; joints],
             effort_slope: vec![z; joints],
             target: vec![z; joints],
-            colliders: vec![[z; 3]; topology.colliders.len()],
+            colliders: vec![Capsule { centre: [z; 3], half: [z; 3], radius: z }; topology.colliders.len()],
             contact: ContactWork::new(topology),
         }
     }

@@ -65,7 +65,11 @@ pub(super) fn to_python(py: Python<'_>, error: SimError) -> PyErr {
         | SimError::Term(TermError::Config(error))
         | SimError::Morphology(MorphologyError::Config(error)) => config_class(all, error),
         SimError::Morphology(MorphologyError::Robot(_)) => &all.robot,
-        SimError::Argument { .. } | SimError::Simd(_) | SimError::World(_) | SimError::Snapshot(_) => &all.config,
+        SimError::Argument { .. }
+        | SimError::Simd(_)
+        | SimError::World(_)
+        | SimError::Snapshot(_)
+        | SimError::Dump(_) => &all.config,
     };
     PyErr::from_type(class.bind(py).clone(), message)
 }

@@ -4,11 +4,16 @@ mod exceptions;
 mod simulation;
 mod vec_sim;
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::config::Library;
 use crate::dynamics::Simd;
+use crate::morphology::MorphologyError;
+use crate::robot::{self, LoadOptions};
 use exceptions::to_python;
 
 #[pyfunction]
@@ -48,6 +53,12 @@ fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
 }
 
 #[pyfunction]
+fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>) -> PyResult<String> {
+    let options = LoadOptions { package_dirs, ..LoadOptions::default() };
+    robot::check(&path, &options).map_err(|error| to_python(py, MorphologyError::from(error).into()))
+}
+
+#[pyfunction]
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("version", env!("CARGO_PKG_VERSION"))?;
@@ -66,6 +77,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(robots, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
+    module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `VecSim`: many envs behind NumPy arrays.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use numpy::{
     Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods,
@@ -114,7 +115,7 @@ impl VecSim {
 #[pymethods]
 impl VecSim {
     #[new]
-    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step"))]
+    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None))]
     fn new(
         py: Python<'_>,
         task: String,
@@ -124,9 +125,11 @@ impl VecSim {
         threads: Option<usize>,
         overrides: Vec<String>,
         autoreset: &str,
+        dump_dir: Option<PathBuf>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
-        let options = SimOptions { robots, seed, threads, overrides, autoreset, ..SimOptions::new(task, num_envs) };
+        let options =
+            SimOptions { robots, seed, threads, overrides, autoreset, dump_dir, ..SimOptions::new(task, num_envs) };
         let sim = py.detach(|| Sim::new(&options)).map_err(|error| to_python(py, error))?;
         let num_obs = sim.batch().num_obs;
         let matrix = |width: usize| PyArray2::<f32>::zeros(py, [num_envs, width], false).unbind();
@@ -317,6 +320,11 @@ impl VecSim {
             ])
         };
         stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect()
+    }
+
+    #[pyo3(signature = (dump_dir))]
+    fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) {
+        self.sim.set_dump_dir(dump_dir);
     }
 
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {

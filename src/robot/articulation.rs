@@ -86,8 +86,8 @@ impl Articulation {
         }
         for (j, joint) in model.joints.iter().enumerate() {
             p.joint_offset[j] = (align[joint.parent] * joint.origin.translation).to_array();
-            p.lower[j] = joint.lower.max(-UNLIMITED);
-            p.upper[j] = joint.upper.min(UNLIMITED);
+            p.lower[j] = joint.lower.clamp(-UNLIMITED, UNLIMITED);
+            p.upper[j] = joint.upper.clamp(-UNLIMITED, UNLIMITED);
             p.armature[j] = joint.armature;
             p.joint_damping[j] = joint.damping;
             p.joint_friction[j] = joint.friction;
@@ -141,8 +141,6 @@ impl Candidate {
 }
 
 /// The places of a shape that can touch a plane first, in the frame of its link.
-///
-/// Meshes have none: the loader has replaced those it could and has warned of the others.
 fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
     let at = |p: DVec3| shape.origin.transform_point(p);
     match &shape.geometry {
@@ -173,6 +171,6 @@ fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
                 })
                 .collect()
         }
-        Geometry::Mesh { .. } => Vec::new(),
+        Geometry::Hull { points } => points.iter().map(|p| Candidate::point(link, body, at(*p), 0.0)).collect(),
     }
 }

@@ -170,6 +170,11 @@ fn shape_colliders(shape: &Shape, link: usize, body: usize, align: DMat3) -> Vec
             of_box(centre, DVec3::new(side, side, *length))
         }
         Geometry::Box { size } => of_box(centre, *size),
-        Geometry::Mesh { .. } => Vec::new(),
+        // the points' bounding box
+        Geometry::Hull { points } => {
+            let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+            let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
+            of_box(align * shape.origin.transform_point(0.5 * (low + high)), high - low)
+        }
     }
 }

@@ -11,6 +11,9 @@ const SPHERE_REACH: f64 = 0.8;
 /// Components of a unit vector below this are zero.
 const FLAT: f64 = 1e-6;
 
+/// Points of a hull that are no higher than this above its lowest one are its sole, m.
+const LEVEL: f64 = 1e-4;
+
 /// The contact of a leg with the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Foot {
@@ -29,7 +32,7 @@ pub(super) struct Foot {
 
 /// The foot of the leg that ends in `knee`: of all shapes below the knee (or only those of body
 /// `named`), the sphere farthest from the knee; any other shape only when it reaches clearly
-/// farther. `None` when there are no shapes other than meshes.
+/// farther. `None` when there are no shapes.
 pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Option<Foot> {
     let knee_position = pose.position(knee);
     let mut feet = Vec::new();
@@ -63,7 +66,7 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
 
 /// Centres (link frame) and radii of the balls with which a shape can touch ground that lies in
 /// the direction `down` (link frame): a sphere is one, a capsule has one at each end, and of other
-/// convex shapes it is the middle of what lies lowest. A mesh has none: it is not looked into.
+/// convex shapes it is the middle of what lies lowest.
 fn contact_balls(shape: &Shape, down: DVec3) -> Vec<(DVec3, f64)> {
     let down = shape.origin.rotation.transpose() * down;
     // A direction along a face or edge leaves its middle.
@@ -86,7 +89,11 @@ fn contact_balls(shape: &Shape, down: DVec3) -> Vec<(DVec3, f64)> {
             let rim = if sideways.length() < FLAT { DVec3::ZERO } else { sideways.normalize_or_zero() * radius };
             vec![(rim + DVec3::Z * along(down.z, 0.5 * length), 0.0)]
         }
-        Geometry::Mesh { .. } => Vec::new(),
+        Geometry::Hull { ref points } => {
+            let lowest = points.iter().map(|p| p.dot(down)).fold(f64::NEG_INFINITY, f64::max);
+            let level: Vec<DVec3> = points.iter().copied().filter(|p| p.dot(down) > lowest - LEVEL).collect();
+            vec![(level.iter().sum::<DVec3>() / level.len() as f64, 0.0)]
+        }
     };
     balls.into_iter().map(|(point, radius)| (shape.origin.transform_point(point), radius)).collect()
 }

@@ -41,8 +41,10 @@ impl MassProperties {
         Self { mass, com, inertia: about_com(self) + about_com(other) }
     }
 
-    pub fn is_finite(&self) -> bool {
-        self.mass.is_finite() && self.com.is_finite() && self.inertia.is_finite()
+    /// Whether every number is finite and at most this large.
+    pub fn is_within(&self, largest: f64) -> bool {
+        let numbers = self.com.to_array().into_iter().chain(self.inertia.to_cols_array()).chain([self.mass]);
+        numbers.into_iter().all(|number| number.abs() <= largest)
     }
 
     /// What keeps the inertia from being that of a rigid body.

@@ -12,6 +12,10 @@ use super::pose::Pose;
 use super::shapes::bodies;
 use super::tree::Tree;
 use super::urdf::LoadOptions;
+use crate::dynamics::contact::MAX_DEPTH;
+
+/// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
+pub(super) const LARGEST: f64 = 1e9;
 
 /// Makes the model of a robot whose joints form `tree`.
 ///
@@ -114,10 +118,26 @@ impl Merger<'_> {
             if let Some(place) = self.places[parent] {
                 let joint = self.moving_joint(&self.robot.joints[index], kind, place)?;
                 self.joints.push(joint);
+                self.check_depth()?;
                 self.place_with_attached(child)?;
             }
         }
         Ok(())
+    }
+
+    /// Refuses a last joint that hangs on more joints than the engine can solve.
+    fn check_depth(&self) -> Result<(), RobotError> {
+        let above = |joint: &usize| self.joints[*joint].parent.checked_sub(1);
+        let depth = std::iter::successors(self.joints.len().checked_sub(1), above).count();
+        match self.joints.last() {
+            Some(joint) if depth > MAX_DEPTH => Err(RobotError::Unsupported(Diagnosis::new(
+                self.file,
+                format!("joint \"{}\"", joint.name),
+                format!("it is number {depth} in a chain of moving joints, of which {MAX_DEPTH} are modelled"),
+                "make joints of the chain fixed, or lock them in locked_joints",
+            ))),
+            _ => Ok(()),
+        }
     }
 
     /// Starts a merged link at URDF link `first` and collects all that is fixed to it.
@@ -202,15 +222,21 @@ impl Merger<'_> {
         if lower > upper {
             return value_error(format!("its lower limit {lower} is above its upper limit {upper}"), "swap them");
         }
+        if lower == f64::INFINITY || upper == f64::NEG_INFINITY {
+            return value_error(format!("its limits {lower} .. {upper} leave no position"), "write rad or m");
+        }
         for (name, value) in
             [("effort", effort), ("velocity", velocity), ("damping", dynamics.damping), ("friction", dynamics.friction)]
         {
             if value < 0.0 {
                 return value_error(format!("negative {name} {value}"), "write its magnitude");
             }
+            if value > LARGEST && matches!(name, "damping" | "friction") {
+                return value_error(format!("its {name} {value:e} overflows"), "write SI units");
+            }
         }
         let origin = parent_pose * Pose::from_urdf(&joint.origin);
-        if !origin.is_finite() {
+        if !origin.is_within(LARGEST) {
             return value_error("its origin overflows".into(), "write metres");
         }
         let mut warn = |problem: String, remedy: &str| {
@@ -301,7 +327,7 @@ impl Merger<'_> {
             let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
             Err(RobotError::Inertia(diagnosis))
         };
-        if !whole.is_finite() {
+        if !whole.is_within(LARGEST) {
             return error("its mass or inertia overflows".into(), "write SI units");
         }
         if whole.mass <= 0.0 {

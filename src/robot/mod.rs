@@ -3,11 +3,14 @@
 mod articulation;
 mod canonical;
 mod chains;
+mod check;
 mod colliders;
 mod error;
 mod feet;
+mod hull;
 mod inertia;
 mod merge;
+mod mesh;
 mod model;
 mod pose;
 mod reader;
@@ -17,6 +20,7 @@ mod tree;
 mod urdf;
 
 pub use articulation::{Articulation, Site, UNLIMITED, symmetric};
+pub use check::check;
 pub use error::{Diagnosis, RobotError, Warning};
 pub use model::{Body, Geometry, Joint, JointKind, Link, Model, Shape};
 pub use pose::Pose;

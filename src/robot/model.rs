@@ -148,12 +148,10 @@ pub enum Geometry {
         /// Length of the cylindrical part, m.
         length: f64,
     },
-    /// Triangle mesh.
-    Mesh {
-        /// An existing file.
-        path: PathBuf,
-        /// Factor along each axis of the mesh.
-        scale: DVec3,
+    /// Convex hull of points; what a mesh is taken for.
+    Hull {
+        /// At least one, m.
+        points: Vec<DVec3>,
     },
 }
 

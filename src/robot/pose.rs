@@ -51,9 +51,9 @@ impl Pose {
         self.rotation * point + self.translation
     }
 
-    /// Whether every entry is a finite number.
-    pub fn is_finite(&self) -> bool {
-        self.rotation.is_finite() && self.translation.is_finite()
+    /// Whether every entry is a finite number, and no coordinate larger than `largest` (m).
+    pub fn is_within(&self, largest: f64) -> bool {
+        self.rotation.is_finite() && self.translation.to_array().iter().all(|number| number.abs() <= largest)
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::Path;
 use roxmltree::Node;
 
 use super::error::{Diagnosis, RobotError};
+use super::merge::LARGEST;
 
 /// Reads from one document; `owner` in its methods is the element that errors name.
 #[derive(Clone, Copy)]
@@ -81,7 +82,7 @@ impl Reader<'_> {
         owner: &str,
     ) -> Result<[f64; N], RobotError> {
         let lengths = self.required_numbers(node, attribute, owner)?;
-        match lengths.iter().find(|length| **length <= 0.0) {
+        match lengths.iter().find(|length| **length <= 0.0 || **length > LARGEST) {
             None => Ok(lengths),
             Some(length) => Err(self.value_error(
                 format!("{owner}, <{} {attribute}>", node.tag_name().name()),

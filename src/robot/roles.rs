@@ -21,6 +21,9 @@ pub const CANONICAL_JOINT_NAMES: [&str; 12] = [
     "RH_KFE",
 ];
 
+/// Chains that an error lists.
+const LISTED: usize = 12;
+
 /// How a quadruped's joints and bodies map to canonical ones.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Roles {
@@ -254,7 +257,7 @@ impl Detector<'_> {
                 named.map_or_else(|| &self.model.links[joints[2] + 1].name, |body| &self.model.bodies[body].name);
             self.roles_error(
                 format!("link \"{shank}\""),
-                format!("leg {} has no collision shape for a foot there, or only meshes", LEGS[leg]),
+                format!("leg {} has no collision shape for a foot there", LEGS[leg]),
                 "add a <collision> with a <sphere>, or name the foot's link in feet",
             )
         })
@@ -264,7 +267,11 @@ impl Detector<'_> {
         if chains.is_empty() {
             return "it has no chains of moving joints".to_string();
         }
-        let listed: Vec<String> = chains.iter().map(|chain| self.pose.describe(chain.as_ref())).collect();
+        let mut listed: Vec<String> =
+            chains.iter().take(LISTED).map(|chain| self.pose.describe(chain.as_ref())).collect();
+        if chains.len() > LISTED {
+            listed.push(format!("and {} more", chains.len() - LISTED));
+        }
         listed.join(", ")
     }
 

@@ -5,9 +5,16 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use super::error::Warning;
+use super::merge::LARGEST;
 use super::model::{Body, Geometry, Shape};
 use super::pose::Pose;
 use super::urdf::LoadOptions;
+use super::{hull, mesh};
+
+/// Meshes beyond this are in another unit, m.
+const MAX_EXTENT: f64 = 1e3;
+/// A hull this close to that of all vertices is called the same, m.
+const MIN_DEVIATION: f64 = 5e-6;
 
 /// The links with collision shapes, in the file's order, where `places` has put them: the index of
 /// the merged link and the frame in it.
@@ -25,14 +32,18 @@ pub(super) fn bodies(
         };
         let mut shapes = Vec::with_capacity(link.collision.len());
         for collision in &link.collision {
-            match geometry(&collision.geometry, file, options) {
-                Ok(geometry) => shapes.push(Shape { geometry, origin: place * Pose::from_urdf(&collision.origin) }),
-                Err(missing) => warnings.push(Warning::new(
-                    file,
-                    format!("link \"{}\", <collision>", link.name),
-                    format!("mesh \"{}\" is not found; the shape is left out", missing.filename),
-                    format!("{}, or use a sphere, box, cylinder or capsule", missing.remedy),
-                )),
+            let mut warn = |(problem, remedy): Remark| {
+                let remedy = format!("{remedy}, or use a sphere, box, cylinder or capsule");
+                warnings.push(Warning::new(file, format!("link \"{}\", <collision>", link.name), problem, remedy));
+            };
+            let origin = place * Pose::from_urdf(&collision.origin);
+            if !origin.is_within(LARGEST) {
+                warn(("its origin overflows; the shape is left out".to_string(), "write metres".to_string()));
+                continue;
+            }
+            match geometry(&collision.geometry, file, options, &mut warn) {
+                Ok(geometry) => shapes.push(Shape { geometry, origin }),
+                Err((problem, remedy)) => warn((format!("{problem}; the shape is left out"), remedy)),
             }
         }
         if !shapes.is_empty() {
@@ -42,31 +53,61 @@ pub(super) fn bodies(
     bodies
 }
 
-/// A mesh that is not where its name says.
-struct MissingMesh {
-    filename: String,
-    remedy: String,
-}
+/// Problem and remedy.
+type Remark = (String, String);
 
-fn geometry(geometry: &urdf_rs::Geometry, file: &Path, options: &LoadOptions) -> Result<Geometry, MissingMesh> {
+fn geometry(
+    geometry: &urdf_rs::Geometry,
+    file: &Path,
+    options: &LoadOptions,
+    warn: &mut impl FnMut(Remark),
+) -> Result<Geometry, Remark> {
     Ok(match geometry {
         urdf_rs::Geometry::Sphere { radius } => Geometry::Sphere { radius: *radius },
         urdf_rs::Geometry::Box { size } => Geometry::Box { size: DVec3::from_array(**size) },
         urdf_rs::Geometry::Cylinder { radius, length } => Geometry::Cylinder { radius: *radius, length: *length },
         urdf_rs::Geometry::Capsule { radius, length } => Geometry::Capsule { radius: *radius, length: *length },
-        urdf_rs::Geometry::Mesh { filename, scale } => Geometry::Mesh {
-            path: resolve(filename, file, options).ok_or_else(|| MissingMesh {
-                filename: filename.clone(),
-                remedy: match package_of(filename) {
-                    Some((package, _)) => {
-                        format!("name the directory of \"{package}\" in package_dirs")
-                    }
+        urdf_rs::Geometry::Mesh { filename, scale } => {
+            let path = resolve(filename, file, options).ok_or_else(|| {
+                let remedy = match package_of(filename) {
+                    Some((package, _)) => format!("name the directory of \"{package}\" in package_dirs"),
                     None => "put the file there".to_string(),
-                },
-            })?,
-            scale: scale.map_or(DVec3::ONE, |scale| DVec3::from_array(*scale)),
-        },
+                };
+                (format!("mesh \"{filename}\" is not found"), remedy)
+            })?;
+            let scale = scale.map_or(DVec3::ONE, |scale| DVec3::from_array(*scale));
+            convex(filename, &path, scale, warn)?
+        }
     })
+}
+
+/// The convex hull of the mesh file at `path`; warns of what that assumes.
+fn convex(filename: &str, path: &Path, scale: DVec3, warn: &mut impl FnMut(Remark)) -> Result<Geometry, Remark> {
+    let unreadable = |problem: String| {
+        let remedy = format!("write {} anew as STL, OBJ or COLLADA, in m", path.display());
+        (format!("mesh \"{filename}\" is not read: {problem}"), remedy)
+    };
+    let mut vertices = mesh::read(path).map_err(unreadable)?;
+    vertices.points.iter_mut().for_each(|point| *point *= scale);
+    let farthest = vertices.points.iter().map(|point| point.abs().max_element()).fold(0.0, f64::max);
+    if farthest.is_nan() || farthest > MAX_EXTENT {
+        return Err(unreadable(format!("it reaches {farthest:.0} m from its origin")));
+    }
+    let hull = hull::hull(&vertices.points);
+    let (count, points) = (vertices.points.len(), hull.points.len());
+    let mut problem = if hull.boxed {
+        format!("mesh \"{filename}\" is taken as its bounding box, as the hull of its {count} vertices is not found")
+    } else {
+        format!("mesh \"{filename}\" is taken as the convex hull of {points} of its {count} vertices")
+    };
+    if hull.deviation >= MIN_DEVIATION {
+        problem += &format!(", which lies up to {:.2} mm inside the hull of all", 1e3 * hull.deviation);
+    }
+    if let Some(assumed) = vertices.assumed {
+        problem += &format!("; {assumed}");
+    }
+    warn((problem, "check that it is convex enough".to_string()));
+    Ok(Geometry::Hull { points: hull.points })
 }
 
 /// The existing file a mesh `filename` of the URDF at `source` means, if there is one.

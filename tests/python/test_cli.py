@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -173,3 +174,34 @@ sys.exit(main())
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert "pip install 'polypod[train]'" in done.stderr
+
+
+def test_check(main, tmp_path):
+    folder = Path(__file__).parents[1] / "data" / "urdf"
+    code, output, _ = main("check", str(folder / "mixed.urdf"))
+    assert code == 0
+    for words in ("5.900 kg", "slide", "no quadruped", 'joint "float"'):
+        assert words in output
+    text = (folder / "meshed.urdf").read_text().replace('filename="meshes/', 'filename="package://cubes/')
+    (tmp_path / "robot.urdf").write_text(text)
+    code, output, _ = main("check", "robot.urdf", "--package-dir", f"cubes={folder / 'meshes'}")
+    assert code == 0
+    assert "\nquadruped\n" in output
+    assert "hull of 8 points" in output
+    assert "no quadruped" in main("check", "robot.urdf")[1]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\x00\x89", b"<robot>" * 100_000, b"<robot name='r'/>"])
+def test_check_refuses_in_one_line(main, tmp_path, content):
+    (tmp_path / "robot.urdf").write_bytes(content)
+    for arguments in (("robot.urdf",), (str(tmp_path),), ("nowhere.urdf",)):
+        code, output, errors = main("check", *arguments)
+        assert (code, output) == (2, "")
+        assert errors.startswith(f"polypod: {arguments[0]}: ")
+        assert errors.count("\n") == 1
+
+
+def test_check_wants_folders_by_name(main):
+    code, _, errors = main("check", "robot.urdf", "--package-dir", "folder")
+    assert code == 2
+    assert "NAME=DIR" in errors

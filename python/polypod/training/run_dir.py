@@ -6,6 +6,7 @@
     params/agent.toml    the resolved train config
     model_<n>.pt         the training's state after n iterations
     events.out.tfevents* TensorBoard's scalars
+    broken_*.polypod     the first state of each robot that broke, if one did, for `polypod-sim replay`
 """
 
 import contextlib

@@ -74,6 +74,7 @@ def train(options: Options) -> int:
         run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides)
     else:
         run = plan.checkpoint.parent
+    env.sim.set_dump_dir(run)
     runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(), run, device, reporter)
     if plan.checkpoint is not None:
         runner.load(str(plan.checkpoint))

@@ -1,0 +1,35 @@
+//! `polypod-sim check`
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::Args;
+use polypod::SimError;
+use polypod::morphology::MorphologyError;
+use polypod::robot::{LoadOptions, check};
+
+/// Arguments of `check`.
+#[derive(Args)]
+pub(super) struct Check {
+    /// The URDF file.
+    file: PathBuf,
+    /// Where a ROS package of `package://` names lies; may be given several times.
+    #[arg(long = "package-dir", value_name = "NAME=DIR", value_parser = package_dir)]
+    package_dirs: Vec<(String, PathBuf)>,
+}
+
+fn package_dir(text: &str) -> Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((name, folder)) if !name.is_empty() && !folder.is_empty() => Ok((name.to_string(), folder.into())),
+        _ => Err("write NAME=DIR".to_string()),
+    }
+}
+
+impl Check {
+    pub(super) fn run(self) -> anyhow::Result<()> {
+        let options = LoadOptions { package_dirs: self.package_dirs.into_iter().collect(), ..LoadOptions::default() };
+        let text = check(&self.file, &options).map_err(|error| SimError::from(MorphologyError::from(error)))?;
+        std::io::stdout().lock().write_all(text.as_bytes())?;
+        Ok(())
+    }
+}

@@ -1,0 +1,296 @@
+//! Dumps of broken states: files that hold all that is needed to step there again, and the replay of one.
+//!
+//! A dump depends on no other file: it holds the resolved task and robot, the URDF's text and the robot's own numbers.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use bevy_ecs::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::app::{Sim, SimError, SimOptions};
+use crate::components::{BasePose, BaseVelocity, Body, ContactImpulses, JointState, JointTargets};
+use crate::config::{LoadedRobot, LoadedTask, TaskConfig, fnv1a};
+use crate::dynamics::Simd;
+use crate::morphology::MorphologyModel;
+use crate::snapshot::{seal, unseal};
+use crate::systems::{BrokenState, BrokenStates, Motion, Registry, Violation, run_physics};
+
+/// First field of every dump.
+const MAGIC: &str = "polypod broken state";
+/// Changes whenever the layout of a dump does.
+const FORMAT: u32 = 1;
+
+/// A dump could not be written, read or replayed.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}; {remedy}", file.display())]
+pub struct DumpError {
+    file: PathBuf,
+    problem: String,
+    remedy: &'static str,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    magic: String,
+    format: u32,
+    version: String,
+}
+
+/// A control step that broke a state, and the robot and task it happened to.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Dump {
+    /// Version of polypod that wrote it.
+    pub version: String,
+    /// Instruction set of the physics.
+    pub simd: String,
+    /// Seed of the simulation.
+    pub seed: u64,
+    /// The resolved task, TOML.
+    pub task: String,
+    /// Name of the robot.
+    pub robot: String,
+    /// The resolved config of the robot, TOML.
+    pub robot_config: String,
+    /// Its URDF.
+    pub urdf: String,
+    /// Where the URDF came from.
+    pub urdf_path: String,
+    /// The control step.
+    pub state: BrokenState,
+}
+
+/// What stepping again gave.
+pub struct Replay {
+    /// The robot's model, for the names of joints and links.
+    pub morphology: MorphologyModel,
+    /// Instruction set of the replay.
+    pub simd: Simd,
+    /// The robot after each physics step.
+    pub steps: Vec<Motion>,
+    /// The first physics step that broke the state, counted from 0, and the number that shows it.
+    pub broken: Option<(usize, Violation)>,
+    /// Whether the last physics step gave the dumped state, bit for bit.
+    pub same_bits: bool,
+}
+
+impl Dump {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// It cannot be read, is no dump, is damaged, or of another format.
+    pub fn read(file: &Path) -> Result<Self, DumpError> {
+        let failure = |problem: String, remedy: &'static str| DumpError { file: file.to_path_buf(), problem, remedy };
+        let bytes = fs::read(file)
+            .map_err(|error| failure(format!("cannot be read: {error}"), "check the path and its permissions"))?;
+        let header = postcard::take_from_bytes::<Header>(&bytes).ok().filter(|(header, _)| header.magic == MAGIC);
+        let Some((header, _)) = header else {
+            return Err(failure("is no dump of a broken state".into(), "pass a broken_*.polypod file"));
+        };
+        if header.format != FORMAT {
+            let problem = format!("its format is {}, not {FORMAT}", header.format);
+            return Err(failure(problem, "replay it with the version of polypod that wrote it"));
+        }
+        let decoded = unseal(&bytes).and_then(|data| postcard::from_bytes::<(Header, Self)>(data).ok());
+        decoded.map(|(_, dump)| dump).ok_or_else(|| {
+            failure("is damaged: its checksum does not fit".into(), "copy it again from where it was written")
+        })
+    }
+
+    /// Writes a file `broken_<robot>_env<id>_step<n>.polypod`, whole or not at all, and makes the directory if need be.
+    ///
+    /// # Errors
+    /// The directory cannot be written to, or has a file of that name.
+    pub fn write(&self, dir: &Path) -> Result<PathBuf, DumpError> {
+        let name = format!("broken_{}_env{}_step{}.polypod", self.robot, self.state.env.0, self.state.step);
+        let file = dir.join(&name);
+        let failure = |problem: String| DumpError {
+            file: file.clone(),
+            problem,
+            remedy: "the run goes on without it; choose another directory for the next one",
+        };
+        if file.exists() {
+            return Err(failure("is there already, of an earlier run, and is left as it is".into()));
+        }
+        let header = Header { magic: MAGIC.into(), format: FORMAT, version: self.version.clone() };
+        let bytes = seal(&(header, self)).map_err(|error| failure(format!("cannot be encoded: {error}")))?;
+        let temporary = dir.join(format!(".{name}.{}.tmp", std::process::id()));
+        let written = fs::create_dir_all(dir)
+            .and_then(|()| fs::File::create(&temporary))
+            .and_then(|mut out| out.write_all(&bytes).and_then(|()| out.sync_all()))
+            .and_then(|()| fs::rename(&temporary, &file));
+        written.map_err(|error| {
+            // what is left of it, if anything, is of no use
+            let _ = fs::remove_file(&temporary);
+            failure(format!("cannot be written: {error}"))
+        })?;
+        Ok(file)
+    }
+
+    /// Steps the control step again, physics step by physics step.
+    ///
+    /// # Errors
+    /// The dump's task or robot means something else to this version of polypod, or the instruction set is not there.
+    pub fn replay(&self, simd: Option<Simd>) -> Result<Replay, SimError> {
+        let (mut sim, decimation) = self.sim(simd)?;
+        let state = &self.state;
+        set(&mut sim, state.body.clone());
+        set(&mut sim, state.before.pose);
+        set(&mut sim, state.before.velocity);
+        set(&mut sim, state.before.joints.clone());
+        set(&mut sim, state.before.impulses.clone());
+        set(&mut sim, state.delay.clone());
+        let mut steps = Vec::with_capacity(decimation);
+        for substep in 0..decimation {
+            let targets = self.targets_in(substep, decimation, get::<JointTargets>(&mut sim)?.history.len());
+            set(&mut sim, targets);
+            run_physics(sim.world_mut()).map_err(|error| self.foreign(format!("physics did not run: {error}")))?;
+            steps.push(Motion {
+                pose: get(&mut sim)?,
+                velocity: get(&mut sim)?,
+                joints: get(&mut sim)?,
+                effort: get(&mut sim)?,
+                impulses: get(&mut sim)?,
+            });
+        }
+        let broken = steps.iter().enumerate().find_map(|(i, step)| Some((i, step.violation(&state.limits)?)));
+        let same_bits = steps.last().is_some_and(|last| bits(last) == bits(&state.after));
+        Ok(Replay { morphology: sim.morphologies()[0].clone(), simd: sim.simd(), steps, broken, same_bits })
+    }
+
+    /// A simulation of this robot alone with one physics step in a control step, and how many the task has.
+    fn sim(&self, simd: Option<Simd>) -> Result<(Sim, usize), SimError> {
+        let unreadable = |error: toml::de::Error| self.foreign(format!("cannot be read: {}", error.message()));
+        let mut config: TaskConfig = toml::from_str(&self.task).map_err(unreadable)?;
+        let decimation = config.sim.decimation as usize;
+        let robot = LoadedRobot {
+            config: toml::from_str(&self.robot_config).map_err(unreadable)?,
+            urdf_text: self.urdf.clone(),
+            urdf_path: PathBuf::from(&self.urdf_path),
+            resolved: toml::from_str(&self.robot_config).map_err(unreadable)?,
+        };
+        config.sim.decimation = 1;
+        // physics knows no terms; those of the task may not even be registered here
+        config.observations.policy.clear();
+        config.terminations.clear();
+        config.events.clear();
+        config.rewards = [(robot.config.reward_set.clone(), Default::default())].into();
+        let resolved = toml::from_str(&self.task).map_err(unreadable)?;
+        let task = LoadedTask { config, resolved, hash: fnv1a(self.task.as_bytes()) };
+        let options = SimOptions { seed: self.seed, threads: Some(1), simd, ..SimOptions::new(self.robot.clone(), 1) };
+        let mut sim = Sim::assemble(&options, task, vec![robot], &Registry::builtin())?;
+        self.check_sizes(&mut sim)?;
+        Ok((sim, decimation))
+    }
+
+    /// A robot that this version of polypod makes otherwise has other joints or contacts.
+    fn check_sizes(&self, sim: &mut Sim) -> Result<(), SimError> {
+        let state = &self.state;
+        let sizes = |joints: usize, impulses: &ContactImpulses, body: &Body| {
+            (joints, impulses.0.len(), body.0.mass.len(), body.0.contact_position.len(), body.0.site_position.len())
+        };
+        let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?, &get(sim)?);
+        let theirs = sizes(state.before.joints.position.len(), &state.before.impulses, &state.body);
+        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0];
+        if ours != theirs
+            || state.targets.history.is_empty()
+            || lists.into_iter().chain(&state.targets.history).any(|list| list.len() != ours.0)
+        {
+            return Err(self.foreign("its robot has other joints or contact points here".into()).into());
+        }
+        Ok(())
+    }
+
+    /// The targets of a physics step as a simulation with one physics step per control step holds them: `age` counts
+    /// physics steps there, control steps in the dump.
+    fn targets_in(&self, substep: usize, decimation: usize, ages: usize) -> JointTargets {
+        let theirs = &self.state.targets.history;
+        let history = (0..ages)
+            .map(|age| {
+                let before = age.saturating_sub(substep).div_ceil(decimation);
+                theirs[before.min(theirs.len() - 1)].clone()
+            })
+            .collect();
+        JointTargets { history, fresh: false }
+    }
+
+    fn foreign(&self, problem: String) -> DumpError {
+        DumpError {
+            file: PathBuf::from(format!("dump of {}", self.robot)),
+            problem: format!("{problem} (it was written by polypod {})", self.version),
+            remedy: "replay it with the version of polypod that wrote it",
+        }
+    }
+}
+
+impl Sim {
+    /// Writes what broke in the last control step. A dump that fails is reported and stops nothing.
+    pub(crate) fn dump_broken_states(&mut self) {
+        let found = self.world_mut().resource_mut::<BrokenStates>().take();
+        let Some(dir) = self.dump_dir() else {
+            return;
+        };
+        for (morphology, state) in found {
+            let robot = &self.loaded_robots()[morphology];
+            let dump = Dump {
+                version: env!("CARGO_PKG_VERSION").into(),
+                simd: self.simd().name().into(),
+                seed: self.seed(),
+                task: self.loaded_task().resolved.to_string(),
+                robot: robot.config.name.clone(),
+                robot_config: robot.resolved.to_string(),
+                urdf: robot.urdf_text.clone(),
+                urdf_path: robot.urdf_path.display().to_string(),
+                state,
+            };
+            match dump.write(dir) {
+                Ok(file) => {
+                    let (robot, env, file) = (&dump.robot, dump.state.env.0, file.display());
+                    tracing::warn!(
+                        "the state of env {env} ({robot}) broke; `polypod-sim replay {file}` steps it again"
+                    );
+                }
+                Err(error) => tracing::warn!("the dump of a broken state was not written: {error}"),
+            }
+        }
+    }
+}
+
+/// The replay's only robot.
+fn set<C: Component<Mutability = bevy_ecs::component::Mutable>>(sim: &mut Sim, value: C) {
+    let world = sim.world_mut();
+    if let Ok(mut component) = world.query::<&mut C>().single_mut(world) {
+        *component = value;
+    }
+}
+
+fn get<C: Component + Clone>(sim: &mut Sim) -> Result<C, SimError> {
+    let world = sim.world_mut();
+    let component = world.query::<&C>().single(world).cloned();
+    component.map_err(|error| {
+        DumpError { file: PathBuf::from("replay"), problem: error.to_string(), remedy: "this is a fault of polypod" }
+            .into()
+    })
+}
+
+/// The bits of all that moves, with two exceptions. IEEE 754 leaves the bits of a NaN open: all NaNs are one. And in a
+/// state with NaNs the contact impulses are left out: whether a contact is solved at all, in which case its impulse
+/// becomes NaN too, depends on the other robots of the pack.
+fn bits(motion: &Motion) -> Vec<u32> {
+    let Motion {
+        pose: BasePose { position, rotation },
+        velocity: BaseVelocity { linear, angular },
+        joints,
+        effort,
+        impulses: ContactImpulses(impulses),
+    } = motion;
+    let (base, joint) = ([&position[..], rotation, linear, angular], [&joints.position, &joints.velocity]);
+    let efforts = [&effort.applied, &effort.acceleration];
+    let lists = base.into_iter().chain(joint.into_iter().chain(efforts).map(|list| &list[..]));
+    let mut numbers: Vec<f32> = lists.flatten().copied().collect();
+    if numbers.iter().all(|x| !x.is_nan()) {
+        numbers.extend(impulses.as_flattened());
+    }
+    numbers.into_iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
+}

@@ -1,0 +1,232 @@
+//! Vertices of mesh files: STL (binary and ASCII), OBJ and COLLADA.
+
+use std::collections::HashMap;
+use std::io::{BufReader, Cursor, Read};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use glam::{DMat4, DVec3, DVec4};
+use roxmltree::{Document, Node};
+
+/// Larger files are no collision meshes, bytes.
+const MAX_BYTES: u64 = 256 << 20;
+/// Nodes of a COLLADA scene, instances of instances included; only a scene that contains itself has more.
+const MAX_NODES: usize = 100_000;
+/// Header and triangle count of a binary STL, and each of its triangles, bytes.
+const STL_HEADER: usize = 84;
+const STL_TRIANGLE: usize = 50;
+
+/// The vertices of a mesh in its file's own axes, m.
+pub(super) struct Vertices {
+    pub points: Vec<DVec3>,
+    /// What was assumed, for a warning.
+    pub assumed: Option<String>,
+}
+
+impl From<Vec<DVec3>> for Vertices {
+    fn from(points: Vec<DVec3>) -> Self {
+        Self { points, assumed: None }
+    }
+}
+
+/// Reads the file at `path`, whose ending says what it is.
+///
+/// # Errors
+/// What keeps it from being read, as a clause.
+pub(super) fn read(path: &Path) -> Result<Vertices, String> {
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
+    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(format!("it is larger than {} MiB", MAX_BYTES >> 20));
+    }
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+    // The readers are other people's: none of them may take the simulator down.
+    let vertices = catch_unwind(AssertUnwindSafe(|| match ending.as_str() {
+        "stl" => stl(bytes).map(Vertices::from),
+        "obj" => obj(&bytes).map(Vertices::from),
+        "dae" => String::from_utf8(bytes).map_err(|error| error.to_string()).and_then(|text| collada(&text)),
+        _ => Err(format!("\".{ending}\" is not read, only .stl, .obj and .dae")),
+    }))
+    .unwrap_or_else(|_| Err("its reader failed".to_string()))?;
+    if vertices.points.is_empty() {
+        return Err("it has no vertices".to_string());
+    }
+    if let Some(point) = vertices.points.iter().find(|point| !point.is_finite()) {
+        return Err(format!("it has a vertex at {point}"));
+    }
+    Ok(vertices)
+}
+
+fn stl(mut bytes: Vec<u8>) -> Result<Vec<DVec3>, String> {
+    let triangles = match bytes.get(STL_HEADER - 4..STL_HEADER) {
+        Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]) as usize,
+        _ => 0,
+    };
+    let binary = triangles > 0 && bytes.len() >= STL_HEADER + STL_TRIANGLE * triangles;
+    if binary {
+        // The free text of a binary header may begin like an ASCII file.
+        bytes[..5].fill(0);
+        return stl_triangles(&bytes);
+    }
+    let text = std::str::from_utf8(&bytes).map_err(|_| "it is cut short, or no STL file")?;
+    let mut points = Vec::new();
+    let mut solid = String::new();
+    for line in text.lines() {
+        // The reader wants a space there, also without a name, and reads one solid.
+        let line = line.trim();
+        solid.push_str(if line == "solid" { "solid " } else { line });
+        solid.push('\n');
+        if line.starts_with("endsolid") {
+            points.extend(stl_triangles(std::mem::take(&mut solid).as_bytes())?);
+        }
+    }
+    if solid.trim().is_empty() { Ok(points) } else { Err("it is cut short, or no STL file".to_string()) }
+}
+
+fn stl_triangles(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+    let mut points = Vec::new();
+    for triangle in stl_io::create_stl_reader(&mut Cursor::new(bytes)).map_err(|error| error.to_string())? {
+        let corners = triangle.map_err(|error| error.to_string())?.vertices;
+        points.extend(corners.map(|corner| DVec3::from_array(corner.0.map(f64::from))));
+    }
+    Ok(points)
+}
+
+fn obj(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+    let no_materials = |_: &Path| Ok(Default::default());
+    let (models, _) = tobj::load_obj_buf(&mut BufReader::new(bytes), &tobj::LoadOptions::default(), no_materials)
+        .map_err(|error| error.to_string())?;
+    let positions = models.iter().flat_map(|model| model.mesh.positions.chunks_exact(3));
+    Ok(positions.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())).collect())
+}
+
+fn collada(text: &str) -> Result<Vertices, String> {
+    let document = Document::parse(text).map_err(|error| format!("not well-formed XML ({error})"))?;
+    let root = document.root_element();
+    if root.tag_name().name() != "COLLADA" {
+        return Err("its root element is not <COLLADA>".to_string());
+    }
+    let asset = child(root, "asset");
+    let unit = match asset.and_then(|asset| child(asset, "unit")?.attribute("meter")) {
+        None => 1.0,
+        Some(text) => match text.trim().parse::<f64>() {
+            Ok(unit) if unit.is_finite() && unit > 0.0 => unit,
+            _ => return Err(format!("its <unit meter=\"{text}\"> is no length")),
+        },
+    };
+    let up = asset.and_then(|asset| child(asset, "up_axis")?.text()).map(str::trim);
+    let scene =
+        Scene { by_id: document.descendants().filter_map(|node| Some((node.attribute("id")?, node))).collect() };
+    let mut points = scene.points(&document)?;
+    points.iter_mut().for_each(|point| *point *= unit);
+    Ok(Vertices {
+        points,
+        assumed: up.filter(|up| *up != "Z_UP").map(|up| format!("its up_axis {up} is not applied, as in ROS")),
+    })
+}
+
+fn child<'a, 'd>(node: Node<'a, 'd>, tag: &str) -> Option<Node<'a, 'd>> {
+    node.children().find(|child| child.tag_name().name() == tag)
+}
+
+fn numbers(node: Node<'_, '_>) -> Result<Vec<f64>, String> {
+    let text = node.text().unwrap_or_default();
+    let parsed: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
+    parsed.map_err(|_| format!("<{}> holds something that is no number", node.tag_name().name()))
+}
+
+struct Scene<'a, 'd> {
+    by_id: HashMap<&'a str, Node<'a, 'd>>,
+}
+
+impl<'a, 'd> Scene<'a, 'd> {
+    /// All vertices where the scene puts them; where it is empty, those of all geometries.
+    fn points(&self, document: &'a Document<'d>) -> Result<Vec<DVec3>, String> {
+        let scene = document
+            .descendants()
+            .find(|node| node.tag_name().name() == "instance_visual_scene")
+            .and_then(|instance| self.target(instance).ok())
+            .or_else(|| document.descendants().find(|node| node.tag_name().name() == "visual_scene"));
+        let mut points = Vec::new();
+        let mut stack: Vec<(Node<'a, 'd>, DMat4)> = scene.map(|scene| (scene, DMat4::IDENTITY)).into_iter().collect();
+        let mut visited = 0;
+        while let Some((node, mut pose)) = stack.pop() {
+            visited += 1;
+            if visited > MAX_NODES {
+                return Err("its scene has too many nodes, or contains itself".to_string());
+            }
+            for element in node.children().filter(Node::is_element) {
+                match element.tag_name().name() {
+                    "matrix" | "translate" | "rotate" | "scale" | "lookat" | "skew" => pose *= transform(element)?,
+                    "node" => stack.push((element, pose)),
+                    "instance_node" => stack.push((self.target(element)?, pose)),
+                    "instance_geometry" | "instance_controller" => {
+                        let local = self.positions(self.target(element)?)?;
+                        points.extend(local.into_iter().map(|point| pose.transform_point3(point)));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        if points.is_empty() {
+            for geometry in document.descendants().filter(|node| node.tag_name().name() == "geometry") {
+                points.extend(self.positions(geometry)?);
+            }
+        }
+        Ok(points)
+    }
+
+    /// What the `url` or `source` of `node` names.
+    fn target(&self, node: Node<'a, 'd>) -> Result<Node<'a, 'd>, String> {
+        let name = node.attribute("url").or_else(|| node.attribute("source")).unwrap_or_default();
+        let target = name.strip_prefix('#').and_then(|id| self.by_id.get(id));
+        target.copied().ok_or_else(|| format!("<{}> names \"{name}\", which is not there", node.tag_name().name()))
+    }
+
+    /// The vertex positions of a `<geometry>`, or of the one that a `<controller>` deforms.
+    fn positions(&self, mut geometry: Node<'a, 'd>) -> Result<Vec<DVec3>, String> {
+        if let Some(skin) = child(geometry, "skin") {
+            geometry = self.target(skin)?;
+        }
+        let vertices = child(geometry, "mesh").and_then(|mesh| child(mesh, "vertices"));
+        let input = vertices.and_then(|v| v.children().find(|n| n.attribute("semantic") == Some("POSITION")));
+        // splines and the like
+        let Some(input) = input else {
+            return Ok(Vec::new());
+        };
+        let source = self.target(input)?;
+        let array = child(source, "float_array").ok_or("a <source> of positions lacks <float_array>")?;
+        let accessor = child(source, "technique_common").and_then(|technique| child(technique, "accessor"));
+        let count = |name: &str, default: usize| match accessor.and_then(|accessor| accessor.attribute(name)) {
+            None => Ok(default),
+            Some(text) => text.parse().map_err(|_| format!("<accessor {name}=\"{text}\"> is no count")),
+        };
+        let (offset, stride) = (count("offset", 0)?, count("stride", 3)?);
+        if stride < 3 {
+            return Err(format!("<accessor stride=\"{stride}\"> leaves no three coordinates"));
+        }
+        let numbers = numbers(array)?;
+        let of_vertices = numbers.get(offset..).unwrap_or_default();
+        Ok(of_vertices.chunks(stride).filter_map(|c| Some(DVec3::from_slice(c.get(..3)?))).collect())
+    }
+}
+
+/// The matrix of a transformation element.
+fn transform(element: Node<'_, '_>) -> Result<DMat4, String> {
+    let values = numbers(element)?;
+    match (element.tag_name().name(), &values[..]) {
+        // written row by row
+        ("matrix", values) if values.len() == 16 => {
+            let row = |i: usize| DVec4::from_slice(&values[4 * i..]);
+            Ok(DMat4::from_cols(row(0), row(1), row(2), row(3)).transpose())
+        }
+        ("translate", &[x, y, z]) => Ok(DMat4::from_translation(DVec3::new(x, y, z))),
+        ("scale", &[x, y, z]) => Ok(DMat4::from_scale(DVec3::new(x, y, z))),
+        ("rotate", &[x, y, z, degrees]) => {
+            let axis = DVec3::new(x, y, z).try_normalize().ok_or("<rotate> has no axis")?;
+            Ok(DMat4::from_axis_angle(axis, degrees.to_radians()))
+        }
+        (tag, values) => Err(format!("<{tag}> with {} numbers is not read", values.len())),
+    }
+}
