@@ -429,26 +429,27 @@ impl<S: Real> ContactWork<S> {
                 scaled[p][d] = joint[p][d] * factor.inverse_diagonal[j];
             }
         }
-        let product = |a: usize, b: usize| {
+        let mut product = [[z; 3]; 3];
+        for (a, b) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)] {
             let mut sum = dot6(&base[a], &base_scaled[b]);
             for p in 0..path.len() {
                 sum = joint[p][a].mul_add(scaled[p][b], sum);
             }
-            sum
-        };
+            product[a][b] = sum;
+        }
         // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
         // give way at all: keep the division finite
-        let invert = |x: S| one / x.max(self.softness * S::splat(0.5 / SOFTNESS));
-        let coupling = [product(0, 1), product(0, 2), product(1, 2)];
-        let diagonal = [product(0, 0), product(1, 1), product(2, 2)];
+        let least = self.softness * S::splat(0.5 / SOFTNESS);
+        let coupling = [product[0][1], product[0][2], product[1][2]];
+        let diagonal = [product[0][0], product[1][1], product[2][2]];
         let half = S::splat(0.5);
         let difference = (diagonal[1] - diagonal[2]) * half;
         let radius = difference.mul_add(difference, coupling[2] * coupling[2]).sqrt();
         ContactRows {
             contact,
             coupling,
-            inverse: [one / (diagonal[0] + self.softness), invert(diagonal[1]), invert(diagonal[2])],
-            slide: invert((diagonal[1] + diagonal[2]).mul_add(half, radius)),
+            inverse: [one / (diagonal[0] + self.softness), one / diagonal[1].max(least), one / diagonal[2].max(least)],
+            slide: one / (diagonal[1] + diagonal[2]).mul_add(half, radius).max(least),
             base,
             base_scaled,
             target: z,
@@ -659,11 +660,6 @@ pub fn report<S: Real>(
     normal_force.fill(z);
     let ground = settings.ground.unwrap_or(Plane::level(0.0)).frame().map(|axis| axis.map(S::splat));
     let on_ground = work.contacts.len() - work.pair_frames.len();
-    let mut add_force = |body: usize, frame: &[Vec3<S>; 3], f: &[S; 3]| {
-        for d in 0..3 {
-            force[body] = add_scaled(&force[body], &frame[d], f[d]);
-        }
-    };
     for (c, row) in work.contacts.iter().enumerate() {
         // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
         let impulse = row.impulse.map(|x| x + z);
@@ -672,15 +668,22 @@ pub fn report<S: Real>(
         if let Some(pair) = topology.pair_of(row.contact) {
             let frame = work.pair_frames[c - on_ground].map(|axis| mul_vec(base_rotation, &axis));
             let [first, second] = pair.colliders.map(|c| topology.colliders[c].body);
-            add_force(first, &frame, &f);
-            add_force(second, &frame, &f.map(|x| -x));
+            add_force(&mut force[first], &frame, &f);
+            add_force(&mut force[second], &frame, &f.map(|x| -x));
             for body in [first, second] {
                 normal_force[body] = normal_force[body] + f[0];
             }
         } else {
             let body = topology.contacts[row.contact].body;
-            add_force(body, &ground, &f);
+            add_force(&mut force[body], &ground, &f);
             normal_force[body] = normal_force[body] + f[0];
         }
+    }
+}
+
+#[inline(always)]
+fn add_force<S: Real>(sum: &mut Vec3<S>, frame: &[Vec3<S>; 3], f: &[S; 3]) {
+    for d in 0..3 {
+        *sum = add_scaled(sum, &frame[d], f[d]);
     }
 }

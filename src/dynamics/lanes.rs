@@ -508,7 +508,7 @@ pub enum Simd {
 
 /// An instruction set was asked for that this machine does not have, or that does not exist.
 #[derive(Debug, thiserror::Error)]
-#[error("instruction set: `{0}` is not available here; use one of {1}, or leave it to polypod")]
+#[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
 impl Simd {

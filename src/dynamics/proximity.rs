@@ -54,7 +54,7 @@ impl<S: Real> Proximity<S> {
 
 /// Squared lengths below this count as none, m^2.
 const TINY: f64 = 1e-10;
-/// Halvings in the search for a segment's point nearest to a box: they leave 1/512 of it.
+/// Halvings in the search for a segment's point nearest to a box: they leave 1/256 of it.
 const HALVINGS: usize = 9;
 
 /// Distance of two capsules, of the first the part `from..to` of its axis, whose ends are -1 and 1 (the nearest points of
@@ -65,16 +65,23 @@ pub fn capsules<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Capsule<S>) -
     let between = sub(&a.centre, &b.centre);
     let (aa, bb, ab) = (dot(&a.half, &a.half), dot(&b.half, &b.half), dot(&a.half, &b.half));
     let (ac, bc) = (dot(&a.half, &between), dot(&b.half, &between));
-    let limit = |x: S| x.clamp(S::splat(from), S::splat(to));
     let middle = S::splat(0.5 * (from + to));
+    let (from, to) = (S::splat(from), S::splat(to));
     let determinant = ab.neg_mul_add(ab, aa * bb);
     let crosses = (tiny * (aa * bb).max(tiny)).lt(determinant);
-    let s = limit(S::select(crosses, ab.mul_add(bc, -(bb * ac)) / determinant.max(tiny * tiny), middle));
+    let s = S::select(crosses, ab.mul_add(bc, -(bb * ac)) / determinant.max(tiny * tiny), middle).clamp(from, to);
     let t = (ab.mul_add(s, bc) / bb.max(tiny)).clamp(-one, one);
-    let s = limit(ab.mul_add(t, -ac) / aa.max(tiny));
+    let s = (ab.mul_add(t, -ac) / aa.max(tiny)).clamp(from, to);
     let on_a = add_scaled(&a.centre, &a.half, s);
     let on_b = add_scaled(&b.centre, &b.half, t);
     rounded(&on_a, &on_b, a.radius, b.radius)
+}
+
+/// The point of a box about the origin that is nearest to `p`.
+#[inline(always)]
+fn clamped<S: Real>(p: &Vec3<S>, box_half: &Vec3<S>) -> Vec3<S> {
+    let [x, y, z] = box_half;
+    [p[0].clamp(-*x, *x), p[1].clamp(-*y, *y), p[2].clamp(-*z, *z)]
 }
 
 /// Two points with radii about them.
@@ -98,8 +105,11 @@ fn rounded<S: Real>(on_a: &Vec3<S>, on_b: &Vec3<S>, radius_a: S, radius_b: S) ->
 #[inline(always)]
 pub fn may_touch_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, margin: S) -> S::Mask {
     let reach = a.radius + margin;
-    let apart = |i: usize| a.centre[i].abs() - a.half[i].abs() - box_half[i];
-    apart(0).max(apart(1)).max(apart(2)).lt(reach)
+    let mut apart = -reach;
+    for i in 0..3 {
+        apart = apart.max(a.centre[i].abs() - a.half[i].abs() - box_half[i]);
+    }
+    apart.lt(reach)
 }
 
 /// Distance of a capsule (first) and a box about the origin, along its axes, with half edge lengths `box_half`; of the
@@ -109,31 +119,33 @@ pub fn may_touch_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, margin: S) -> 
 pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], box_half: &Vec3<S>) -> Proximity<S> {
     let (zero, one) = (S::zero(), S::one());
     let Capsule { centre, half, radius } = a;
-    let clamp = |p: &Vec3<S>| -> Vec3<S> { std::array::from_fn(|i| p[i].clamp(-box_half[i], box_half[i])) };
     let mut t = S::splat(0.5 * (from + to));
     let mut quarter = 0.25 * (to - from);
-    for _ in 0..HALVINGS {
+    for halving in 0..HALVINGS {
         let p = add_scaled(centre, half, t);
-        let slope = dot(&sub(&p, &clamp(&p)), half);
+        let slope = dot(&sub(&p, &clamped(&p, box_half)), half);
         let step = S::splat(quarter);
         let down = S::select(zero.lt(slope), -step, zero);
         t = t + S::select(slope.lt(zero), step, down);
-        quarter *= 0.5;
+        // the last step is as long as the one before it, which leads to the very end
+        if halving + 2 < HALVINGS {
+            quarter *= 0.5;
+        }
     }
     let p = add_scaled(centre, half, t);
-    let c = clamp(&p);
+    let c = clamped(&p, box_half);
     let out = sub(&p, &c);
     let squared = dot(&out, &out);
     let inside = squared.lt(S::splat(TINY));
     let distance = squared.max(S::splat(TINY)).sqrt();
     // inside, the nearest face is the way out
     let depth: Vec3<S> = std::array::from_fn(|i| box_half[i] - p[i].abs());
-    let side = |i: usize| S::select(p[i].lt(zero), -one, one);
+    let side: Vec3<S> = std::array::from_fn(|i| S::select(p[i].lt(zero), -one, one));
     let x_first = S::and(depth[0].lt(depth[1]), depth[0].lt(depth[2]));
     let y_first = depth[1].lt(depth[2]);
-    let x_out = S::select(x_first, side(0), zero);
-    let y_out = S::select(x_first, zero, S::select(y_first, side(1), zero));
-    let z_out = S::select(x_first, zero, S::select(y_first, zero, side(2)));
+    let x_out = S::select(x_first, side[0], zero);
+    let y_out = S::select(x_first, zero, S::select(y_first, side[1], zero));
+    let z_out = S::select(x_first, zero, S::select(y_first, zero, side[2]));
     let shallow = depth[0].min(depth[1]).min(depth[2]);
     let inverse = one / distance;
     let faces = [x_out, y_out, z_out];

@@ -3,12 +3,12 @@
 use super::articulation::{Parameters, Topology};
 use super::contact::{ContactSettings, separation};
 use super::lanes::Real;
-use super::math::{Mat3, Vec3, add, add_scaled, cross, dot, mul_vec, scale, sub};
+use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, scale, sub};
 use super::proximity::{Capsule, Proximity, capsule_and_box, capsules, may_touch_box};
 use super::state::{LinkState, State, Workspace};
 
-/// A pair takes part in a physics step when its links are nearer to each other than this, m.
-const PAIR_MARGIN: f64 = 0.02;
+/// A pair takes part in a physics step when its links are nearer to each other than this, m, or could come so in the step.
+const PAIR_MARGIN: f64 = 0.01;
 
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
@@ -24,12 +24,13 @@ pub fn build_pairs<S: Real>(
         return;
     }
     place_colliders(topology, parameters, work);
-    let Workspace { links, axes, factor, colliders, contact: rows, .. } = work;
-    let margin = S::splat(PAIR_MARGIN);
+    let Workspace { links, axes, factor, colliders, collider_speed, contact: rows, .. } = work;
     let inverse_dt = S::one() / dt;
     for pair in &topology.pairs {
         let impulses = pair.first_impulse..pair.first_impulse + pair.spans.len();
         let shapes = PairShapes::new(topology, parameters, links, colliders, pair.colliders);
+        let [a, b] = pair.colliders;
+        let margin = (collider_speed[a] + collider_speed[b]).mul_add(dt, S::splat(PAIR_MARGIN));
         if !S::any(shapes.may_touch(margin)) {
             state.impulse[impulses].fill([S::zero(); 3]);
             continue;
@@ -55,7 +56,8 @@ pub fn pair_gap<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: 
     pair.spans.iter().map(|span| shapes.proximity(*span).gap).fold(S::splat(f64::MAX), S::min)
 }
 
-/// Puts the colliders where the workspace's kinematics has their links.
+/// Puts the colliders where the workspace's kinematics has their links, and finds how fast any of their points moves
+/// against the base's frame.
 #[inline(always)]
 pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
     for (c, collider) in topology.colliders.iter().enumerate() {
@@ -64,7 +66,11 @@ pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>,
         let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
         // a box is turned when it meets a capsule
         let half = if collider.box_rotation.is_some() { *half } else { mul_vec(&at.rotation, half) };
-        work.colliders[c] = Capsule { centre: add(&at.position, &mul_vec(&at.rotation, centre)), half, radius };
+        let centre = add(&at.position, &mul_vec(&at.rotation, centre));
+        let Spatial { ang, lin } = &at.velocity;
+        let speed = length(&add(lin, &cross(ang, &centre)));
+        work.collider_speed[c] = (length(&half) + radius).mul_add(length(ang), speed);
+        work.colliders[c] = Capsule { centre, half, radius };
     }
 }
 
@@ -143,4 +149,9 @@ fn frame<S: Real>(normal: &Vec3<S>) -> [Vec3<S>; 3] {
     let t = add_scaled(&along, normal, -dot(&along, normal));
     let t = scale(&t, one / dot(&t, &t).sqrt());
     [*normal, t, cross(normal, &t)]
+}
+
+#[inline(always)]
+fn length<S: Real>(v: &Vec3<S>) -> S {
+    dot(v, v).sqrt()
 }

@@ -139,6 +139,8 @@ pub struct Workspace<S> {
     pub target: Vec<S>,
     /// Where the colliders are, in base axes, `[colliders]`; of a box only the centre.
     pub colliders: Vec<Capsule<S>>,
+    /// How fast the colliders move, m/s, `[colliders]`.
+    pub collider_speed: Vec<S>,
     /// Rows of active contacts and joint bounds.
     pub contact: ContactWork<S>,
 }
@@ -165,6 +167,7 @@ impl<S: Real> Workspace<S> {
             effort_slope: vec![z; joints],
             target: vec![z; joints],
             colliders: vec![Capsule { centre: [z; 3], half: [z; 3], radius: z }; topology.colliders.len()],
+            collider_speed: vec![z; topology.colliders.len()],
             contact: ContactWork::new(topology),
         }
     }
