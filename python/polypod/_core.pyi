@@ -408,7 +408,7 @@ class Simulation:
         """
 
     def ground_gap(self) -> npt.NDArray[np.float64]:
-        """[num_envs, num_links], distance of each link's shapes from the ground, m, negative inside; inf without shapes."""
+        """[num_envs, num_links], distance of each link from the ground, m, negative inside it; inf without shapes."""
 
     def energy(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Kinetic energy, armature included, and potential energy, zero at the world's origin: [num_envs], J."""

@@ -589,7 +589,7 @@ def test_a_chain_of_64_joints(tmp_path):
     assert np.isfinite(sim.qpos).all()
     assert (sum(sim.energy()) < before).all()
     path.write_text(chain(65))
-    with pytest.raises(polypod.ConfigError, match="65 moving joints"):
+    with pytest.raises(polypod.RobotError, match="number 65 in a chain of moving joints"):
         polypod.Simulation(path)
 
 
@@ -604,3 +604,17 @@ def test_warnings_of_the_loader(tmp_path):
         sim = polypod.Simulation(path)
     assert len(sim.warnings) == 1
     assert simulation("biped").warnings == []
+
+
+def test_ground_gap_of_a_standing_robot():
+    sim = polypod.Simulation("unitree_go2", 2)
+    pose = sim.default_qpos
+    sim.set_state(pose)
+    start = sim.ground_gap()
+    sim.step(targets=pose[7:], n=400)
+    gap = sim.ground_gap()
+    assert start.shape == (2, sim.num_links)
+    feet = np.sort(gap, axis=1)[:, :4]
+    np.testing.assert_allclose(feet, 0.0, atol=1e-3)
+    assert (gap[:, 0] > 0.1).all()
+    assert np.isinf(polypod.Simulation("unitree_go2", ground=None).ground_gap()).all()
