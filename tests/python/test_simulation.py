@@ -618,3 +618,15 @@ def test_ground_gap_of_a_standing_robot():
     np.testing.assert_allclose(feet, 0.0, atol=1e-3)
     assert (gap[:, 0] > 0.1).all()
     assert np.isinf(polypod.Simulation("unitree_go2", ground=None).ground_gap()).all()
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_contacts_that_nothing_can_satisfy_stay_finite(dtype):
+    """The legs of a robot whose base is nailed to the ground's height reach a metre into the ground."""
+    sim = polypod.Simulation(URDF / "biped.urdf", 4, fixed_base=True, dtype=dtype)
+    sim.set_state(0.1 * np.random.default_rng(0).standard_normal((4, sim.nq)) * [[0.0], [1.0], [1.0], [1.0]])
+    for _ in range(40):
+        sim.step(targets=0.0, kp=100.0, kd=2.0, n=25)
+        assert np.isfinite(sim.qpos).all()
+        assert np.isfinite(sim.contact_forces).all()
+        assert np.abs(sim.qvel).max() < 1e3
