@@ -76,6 +76,9 @@ const SPEED_MARGIN: f64 = 0.7;
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
 /// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
 const SOFTNESS: f64 = 1e-3;
+/// The same between links of one robot. These may press where no joint gives way, which a robot that floats never does
+/// against the ground; the links themselves are ten times as compliant.
+const PAIR_SOFTNESS: f64 = 0.3;
 /// Target speed that keeps an absent contact from ever pushing, m/s.
 const NEVER: f64 = -1e6;
 
@@ -88,6 +91,8 @@ pub(super) struct ContactRows<S> {
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     coupling: [S; 3],
     inverse: [S; 3],
+    /// How far the contact gives way to an impulse along its normal, m/s per N s.
+    softness: S,
     /// Mass of a sliding step: the inverse of the tangential block's largest eigenvalue.
     slide: S,
     /// Least allowed separation speed, m/s.
@@ -117,8 +122,8 @@ pub struct ContactWork<S> {
     bounds: Vec<BoundRow<S>>,
     /// Number of joints that rows have room for.
     stride: usize,
-    /// How far a contact gives way to an impulse along its normal, m/s per N s.
-    softness: S,
+    /// Compliance of the whole robot, one over its mass, 1/kg.
+    compliance: S,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows, plain and divided by `D`: `[contact * stride + p]`, `p` along the path.
@@ -142,7 +147,7 @@ impl<S: Real> ContactWork<S> {
             contacts: Vec::with_capacity(contacts),
             bounds: Vec::with_capacity(joints),
             stride,
-            softness: z,
+            compliance: z,
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
             contact_joint: vec![[z; 3]; contacts * stride],
             contact_joint_scaled: vec![[z; 3]; contacts * stride],
@@ -269,7 +274,7 @@ pub fn build_contacts<S: Real>(
     rows.contacts.clear();
     rows.pair_frames.clear();
     // composite by now: the whole robot's
-    rows.softness = S::splat(SOFTNESS) / inertia[0].mass;
+    rows.compliance = S::one() / inertia[0].mass;
     let Some(plane) = &settings.ground else {
         state.impulse[..topology.contacts.len()].fill([S::zero(); 3]);
         return;
@@ -439,7 +444,9 @@ impl<S: Real> ContactWork<S> {
         }
         // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
         // give way at all: keep the division finite
-        let least = self.softness * S::splat(0.5 / SOFTNESS);
+        let least = self.compliance * S::splat(0.5);
+        let share = if topology.pair_of(contact).is_some() { PAIR_SOFTNESS } else { SOFTNESS };
+        let softness = self.compliance * S::splat(share);
         let coupling = [product[0][1], product[0][2], product[1][2]];
         let diagonal = [product[0][0], product[1][1], product[2][2]];
         let half = S::splat(0.5);
@@ -448,7 +455,8 @@ impl<S: Real> ContactWork<S> {
         ContactRows {
             contact,
             coupling,
-            inverse: [one / (diagonal[0] + self.softness), one / diagonal[1].max(least), one / diagonal[2].max(least)],
+            softness,
+            inverse: [one / (diagonal[0] + softness), one / diagonal[1].max(least), one / diagonal[2].max(least)],
             slide: one / (diagonal[1] + diagonal[2]).mul_add(half, radius).max(least),
             base,
             base_scaled,
@@ -550,7 +558,7 @@ pub fn solve<S: Real>(
     settings: &ContactSettings,
     work: &mut ContactWork<S>,
 ) {
-    let (depth, softness) = (work.stride, work.softness);
+    let depth = work.stride;
     let ContactWork {
         contacts,
         bounds,
@@ -600,7 +608,7 @@ pub fn solve<S: Real>(
                 }
             }
             let old = row.impulse;
-            let missing = softness.mul_add(old[0], w[0] - row.target);
+            let missing = row.softness.mul_add(old[0], w[0] - row.target);
             let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
             let dn = normal - old[0];
             let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
