@@ -222,6 +222,10 @@ fn axes_are_unit_vectors_where_it_matters() {
     );
     let long = warned(&pair("revolute", &format!("{LIMIT}<axis xyz='0 -2 0'/>")), &["length 2", "normalised"]);
     assert_eq!(long.joints[0].axis.to_array(), [0.0, -1.0, 0.0]);
+    for size in ["1e-161", "1e-300", "1e200"] {
+        let odd = loaded(&pair("revolute", &format!("{LIMIT}<axis xyz='0 0 -{size}'/>")));
+        assert_eq!(odd.joints[0].axis.to_array(), [0.0, 0.0, -1.0], "{size}");
+    }
 }
 
 #[test]

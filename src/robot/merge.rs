@@ -183,7 +183,8 @@ impl Merger<'_> {
 
     fn axis(&self, joint: &urdf_rs::Joint) -> Result<DVec3, RobotError> {
         let axis = DVec3::from_array(*joint.axis.xyz);
-        axis.try_normalize().ok_or_else(|| {
+        // squares of tiny numbers lose their digits, those of huge ones overflow
+        (axis / axis.abs().max_element()).try_normalize().ok_or_else(|| {
             RobotError::Value(Diagnosis::new(
                 self.file,
                 format!("joint \"{}\", <axis xyz>", joint.name),
