@@ -78,7 +78,7 @@ const SPEED_MARGIN: f64 = 0.7;
 const SOFTNESS: f64 = 1e-3;
 /// The same between links of one robot. These may press where no joint gives way, which a robot that floats never does
 /// against the ground; the links themselves are ten times as compliant.
-const PAIR_SOFTNESS: f64 = 0.3;
+const PAIR_SOFTNESS: f64 = 0.1;
 /// Target speed that keeps an absent contact from ever pushing, m/s.
 const NEVER: f64 = -1e6;
 

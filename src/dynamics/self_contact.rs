@@ -10,10 +10,6 @@ use super::state::{LinkState, State, Workspace};
 /// A pair takes part in a physics step when its links are nearer to each other than this, m, or could come so in the step.
 const PAIR_MARGIN: f64 = 0.01;
 
-/// Largest speed at which links are pushed apart, m/s: pushing is work, and links that overlap by design of their shapes
-/// would otherwise win energy.
-const MAX_PUSH: f64 = 0.3;
-
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
 pub fn build_pairs<S: Real>(
@@ -47,12 +43,7 @@ pub fn build_pairs<S: Real>(
                 continue;
             }
             let row = rows.pair_rows(topology, factor, axes, pair, i, &frame(&found.normal), &found.point);
-            rows.push(
-                row,
-                near,
-                separation(found.gap, settings, inverse_dt).min(S::splat(MAX_PUSH)),
-                &state.impulse[i],
-            );
+            rows.push(row, near, separation(found.gap, settings, inverse_dt), &state.impulse[i]);
         }
     }
 }
