@@ -1,13 +1,14 @@
 //! A passive double pendulum keeps its energy up to an error of first order in the step, and loses it to joint damping at
 //! the rate that damping has.
 
+#[path = "common/passive.rs"]
+mod passive;
+
 use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
-use polypod::dynamics::lanes::Kernel;
-use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Dynamics, Parameters, Report, State, StepSettings, Topology, Workspace,
-};
+use passive::move_freely;
+use polypod::dynamics::{Dynamics, Parameters, State, Topology, Workspace};
 use polypod::robot::{Articulation, Joint, JointKind, Link, Model, Pose};
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
@@ -58,25 +59,6 @@ fn energy(topology: &Topology, parameters: &Parameters<f64>, state: &State<f64>)
     kinetic + potential
 }
 
-fn swing(topology: &Topology, parameters: &Parameters<f64>, state: &mut State<f64>, dt: f64, steps: usize) {
-    let settings = StepSettings {
-        dt,
-        decimation: steps,
-        gravity: GRAVITY,
-        contact: ContactSettings { ground: None, ..ContactSettings::default() },
-    };
-    ControlStep {
-        topology,
-        settings: &settings,
-        parameters,
-        drive: &Drive::zeros(topology, 1),
-        state,
-        report: &mut Report::zeros(topology, steps),
-        work: &mut Workspace::new(topology),
-    }
-    .run();
-}
-
 #[test]
 fn semi_implicit_euler_is_of_first_order() {
     let Articulation { topology, parameters, .. } = double_pendulum(0.0);
@@ -85,7 +67,7 @@ fn semi_implicit_euler_is_of_first_order() {
         .map(|halvings| {
             let steps = 500 << halvings;
             let mut state = start(&topology);
-            swing(&topology, &parameters, &mut state, 1.0 / steps as f64, steps);
+            move_freely(&topology, &parameters, &mut state, GRAVITY, 1.0 / steps as f64, steps);
             energy(&topology, &parameters, &state) - before
         })
         .collect();
@@ -105,7 +87,7 @@ fn damping_takes_what_it_should() {
         let before = energy(&topology, &parameters, &state);
         let (dt, mut dissipated, mut last) = (2.0 / steps as f64, 0.0, before);
         for step in 1..=steps {
-            swing(&topology, &parameters, &mut state, dt, 1);
+            move_freely(&topology, &parameters, &mut state, GRAVITY, dt, 1);
             dissipated += dt * damping * state.joint_velocity.iter().map(|v| v * v).sum::<f64>();
             if step % (steps / 10) == 0 {
                 let now = energy(&topology, &parameters, &state);

@@ -1,42 +1,14 @@
 //! A floating tree that nothing touches keeps its momentum and energy, up to the integrator's error.
 
+#[path = "common/passive.rs"]
+mod passive;
 #[path = "common/trees.rs"]
 mod trees;
 
 use glam::DVec3;
-use polypod::dynamics::lanes::Kernel;
-use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Topology, Workspace,
-};
+use passive::move_freely;
 use proptest::prelude::*;
 use trees::{Case, ask, fixed_cases, tree};
-
-/// The engine's own steps, without ground.
-fn fly(
-    topology: &Topology,
-    parameters: &Parameters<f64>,
-    state: &mut State<f64>,
-    gravity: [f64; 3],
-    dt: f64,
-    steps: usize,
-) {
-    let settings = StepSettings {
-        dt,
-        decimation: steps,
-        gravity,
-        contact: ContactSettings { ground: None, ..ContactSettings::default() },
-    };
-    ControlStep {
-        topology,
-        settings: &settings,
-        parameters,
-        drive: &Drive::zeros(topology, 1),
-        state,
-        report: &mut Report::zeros(topology, steps),
-        work: &mut Workspace::new(topology),
-    }
-    .run();
-}
 
 /// How far linear momentum, angular momentum about the centre of mass, and energy are off after 0.1 s, each relative to
 /// its own scale.
@@ -45,7 +17,7 @@ fn drift(case: &Case, gravity: [f64; 3], steps: usize) -> [f64; 3] {
     let (topology, parameters) = (case.topology(), &case.articulation.parameters);
     let mut state = case.state.clone();
     let before = ask(topology, parameters, &state, gravity, |body| (body.momentum(), body.energy()));
-    fly(topology, parameters, &mut state, gravity, time / steps as f64, steps);
+    move_freely(topology, parameters, &mut state, gravity, time / steps as f64, steps);
     let after = ask(topology, parameters, &state, gravity, |body| (body.momentum(), body.energy()));
     let ((linear, angular), (kinetic, potential)) = before;
     let ((linear_after, angular_after), (kinetic_after, potential_after)) = after;

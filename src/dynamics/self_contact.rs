@@ -3,7 +3,7 @@
 use super::articulation::{Parameters, Topology};
 use super::contact::{ContactSettings, separation};
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, scale, sub};
+use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, sub};
 use super::proximity::{Capsule, Proximity, capsule_and_box, capsules, may_touch_box};
 use super::state::{LinkState, State, Workspace};
 
@@ -96,7 +96,7 @@ impl<'a, S: Real> PairShapes<'a, S> {
                 let link = topology.colliders[b].link;
                 let turn = rotation.map(|row| row.map(S::splat));
                 // the base's axes are those that everything is expressed in
-                let rotation = if link == 0 { turn } else { product(&links[link].rotation, &turn) };
+                let rotation = if link == 0 { turn } else { mul_mat(&links[link].rotation, &turn) };
                 let centre = &colliders[b].centre;
                 let capsule = colliders[a].seen_from(centre, &rotation);
                 Self::CapsuleAndBox(capsule, &parameters.collider_half[b], centre, rotation)
@@ -130,13 +130,6 @@ impl<'a, S: Real> PairShapes<'a, S> {
             }
         }
     }
-}
-
-#[inline(always)]
-fn product<S: Real>(a: &Mat3<S>, b: &Mat3<S>) -> Mat3<S> {
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| a[i][0].mul_add(b[0][j], a[i][1].mul_add(b[1][j], a[i][2] * b[2][j])))
-    })
 }
 
 /// A normal and two tangents.
