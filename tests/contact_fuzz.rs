@@ -191,7 +191,9 @@ impl Sample {
 
     /// How far a step may take the lowest point off its tangent, as the body turns: constraints hold for velocities.
     fn curvature(&self, start: &State<f32>, end: &State<f32>) -> f64 {
-        let angle = DVec3::from_array(end.angular_velocity.map(f64::from)).length() * DT;
+        // what pushes out also turns, but is no part of the velocity
+        let [a, b] = [start, end].map(|state| DQuat::from_array(state.rotation.map(f64::from)).normalize());
+        let angle = a.angle_between(b).max(DVec3::from_array(end.angular_velocity.map(f64::from)).length() * DT);
         let rim = match self.geometry {
             // an end that turns on its rim comes down between two of its three points
             Geometry::Cylinder { radius, .. } => {

@@ -42,13 +42,17 @@ const PASSIVE_S: f64 = 2.0;
 const HOLD_S: f64 = 3.0;
 /// How long a target stands, s.
 const TARGET_S: f64 = 0.25;
+/// How often to look at the state while a target stands.
+const LOOKS: usize = 10;
 /// Limits of joints without any, rad or m.
 const UNLIMITED: f64 = 3.0;
 /// How far a robot at rest may be in the ground, m.
 const MAX_DEPTH: f64 = 0.01;
-/// Energy that passive joints may win, as a height of the whole robot, m: what is past a limit, in the ground or in another
-/// link is pushed back, and that is work. It falls with the step, as the violations do.
+/// Energy that passive joints may win, as a height of the whole robot, m: what is in the ground or in another link is moved
+/// out, upwards too, and a step has an error. It falls with the step.
 const MAX_LIFT: f64 = 0.05;
+/// How far a joint may be past a limit, rad or m.
+const MAX_OVER_LIMIT: f64 = 0.02;
 
 /// The worst of a robot's envs.
 #[derive(Default)]
@@ -61,7 +65,7 @@ struct Worst {
 }
 
 impl Soak {
-    /// Fails when a state broke, a robot rested in the ground, or energy came from nothing.
+    /// Fails when a state broke, a robot rested in the ground, a joint limit gave way, or energy came from nothing.
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         let library = Library::new(Vec::new());
@@ -93,7 +97,10 @@ impl Soak {
             let envs = self.num_envs / robots.len() + usize::from(i < self.num_envs % robots.len());
             let began = Instant::now();
             let worst = self.soak(&library, robot, envs)?;
-            failed |= worst.broken > 0 || worst.depth > MAX_DEPTH || worst.lift > MAX_LIFT;
+            failed |= worst.broken > 0
+                || worst.depth > MAX_DEPTH
+                || worst.lift > MAX_LIFT
+                || worst.over_limit > MAX_OVER_LIMIT;
             writeln!(
                 out,
                 "{robot:<14} {envs:>5} {:>7} {:>11.2} mm {:>14.2} mm {:>11.2} mrad {:>8.1} rad/s {:>7.1} s",
@@ -107,9 +114,10 @@ impl Soak {
         }
         if failed {
             bail!(
-                "a state broke, a robot rested more than {} mm in the ground, or passive joints won more energy than \
-                 lifting the robot by {} mm takes",
+                "a state broke, a robot rested more than {} mm in the ground, a joint was more than {} mrad past a limit, or \
+                 passive joints won more energy than lifting the robot by {} mm takes",
                 1e3 * MAX_DEPTH,
+                1e3 * MAX_OVER_LIMIT,
                 1e3 * MAX_LIFT
             );
         }
@@ -143,19 +151,22 @@ impl Soak {
                         *target = f64::from(rng.uniform(*range));
                     }
                 }
-                sim.step(&Control { targets: Some(&targets), ..Control::default() }, steps(TARGET_S))?;
-                worst.look(&mut sim)?;
+                for _ in 0..LOOKS {
+                    let control = Control { targets: Some(&targets), ..Control::default() };
+                    sim.step(&control, steps(TARGET_S / LOOKS as f64))?;
+                    worst.look(&mut sim)?;
+                }
             }
             let weight = sim.total_mass() * 9.81;
             let mut least = vec![f64::INFINITY; envs];
-            for _ in 0..(PASSIVE_S / 0.1) as usize {
+            for _ in 0..steps(PASSIVE_S) {
                 let (kinetic, potential) = sim.energy();
                 for (env, least) in least.iter_mut().enumerate() {
                     let total = kinetic[env] + potential[env];
                     *least = least.min(total);
                     worst.lift = worst.lift.max((total - *least) / weight);
                 }
-                sim.step(&Control::default(), steps(0.1))?;
+                sim.step(&Control::default(), 1)?;
                 worst.look(&mut sim)?;
             }
             sim.step(&Control { targets: Some(&default_pose), ..Control::default() }, steps(HOLD_S))?;

@@ -1,4 +1,4 @@
-//! Contacts and joint bounds, as velocity constraints solved by warm-started Gauss-Seidel sweeps.
+//! Contacts and joint bounds as velocity constraints; [`solver`](super::solver) satisfies them.
 //!
 //! A constraint row `J` is kept as `Z = L^-T J^T`, which is zero off the path from its link to the base, so that
 //! `J M^-1 J^T = Z^T D^-1 Z` and a sweep works on the sparse velocity `y = L u` (see [`factor`](super::factor)).
@@ -71,6 +71,9 @@ impl Default for ContactSettings {
 const CONTACT_MARGIN: f64 = 0.02;
 /// A joint bound takes part when the joint could come nearer to it than this in two physics steps, rad or m.
 const BOUND_MARGIN: f64 = 0.05;
+/// ... or, since a contact may throw a joint against its stop within one step, than its velocity limit leads in a step,
+/// but no more than this, rad or m.
+const LARGEST_BOUND_MARGIN: f64 = 0.25;
 /// ... or when it moves faster than this share of its velocity limit.
 const SPEED_MARGIN: f64 = 0.7;
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
@@ -78,63 +81,76 @@ const SPEED_MARGIN: f64 = 0.7;
 const SOFTNESS: f64 = 1e-3;
 /// The same between links of one robot. These may press where no joint gives way, which a robot that floats never does
 /// against the ground; the links themselves are ten times as compliant.
-const PAIR_SOFTNESS: f64 = 0.1;
+const PAIR_SOFTNESS: f64 = 0.01;
+/// What is inside each other by less than this is left so, m or rad; most steps then have nothing to push out.
+const SLOP: f64 = 1e-5;
 /// Target speed that keeps an absent contact from ever pushing, m/s.
-const NEVER: f64 = -1e6;
+pub(super) const NEVER: f64 = -1e6;
 
 #[derive(Clone, Debug)]
 pub(super) struct ContactRows<S> {
     /// Which impulse it has.
-    contact: usize,
-    base: [[S; 6]; 3],
-    base_scaled: [[S; 6]; 3],
+    pub(super) contact: usize,
+    pub(super) base: [[S; 6]; 3],
+    pub(super) base_scaled: [[S; 6]; 3],
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
-    coupling: [S; 3],
-    inverse: [S; 3],
+    pub(super) coupling: [S; 3],
+    pub(super) inverse: [S; 3],
     /// How far the contact gives way to an impulse along its normal, m/s per N s.
-    softness: S,
+    pub(super) softness: S,
     /// Mass of a sliding step: the inverse of the tangential block's largest eigenvalue.
-    slide: S,
+    pub(super) slide: S,
     /// Least allowed separation speed, m/s.
-    target: S,
-    impulse: [S; 3],
+    pub(super) target: S,
+    pub(super) impulse: [S; 3],
+    /// The same for the motion that pushes penetrations out.
+    pub(super) push: S,
+    pub(super) push_impulse: S,
 }
 
 #[derive(Clone, Debug)]
-struct BoundRow<S> {
-    joint: usize,
-    base: [S; 6],
-    base_scaled: [S; 6],
-    diagonal: S,
-    inverse: S,
-    lowest: S,
-    highest: S,
-    limit_impulse: S,
-    friction_impulse: S,
-    max_friction: S,
+pub(super) struct BoundRow<S> {
+    pub(super) joint: usize,
+    /// Whether any lane is near a limit.
+    pub(super) limits: bool,
+    pub(super) base: [S; 6],
+    pub(super) base_scaled: [S; 6],
+    pub(super) diagonal: S,
+    pub(super) inverse: S,
+    pub(super) lowest: S,
+    pub(super) highest: S,
+    pub(super) limit_impulse: S,
+    pub(super) friction_impulse: S,
+    pub(super) max_friction: S,
 }
 
 /// Scratch memory of the contact solver.
 #[derive(Clone, Debug)]
 pub struct ContactWork<S> {
     /// Ground contacts, then pairs of the robot's own links.
-    contacts: Vec<ContactRows<S>>,
-    bounds: Vec<BoundRow<S>>,
+    pub(super) contacts: Vec<ContactRows<S>>,
+    pub(super) bounds: Vec<BoundRow<S>>,
     /// Number of joints that rows have room for.
-    stride: usize,
+    pub(super) stride: usize,
+    /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
+    pub(super) violation: S,
     /// Compliance of the whole robot, one over its mass, 1/kg.
-    compliance: S,
+    pub(super) compliance: S,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
-    pair_frames: Vec<[Vec3<S>; 3]>,
+    pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows, plain and divided by `D`: `[contact * stride + p]`, `p` along the path.
-    contact_joint: Vec<[S; 3]>,
-    contact_joint_scaled: Vec<[S; 3]>,
-    bound_joint: Vec<S>,
-    bound_joint_scaled: Vec<S>,
+    pub(super) contact_joint: Vec<[S; 3]>,
+    pub(super) contact_joint_scaled: Vec<[S; 3]>,
+    pub(super) bound_joint: Vec<S>,
+    pub(super) bound_joint_scaled: Vec<S>,
     /// The sparse velocity `y`.
     pub base: [S; 6],
     /// See `base`.
     pub joints: Vec<S>,
+    /// The sparse velocity that moves the bodies: with what pushes penetrations out.
+    pub moved_base: [S; 6],
+    /// See `moved_base`.
+    pub moved_joints: Vec<S>,
 }
 
 impl<S: Real> ContactWork<S> {
@@ -147,6 +163,7 @@ impl<S: Real> ContactWork<S> {
             contacts: Vec::with_capacity(contacts),
             bounds: Vec::with_capacity(joints),
             stride,
+            violation: z,
             compliance: z,
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
             contact_joint: vec![[z; 3]; contacts * stride],
@@ -155,6 +172,8 @@ impl<S: Real> ContactWork<S> {
             bound_joint_scaled: vec![z; joints * stride],
             base: [z; 6],
             joints: vec![z; joints],
+            moved_base: [z; 6],
+            moved_joints: vec![z; joints],
         }
     }
 }
@@ -227,7 +246,7 @@ fn candidate<S: Real>(
 }
 
 #[inline(always)]
-fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
+pub(super) fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
     // two chains, for latency
     let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
     let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
@@ -272,6 +291,7 @@ pub fn build_contacts<S: Real>(
     let Workspace { base_rotation, links, axes, inertia, factor, contact: rows, .. } = work;
     let margin = S::splat(CONTACT_MARGIN);
     rows.contacts.clear();
+    rows.violation = S::zero();
     rows.pair_frames.clear();
     // composite by now: the whole robot's
     rows.compliance = S::one() / inertia[0].mass;
@@ -305,14 +325,15 @@ pub fn build_contacts<S: Real>(
                 continue;
             }
             let row = contact_rows(topology, factor, axes, at, &frame, c, &local, parameters.contact_radius[c], rows);
-            let mut target = separation(gap, settings, inverse_dt);
+            let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
+            let mut bounce = S::splat(NEVER);
             if S::any(zero.lt(parameters.restitution)) {
                 let approach = rows.normal_velocity(topology.path(link), &row);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
-                target = S::select(bounces, target.max(-(approach * parameters.restitution)), target);
+                bounce = S::select(bounces, -(approach * parameters.restitution), bounce);
             }
-            rows.push(row, near, target, &state.impulse[c]);
+            rows.push(row, near, target, bounce, &state.impulse[c]);
         }
     }
 }
@@ -320,8 +341,15 @@ pub fn build_contacts<S: Real>(
 /// Least allowed separation speed at a gap: one that is open may close, a penetration is pushed out.
 #[inline(always)]
 pub(super) fn separation<S: Real>(gap: S, settings: &ContactSettings, inverse_dt: S) -> S {
-    let push = (gap * S::splat(-settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity));
+    let push = push_speed(-gap, settings, inverse_dt);
     S::select(gap.lt(S::zero()), push, -(gap * inverse_dt))
+}
+
+/// The speed at which a violation of this depth is pushed out.
+#[inline(always)]
+fn push_speed<S: Real>(depth: S, settings: &ContactSettings, inverse_dt: S) -> S {
+    let beyond = (depth - S::splat(SLOP)).max(S::zero());
+    (beyond * S::splat(settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity))
 }
 
 #[inline(always)]
@@ -402,12 +430,15 @@ impl<S: Real> ContactWork<S> {
         self.finish(topology, factor, impulse, base)
     }
 
-    /// Adds a contact that takes part in the lanes where it is `near`.
+    /// Adds a contact that takes part in the lanes where it is `near`: it separates at least at the speeds `target`, which may
+    /// push out, and `bounce`.
     #[inline(always)]
-    pub(super) fn push(&mut self, row: ContactRows<S>, near: S::Mask, target: S, warm_start: &[S; 3]) {
+    pub(super) fn push(&mut self, row: ContactRows<S>, near: S::Mask, target: S, bounce: S, warm_start: &[S; 3]) {
         let keep = |x: S| S::select(near, x, S::zero());
+        self.violation = self.violation.max(keep(target));
         self.contacts.push(ContactRows {
-            target: S::select(near, target, S::splat(NEVER)),
+            target: S::select(near, target.min(S::zero()).max(bounce), S::splat(NEVER)),
+            push: S::select(near, target, S::splat(NEVER)),
             impulse: warm_start.map(keep),
             ..row
         });
@@ -462,6 +493,8 @@ impl<S: Real> ContactWork<S> {
             base_scaled,
             target: z,
             impulse: [z; 3],
+            push: z,
+            push_impulse: z,
         }
     }
 
@@ -498,13 +531,15 @@ pub fn build_bounds<S: Real>(
     for j in 0..topology.num_joints() {
         let (q, v) = (state.joint_position[j], free[j]);
         let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
-        let reach = (v.abs().max(state.joint_velocity[j].abs())).mul_add(dt + dt, S::splat(BOUND_MARGIN));
+        let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
+        let reach = (v.abs().max(state.joint_velocity[j].abs())).mul_add(dt + dt, thrown);
         let near = S::or(
             S::or((q - reach).lt(lower), upper.lt(q + reach)),
             (fastest * S::splat(SPEED_MARGIN)).lt(v.abs().max(state.joint_velocity[j].abs())),
         );
+        let limits = S::any(near);
         let rubs = z.lt(parameters.joint_friction[j]);
-        if !S::any(S::or(near, rubs)) {
+        if !limits && !S::any(rubs) {
             continue;
         }
         let path = topology.path(j + 1);
@@ -526,14 +561,14 @@ pub fn build_bounds<S: Real>(
             diagonal = joint[p][0].mul_add(scaled, diagonal);
         }
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
-        let back = S::splat(settings.correction);
-        let fastest_push = S::splat(settings.max_depenetration_velocity);
-        let below = (lower - q) * inverse_dt;
-        let above = (upper - q) * inverse_dt;
-        let lowest = S::select(z.lt(below), (below * back).min(fastest_push), below).max(-fastest);
-        let highest = S::select(above.lt(z), (above * back).max(-fastest_push), above).min(fastest);
+        let (low, high) = (q - lower, upper - q);
+        let (up, down) = (push_speed(-low, settings, inverse_dt), push_speed(-high, settings, inverse_dt));
+        let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);
+        let highest = S::select(high.lt(z), -down, high * inverse_dt).min(fastest);
+        rows.violation = rows.violation.max(S::select(near, up.max(down), z));
         rows.bounds.push(BoundRow {
             joint: j,
+            limits,
             base,
             base_scaled,
             diagonal,
@@ -549,106 +584,6 @@ pub fn build_bounds<S: Real>(
 
 /// The deepest chain of joints that bounds can be solved on.
 pub const MAX_DEPTH: usize = 64;
-
-/// Applies the warm start and runs the sweeps; afterwards `y` in the workspace satisfies the constraints.
-#[inline(always)]
-pub fn solve<S: Real>(
-    topology: &Topology,
-    parameters: &Parameters<S>,
-    settings: &ContactSettings,
-    work: &mut ContactWork<S>,
-) {
-    let depth = work.stride;
-    let ContactWork {
-        contacts,
-        bounds,
-        contact_joint,
-        contact_joint_scaled,
-        bound_joint,
-        bound_joint_scaled,
-        base: y_base,
-        joints: y_joint,
-        ..
-    } = work;
-    for (c, row) in contacts.iter().enumerate() {
-        let path = topology.contact_path(row.contact);
-        apply(row, &contact_joint_scaled[c * depth..], path, &row.impulse, y_base, y_joint);
-    }
-    for _ in 0..settings.iterations {
-        for (b, row) in bounds.iter_mut().enumerate() {
-            let path = topology.path(row.joint + 1);
-            let start = b * depth;
-            let mut w = dot6(&row.base, y_base);
-            for (p, &j) in path.iter().enumerate() {
-                w = bound_joint[start + p].mul_add(y_joint[j], w);
-            }
-            let old = row.friction_impulse;
-            let friction = w.neg_mul_add(row.inverse, old).clamp(-row.max_friction, row.max_friction);
-            row.friction_impulse = friction;
-            let w = row.diagonal.mul_add(friction - old, w);
-            // the velocity this row would see without its own limit impulse, and the nearest allowed one
-            let without = row.diagonal.neg_mul_add(row.limit_impulse, w);
-            let limit = (without.clamp(row.lowest, row.highest) - without) * row.inverse;
-            let change = (friction - old) + (limit - row.limit_impulse);
-            row.limit_impulse = limit;
-            for r in 0..6 {
-                y_base[r] = row.base_scaled[r].mul_add(change, y_base[r]);
-            }
-            for (p, &j) in path.iter().enumerate() {
-                y_joint[j] = bound_joint_scaled[start + p].mul_add(change, y_joint[j]);
-            }
-        }
-        for (c, row) in contacts.iter_mut().enumerate() {
-            let path = topology.contact_path(row.contact);
-            let joint = &contact_joint[c * depth..];
-            let mut w = [dot6(&row.base[0], y_base), dot6(&row.base[1], y_base), dot6(&row.base[2], y_base)];
-            for (p, &j) in path.iter().enumerate() {
-                for d in 0..3 {
-                    w[d] = joint[p][d].mul_add(y_joint[j], w[d]);
-                }
-            }
-            let old = row.impulse;
-            let missing = row.softness.mul_add(old[0], w[0] - row.target);
-            let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
-            let dn = normal - old[0];
-            let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
-            // sticks if the impulse that stops the point is inside the disc of the static coefficient
-            let t1 = w1.neg_mul_add(row.inverse[1], old[1]);
-            let t2 = row.coupling[2].mul_add(t1 - old[1], w2).neg_mul_add(row.inverse[2], old[2]);
-            let hold = parameters.static_friction * normal;
-            let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
-            // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
-            let (s1, s2) = (w1.neg_mul_add(row.slide, old[1]), w2.neg_mul_add(row.slide, old[2]));
-            let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
-            let shrink = (parameters.dynamic_friction * normal / length).min(S::one());
-            let new = [normal, S::select(slides, s1 * shrink, t1), S::select(slides, s2 * shrink, t2)];
-            let change = [dn, new[1] - old[1], new[2] - old[2]];
-            row.impulse = new;
-            apply(row, &contact_joint_scaled[c * depth..], path, &change, y_base, y_joint);
-        }
-    }
-}
-
-#[inline(always)]
-fn apply<S: Real>(
-    row: &ContactRows<S>,
-    joint_scaled: &[[S; 3]],
-    path: &[usize],
-    impulse: &[S; 3],
-    y_base: &mut [S; 6],
-    y_joint: &mut [S],
-) {
-    for r in 0..6 {
-        let x = row.base_scaled[0][r].mul_add(impulse[0], y_base[r]);
-        let x = row.base_scaled[1][r].mul_add(impulse[1], x);
-        y_base[r] = row.base_scaled[2][r].mul_add(impulse[2], x);
-    }
-    for (p, &j) in path.iter().enumerate() {
-        let x = joint_scaled[p][0].mul_add(impulse[0], y_joint[j]);
-        let x = joint_scaled[p][1].mul_add(impulse[1], x);
-        y_joint[j] = joint_scaled[p][2].mul_add(impulse[2], x);
-    }
-}
 
 /// Stores the impulses for the next warm start and sums contact forces per body: `force` in world axes, N, and the norm
 /// of the normal part.

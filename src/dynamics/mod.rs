@@ -9,6 +9,7 @@ pub mod lanes;
 pub mod math;
 pub mod proximity;
 pub mod self_contact;
+pub mod solver;
 pub mod state;
 pub mod step;
 

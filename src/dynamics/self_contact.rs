@@ -1,7 +1,7 @@
 //! Contacts between a robot's own links.
 
 use super::articulation::{Parameters, Topology};
-use super::contact::{ContactSettings, separation};
+use super::contact::{ContactSettings, NEVER, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, sub};
 use super::proximity::{Capsule, Proximity, capsule_and_box, capsules, may_touch_box};
@@ -9,6 +9,9 @@ use super::state::{LinkState, State, Workspace};
 
 /// A pair takes part in a physics step when its links are nearer to each other than this, m, or could come so in the step.
 const PAIR_MARGIN: f64 = 0.01;
+
+/// Share of the last step's impulses that a step starts from.
+const WARM_START: f64 = 0.8;
 
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
@@ -43,7 +46,9 @@ pub fn build_pairs<S: Real>(
                 continue;
             }
             let row = rows.pair_rows(topology, factor, axes, pair, i, &frame(&found.normal), &found.point);
-            rows.push(row, near, separation(found.gap, settings, inverse_dt), &state.impulse[i]);
+            // links can be jammed, each holding the next: let such impulses fade
+            let warm_start = state.impulse[i].map(|x| x * S::splat(WARM_START));
+            rows.push(row, near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &warm_start);
         }
     }
 }

@@ -7,6 +7,7 @@ use super::kinematics;
 use super::lanes::{Kernel, Real};
 use super::math::{Spatial, add_scaled, integrate_quat, mul_vec, mul_vec_transposed, quat_to_mat};
 use super::self_contact;
+use super::solver;
 use super::state::{Drive, Report, State, Workspace};
 
 /// What all packs of a simulation share.
@@ -202,7 +203,7 @@ fn physics_step<S: Real>(
         work.rhs_joint = free;
     }
 
-    contact::solve(topology, parameters, &settings.contact, &mut work.contact);
+    solver::solve(topology, parameters, &settings.contact, &mut work.contact);
     contact::report(
         topology,
         &settings.contact,
@@ -216,6 +217,7 @@ fn physics_step<S: Real>(
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
     factor.from_sparse(topology, &mut contact.base, &mut contact.joints);
+    factor.from_sparse(topology, &mut contact.moved_base, &mut contact.moved_joints);
     for j in 0..joints {
         // +0 turns -0 into +0
         let new = contact.joints[j] + z;
@@ -223,14 +225,16 @@ fn physics_step<S: Real>(
         report.joint_effort[j] = effort_slope[j].neg_mul_add(change, effort[j]);
         report.joint_acceleration[j] = change / dt;
         state.joint_velocity[j] = new;
-        state.joint_position[j] = new.mul_add(dt, state.joint_position[j]);
+        state.joint_position[j] = (contact.moved_joints[j] + z).mul_add(dt, state.joint_position[j]);
     }
     if topology.floating {
         let u = contact.base.map(|x| x + z);
         state.angular_velocity = [u[0], u[1], u[2]];
         state.linear_velocity = mul_vec(base_rotation, &[u[3], u[4], u[5]]).map(|x| x + z);
-        state.position = add_scaled(&state.position, &state.linear_velocity, dt);
-        state.rotation = integrate_quat(&state.rotation, &state.angular_velocity.map(|x| x * dt));
+        let m = contact.moved_base.map(|x| x + z);
+        let moved = mul_vec(base_rotation, &[m[3], m[4], m[5]]).map(|x| x + z);
+        state.position = add_scaled(&state.position, &moved, dt);
+        state.rotation = integrate_quat(&state.rotation, &[m[0] * dt, m[1] * dt, m[2] * dt]);
     }
 }
 

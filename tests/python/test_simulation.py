@@ -340,10 +340,12 @@ def test_a_block_rests_slides_and_sticks_on_a_slope():
     sim.set_state(lying)
     sim.set_friction([0.0, 0.2, 1.0])
     sim.step(n=200)
-    speed = -sim.qvel[:, 0] / np.cos(angle)
+    speed = sim.qvel[:, :3] @ [-np.cos(angle), 0, -np.sin(angle)]
     expected = [G * (np.sin(angle) - mu * np.cos(angle)) * sim.time for mu in (0.0, 0.2)]
-    # 8 sweeps share the load among the four corners but for a small residue
-    np.testing.assert_allclose(speed[:2], expected, rtol=1e-6)
+    # contacts give way by 1e-3 / m to the impulse of a step, here on each of four corners: the ground has not yet stopped
+    # the last of the fall, nor have 8 sweeps shared the load among the corners but for a small residue
+    sinking = 1e-3 * G * np.cos(angle) * sim.dt / 4
+    np.testing.assert_allclose(speed[:2], expected, rtol=1e-6, atol=0.2 * sinking)
     assert abs(speed[2]) < 1e-6
     force = sim.contact_forces[2, 0]
     np.testing.assert_allclose(force, [0, 0, sim.total_mass * G], atol=1e-3)
