@@ -50,7 +50,7 @@ bench: build ## Run the benchmarks
 accuracy: build ## Compare the physics with MuJoCo and write the tables
 	$(BIN)/polypod accuracy --out docs/physics.md --readme README.md $(ARGS)
 
-soak: build ## Step all robots for an hour of simulated time under random targets; about half an hour on 2 cores
+soak: build ## Step all robots for an hour of simulated time under random targets; about an hour on 2 cores
 	target/release/polypod-sim soak $(ARGS)
 
 lint: $(VENV)/.dependencies ## Check formatting, lints and types
