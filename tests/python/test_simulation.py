@@ -342,8 +342,8 @@ def test_a_block_rests_slides_and_sticks_on_a_slope():
     sim.step(n=200)
     speed = sim.qvel[:, :3] @ [-np.cos(angle), 0, -np.sin(angle)]
     expected = [G * (np.sin(angle) - mu * np.cos(angle)) * sim.time for mu in (0.0, 0.2)]
-    # contacts give way by 1e-3 / m to the impulse of a step, here on each of four corners: the ground has not yet stopped
-    # the last of the fall, nor have 8 sweeps shared the load among the corners but for a small residue
+    # contacts give way by 1e-3 / m to the impulse of a step, here on each of four corners: the ground has not yet
+    # stopped the last of the fall, nor have 8 sweeps shared the load among the corners but for a small residue
     sinking = 1e-3 * G * np.cos(angle) * sim.dt / 4
     np.testing.assert_allclose(speed[:2], expected, rtol=1e-6, atol=0.2 * sinking)
     assert abs(speed[2]) < 1e-6
