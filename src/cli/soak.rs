@@ -48,8 +48,8 @@ const LOOKS: usize = 10;
 const UNLIMITED: f64 = 3.0;
 /// How far a robot at rest may be in the ground, m.
 const MAX_DEPTH: f64 = 0.01;
-/// Energy that passive joints may win, as a height of the whole robot, m: what is in the ground or in another link is moved
-/// out, upwards too, and a step has an error.
+/// Energy that passive joints may win, as a height of the whole robot, m: where legs are jammed the sweeps do not converge, and
+/// the push holds up what goes on falling.
 const MAX_LIFT: f64 = 0.05;
 /// How far a joint may be past a limit, rad or m.
 const MAX_OVER_LIMIT: f64 = 0.02;
