@@ -43,5 +43,6 @@ fn passive_joints_win_no_energy() {
         println!("{robot}: {:.2} mm of height won, forces up to {:.0} of the weight", 1e3 * won, largest / weight);
         // 1085 mm and hundreds of times the weight while friction resisted the push out of penetrations
         assert!(won < 0.03, "{robot}: passive joints lift it by {won} m");
+        assert!(largest < 100.0 * weight, "{robot}: jammed links press with {largest} N");
     }
 }

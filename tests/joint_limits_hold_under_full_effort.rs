@@ -50,6 +50,7 @@ fn limits_hold() {
                 1e3 * worst,
                 100.0 * held
             );
+            assert!(held > 0.02, "{robot}, {name}: hardly a joint reaches a limit");
             assert!(worst < 2e-3, "{robot}, {name}: a joint is {worst} rad past its limit");
         }
     }

@@ -50,7 +50,7 @@ const UNLIMITED: f64 = 3.0;
 const MAX_DEPTH: f64 = 0.01;
 /// Energy that passive joints may win, as a height of the whole robot, m: where legs are jammed the sweeps do not converge, and
 /// the push holds up what goes on falling.
-const MAX_LIFT: f64 = 0.05;
+const MAX_LIFT: f64 = 0.01;
 /// How far a joint may be past a limit, rad or m.
 const MAX_OVER_LIMIT: f64 = 0.02;
 
@@ -151,8 +151,8 @@ impl Soak {
                         *target = f64::from(rng.uniform(*range));
                     }
                 }
+                let control = Control { targets: Some(&targets), ..Control::default() };
                 for _ in 0..LOOKS {
-                    let control = Control { targets: Some(&targets), ..Control::default() };
                     sim.step(&control, steps(TARGET_S / LOOKS as f64))?;
                     worst.look(&mut sim)?;
                 }
