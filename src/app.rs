@@ -8,9 +8,9 @@ use smallvec::smallvec;
 
 use crate::batch::Batch;
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, Env,
-    EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets, Morphology,
-    MountedOn, PerJoint, Robot,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
+    Env, EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
+    Morphology, MountedOn, PerJoint, Robot,
 };
 use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
@@ -496,8 +496,8 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         Action { current: slots.clone(), previous: slots },
         JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
         ActuatorDelay(zeros.clone()),
-        JointEffort { applied: zeros.clone(), acceleration: zeros },
-        ContactImpulses(vec![[0.0; 3]; model.topology.num_impulses()].into()),
+        JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
+        ConstraintImpulses { contacts: vec![[0.0; 3]; model.topology.num_impulses()].into(), limits: zeros },
         ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
         Feet { position: smallvec![[0.0; 3]; model.feet.len()], velocity: smallvec![[0.0; 3]; model.feet.len()] },
         Body(Box::new(model.nominal.clone())),

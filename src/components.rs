@@ -197,10 +197,14 @@ pub struct JointEffort {
     pub acceleration: PerJoint,
 }
 
-/// Contact impulses (normal, two tangents) in N s per contact candidate and pair of links; the contact solver's warm
-/// start.
+/// Impulses of the last physics step, from which the solver of the next one starts.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct ContactImpulses(pub Box<[[f32; 3]]>);
+pub struct ConstraintImpulses {
+    /// Normal and two tangents per contact candidate, then per pair of links, N s.
+    pub contacts: Box<[[f32; 3]]>,
+    /// Joint limits, physical order, N m s.
+    pub limits: PerJoint,
+}
 
 /// Contact forces of the last control step.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]

@@ -10,7 +10,7 @@ use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::app::{Sim, SimError, SimOptions};
-use crate::components::{BasePose, BaseVelocity, Body, ContactImpulses, JointState, JointTargets};
+use crate::components::{BasePose, BaseVelocity, Body, ConstraintImpulses, JointState, JointTargets};
 use crate::config::{LoadedRobot, LoadedTask, TaskConfig, fnv1a};
 use crate::dynamics::Simd;
 use crate::morphology::MorphologyModel;
@@ -187,12 +187,19 @@ impl Dump {
     /// A robot that this version of polypod makes otherwise has other joints or contacts.
     fn check_sizes(&self, sim: &mut Sim) -> Result<(), SimError> {
         let state = &self.state;
-        let sizes = |joints: usize, impulses: &ContactImpulses, body: &Body| {
-            (joints, impulses.0.len(), body.0.mass.len(), body.0.contact_position.len(), body.0.site_position.len())
+        let sizes = |joints: usize, impulses: &ConstraintImpulses, body: &Body| {
+            (
+                joints,
+                impulses.contacts.len(),
+                body.0.mass.len(),
+                body.0.contact_position.len(),
+                body.0.site_position.len(),
+            )
         };
         let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?, &get(sim)?);
         let theirs = sizes(state.before.joints.position.len(), &state.before.impulses, &state.body);
-        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0];
+        let limits = &state.before.impulses.limits;
+        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0, limits];
         if ours != theirs
             || state.targets.history.is_empty()
             || lists.into_iter().chain(&state.targets.history).any(|list| list.len() != ours.0)
@@ -275,7 +282,7 @@ fn get<C: Component + Clone>(sim: &mut Sim) -> Result<C, SimError> {
 }
 
 /// The bits of all that moves, with two exceptions. IEEE 754 leaves the bits of a NaN open: all NaNs are one. And in a
-/// state with NaNs the contact impulses are left out: whether a contact is solved at all, in which case its impulse
+/// state with NaNs the impulses are left out: whether a constraint is solved at all, in which case its impulse
 /// becomes NaN too, depends on the other robots of the pack.
 fn bits(motion: &Motion) -> Vec<u32> {
     let Motion {
@@ -283,14 +290,14 @@ fn bits(motion: &Motion) -> Vec<u32> {
         velocity: BaseVelocity { linear, angular },
         joints,
         effort,
-        impulses: ContactImpulses(impulses),
+        impulses: ConstraintImpulses { contacts, limits },
     } = motion;
     let (base, joint) = ([&position[..], rotation, linear, angular], [&joints.position, &joints.velocity]);
     let efforts = [&effort.applied, &effort.acceleration];
     let lists = base.into_iter().chain(joint.into_iter().chain(efforts).map(|list| &list[..]));
     let mut numbers: Vec<f32> = lists.flatten().copied().collect();
     if numbers.iter().all(|x| !x.is_nan()) {
-        numbers.extend(impulses.as_flattened());
+        numbers.extend(contacts.as_flattened().iter().chain(limits));
     }
     numbers.into_iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
 }

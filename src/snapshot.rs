@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::app::{Sim, SimError};
 use crate::batch::Batch;
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, EnvId,
-    EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
+    EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
 };
 use crate::config::fnv1a;
 use crate::systems::Logs;
@@ -68,7 +68,7 @@ macro_rules! snapshot {
 snapshot! {
     rngs: EnvRng, episodes: Episode, commands: Command, timers: EventTimers, sums: EpisodeSums,
     poses: BasePose, velocities: BaseVelocity, joints: JointState, actions: Action, targets: JointTargets,
-    delays: ActuatorDelay, efforts: JointEffort, impulses: ContactImpulses, forces: ContactForces, feet: Feet,
+    delays: ActuatorDelay, efforts: JointEffort, impulses: ConstraintImpulses, forces: ContactForces, feet: Feet,
     bodies: Body, contacts: ContactSensor, imus: Imu,
 }
 

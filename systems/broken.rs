@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::terminate::{StateLimits, Violation};
 use super::terms::CompiledTask;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ContactImpulses, EnvId, Episode, JointEffort, JointState, JointTargets,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, EnvId, Episode, JointEffort, JointState,
+    JointTargets,
 };
 use crate::rows::read_rows;
 
@@ -21,8 +22,8 @@ pub struct Motion {
     pub joints: JointState,
     /// Joint efforts and accelerations of the last physics step, physical order.
     pub effort: JointEffort,
-    /// Contact impulses of the last physics step.
-    pub impulses: ContactImpulses,
+    /// Impulses of contacts and joint limits in the last physics step.
+    pub impulses: ConstraintImpulses,
 }
 
 impl Motion {

@@ -10,8 +10,8 @@ use super::broken::{BrokenStates, Evidence, Motion};
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ContactForces, ContactImpulses, EnvId, Feet, JointEffort, JointState,
-    JointTargets, Robot,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, Feet, JointEffort,
+    JointState, JointTargets, Robot,
 };
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
 use crate::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Plane, Report, State, StepSettings, Workspace};
@@ -46,7 +46,7 @@ struct PhysicsRows<'a> {
     targets: &'a mut [JointTargets],
     delays: &'a mut [ActuatorDelay],
     efforts: &'a mut [JointEffort],
-    impulses: &'a mut [ContactImpulses],
+    impulses: &'a mut [ConstraintImpulses],
     forces: &'a mut [ContactForces],
     feet: &'a mut [Feet],
 }
@@ -165,7 +165,7 @@ pub(super) fn step_physics(
     mut targets: Query<&'static mut JointTargets>,
     mut delays: Query<&'static mut ActuatorDelay>,
     mut efforts: Query<&'static mut JointEffort>,
-    mut impulses: Query<&'static mut ContactImpulses>,
+    mut impulses: Query<&'static mut ConstraintImpulses>,
     mut forces: Query<&'static mut ContactForces>,
     mut feet: Query<&'static mut Feet>,
 ) {
@@ -346,7 +346,8 @@ impl<L: Real> Pack<L> {
             put(&mut state.angular_velocity, &rows.velocities[row].angular, lane);
             put(&mut state.joint_position, &rows.joints[row].position, lane);
             put(&mut state.joint_velocity, &rows.joints[row].velocity, lane);
-            put_arrays(&mut state.impulse, &rows.impulses[row].0, lane);
+            put_arrays(&mut state.impulse, &rows.impulses[row].contacts, lane);
+            put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
             for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
                 put(targets, from, lane);
             }
@@ -378,7 +379,8 @@ impl<L: Real> Pack<L> {
             get(&state.angular_velocity, &mut rows.velocities[lane].angular, lane);
             get(&state.joint_position, &mut rows.joints[lane].position, lane);
             get(&state.joint_velocity, &mut rows.joints[lane].velocity, lane);
-            get_arrays(&state.impulse, &mut rows.impulses[lane].0, lane);
+            get_arrays(&state.impulse, &mut rows.impulses[lane].contacts, lane);
+            get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
             get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
             get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
             get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);

@@ -8,8 +8,9 @@ use super::sense::measure;
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::{Autoreset, ResetRequest};
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactForces, ContactImpulses, ContactSensor, Env,
-    EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets, Morphology, Robot,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
+    Env, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets, Morphology,
+    Robot,
 };
 use crate::config::JointPositionMode;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -35,7 +36,7 @@ type RobotRows<'w, 's> = (
     Query<'w, 's, &'static mut JointTargets>,
     Query<'w, 's, &'static mut ActuatorDelay>,
     Query<'w, 's, &'static mut JointEffort>,
-    Query<'w, 's, &'static mut ContactImpulses>,
+    Query<'w, 's, &'static mut ConstraintImpulses>,
     Query<'w, 's, &'static mut Feet>,
 );
 
@@ -123,7 +124,8 @@ pub(super) fn reset_envs(
             }
             efforts[i].applied.fill(0.0);
             efforts[i].acceleration.fill(0.0);
-            impulses[i].0.fill([0.0; 3]);
+            impulses[i].contacts.fill([0.0; 3]);
+            impulses[i].limits.fill(0.0);
             feet[i].velocity.fill([0.0; 3]);
             feet[i].position.fill([0.0; 3]);
 

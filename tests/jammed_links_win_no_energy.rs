@@ -1,4 +1,4 @@
-//! Links of one robot that got wedged by random targets do not fly apart when the joints go passive, nor press with forces
+//! Links of one robot that got wedged by random targets, in each other or between a joint limit and the ground, do not fly apart when the joints go passive, nor press with forces
 //! that nothing asked for.
 
 mod common;
@@ -13,7 +13,7 @@ const BLOCKS: usize = 8;
 
 #[test]
 fn passive_joints_win_no_energy() {
-    for robot in ["anymal_b", "anymal_c"] {
+    for robot in ["anymal_b", "anymal_c", "unitree_b2"] {
         let mut sim = Simulation::new(&SimulationOptions::new(robot.to_string(), ENVS)).unwrap();
         let (joints, weight) = (sim.num_joints(), sim.total_mass() * 9.81);
         let range = sim.joint_range();
@@ -41,8 +41,9 @@ fn passive_joints_win_no_energy() {
             }
         }
         println!("{robot}: {:.2} mm of height won, forces up to {:.0} of the weight", 1e3 * won, largest / weight);
-        // 1085 mm and hundreds of times the weight while friction resisted the push out of penetrations
-        assert!(won < 0.03, "{robot}: passive joints lift it by {won} m");
+        // 1085 mm and hundreds of times the weight while friction resisted the push out of penetrations; ANYmal B's 8 mm are the
+        // integrator's (`polypod-sim soak` tells them apart)
+        assert!(won < 0.015, "{robot}: passive joints lift it by {won} m");
         assert!(largest < 100.0 * weight, "{robot}: jammed links press with {largest} N");
     }
 }

@@ -120,6 +120,8 @@ pub(super) struct BoundRow<S> {
     pub(super) lowest: S,
     pub(super) highest: S,
     pub(super) limit_impulse: S,
+    /// The same for the motion that pushes joints back that are past a limit.
+    pub(super) push_impulse: S,
     pub(super) friction_impulse: S,
     pub(super) max_friction: S,
 }
@@ -329,7 +331,8 @@ pub fn build_contacts<S: Real>(
             let zero = S::zero();
             let mut bounce = S::splat(NEVER);
             if S::any(zero.lt(parameters.restitution)) {
-                let approach = rows.normal_velocity(topology.path(link), &row);
+                let joint = &rows.contact_joint[rows.contacts.len() * rows.stride..];
+                let approach = row.normal_velocity(topology.path(link), joint, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
                 bounce = S::select(bounces, -(approach * parameters.restitution), bounce);
             }
@@ -444,6 +447,12 @@ impl<S: Real> ContactWork<S> {
         });
     }
 
+    /// Whether anything is inside another in any lane, or past a limit, and to be pushed out.
+    #[inline(always)]
+    pub(super) fn pushes(&self) -> bool {
+        S::any(S::zero().lt(self.violation))
+    }
+
     /// Scales half-solved rows by `D^-1` and finds their couplings.
     #[inline(always)]
     fn finish(&mut self, topology: &Topology, factor: &Factor<S>, contact: usize, base: [[S; 6]; 3]) -> ContactRows<S> {
@@ -497,13 +506,15 @@ impl<S: Real> ContactWork<S> {
             push_impulse: z,
         }
     }
+}
 
+impl<S: Real> ContactRows<S> {
+    /// The velocity along the normal; `joint` are the rows' joint parts.
     #[inline(always)]
-    fn normal_velocity(&self, path: &[usize], row: &ContactRows<S>) -> S {
-        let start = self.contacts.len() * self.stride;
-        let mut sum = dot6(&row.base[0], &self.base);
+    pub(super) fn normal_velocity(&self, path: &[usize], joint: &[[S; 3]], base: &[S; 6], joints: &[S]) -> S {
+        let mut sum = dot6(&self.base[0], base);
         for (p, &j) in path.iter().enumerate() {
-            sum = self.contact_joint[start + p][0].mul_add(self.joints[j], sum);
+            sum = joint[p][0].mul_add(joints[j], sum);
         }
         sum
     }
@@ -575,7 +586,8 @@ pub fn build_bounds<S: Real>(
             inverse: S::one() / diagonal,
             lowest: S::select(near, lowest, -big),
             highest: S::select(near, highest, big),
-            limit_impulse: z,
+            limit_impulse: S::select(near, state.limit_impulse[j], z),
+            push_impulse: z,
             friction_impulse: z,
             max_friction: parameters.joint_friction[j] * dt,
         });
@@ -603,8 +615,12 @@ pub fn report<S: Real>(
     normal_force.fill(z);
     let ground = settings.ground.unwrap_or(Plane::level(0.0)).frame().map(|axis| axis.map(S::splat));
     let on_ground = work.contacts.len() - work.pair_frames.len();
-    for (c, row) in work.contacts.iter().enumerate() {
+    state.limit_impulse.fill(z);
+    for row in &work.bounds {
         // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
+        state.limit_impulse[row.joint] = row.limit_impulse + z;
+    }
+    for (c, row) in work.contacts.iter().enumerate() {
         let impulse = row.impulse.map(|x| x + z);
         state.impulse[row.contact] = impulse;
         let f = impulse.map(|x| x * inverse_dt);

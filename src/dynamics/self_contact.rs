@@ -10,9 +10,6 @@ use super::state::{LinkState, State, Workspace};
 /// A pair takes part in a physics step when its links are nearer to each other than this, m, or could come so in the step.
 const PAIR_MARGIN: f64 = 0.01;
 
-/// Share of the last step's impulses that a step starts from.
-const WARM_START: f64 = 0.8;
-
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
 pub fn build_pairs<S: Real>(
@@ -46,9 +43,7 @@ pub fn build_pairs<S: Real>(
                 continue;
             }
             let row = rows.pair_rows(topology, factor, axes, pair, i, &frame(&found.normal), &found.point);
-            // links can be jammed, each holding the next: let such impulses fade
-            let warm_start = state.impulse[i].map(|x| x * S::splat(WARM_START));
-            rows.push(row, near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &warm_start);
+            rows.push(row, near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &state.impulse[i]);
         }
     }
 }

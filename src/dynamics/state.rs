@@ -25,6 +25,8 @@ pub struct State<S> {
     /// Contact impulses of the last physics step (along the contact's normal and two tangents), N s, `[contacts, then
     /// pairs]`; they warm-start the next one.
     pub impulse: Vec<[S; 3]>,
+    /// Impulses of the joint limits in the last physics step, N m s, `[joints]`; they warm-start the next one.
+    pub limit_impulse: Vec<S>,
 }
 
 /// What the actuators are asked for during one control step.
@@ -67,6 +69,7 @@ impl<S: Real> State<S> {
             joint_position: vec![z; topology.num_joints()],
             joint_velocity: vec![z; topology.num_joints()],
             impulse: vec![[z; 3]; topology.num_impulses()],
+            limit_impulse: vec![z; topology.num_joints()],
         }
     }
 }

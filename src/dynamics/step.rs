@@ -203,7 +203,7 @@ fn physics_step<S: Real>(
         work.rhs_joint = free;
     }
 
-    solver::solve(topology, parameters, &settings.contact, &mut work.contact);
+    solver::solve(topology, parameters, &settings.contact, &work.factor, &mut work.contact);
     contact::report(
         topology,
         &settings.contact,
@@ -217,7 +217,12 @@ fn physics_step<S: Real>(
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
     factor.from_sparse(topology, &mut contact.base, &mut contact.joints);
-    factor.from_sparse(topology, &mut contact.moved_base, &mut contact.moved_joints);
+    if contact.pushes() {
+        factor.from_sparse(topology, &mut contact.moved_base, &mut contact.moved_joints);
+    } else {
+        contact.moved_base = contact.base;
+        contact.moved_joints.copy_from_slice(&contact.joints);
+    }
     for j in 0..joints {
         // +0 turns -0 into +0
         let new = contact.joints[j] + z;

@@ -139,6 +139,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
         get(&from.joint_position, &mut state.joint_position, lane);
         get(&from.joint_velocity, &mut state.joint_velocity, lane);
         get(from.impulse.as_flattened(), state.impulse.as_flattened_mut(), lane);
+        get(&from.limit_impulse, &mut state.limit_impulse, lane);
     }
 
     fn write_state(&mut self, env: usize, state: &State<f64>) {
@@ -152,6 +153,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
             put(&mut to.joint_position, &state.joint_position, lane);
             put(&mut to.joint_velocity, &state.joint_velocity, lane);
             put(to.impulse.as_flattened_mut(), state.impulse.as_flattened(), lane);
+            put(&mut to.limit_impulse, &state.limit_impulse, lane);
         }
     }
 

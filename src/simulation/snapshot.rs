@@ -39,6 +39,7 @@ struct Env {
     joint_position: Vec<f64>,
     joint_velocity: Vec<f64>,
     impulse: Vec<[f64; 3]>,
+    limit_impulse: Vec<f64>,
     parameters: Parameters<f64>,
     effort: Vec<f64>,
     force: Vec<[f64; 3]>,
@@ -85,6 +86,7 @@ impl Simulation {
                     joint_position: state.joint_position.clone(),
                     joint_velocity: state.joint_velocity.clone(),
                     impulse: state.impulse.clone(),
+                    limit_impulse: state.limit_impulse.clone(),
                     parameters,
                     effort,
                     force,
@@ -128,6 +130,7 @@ impl Simulation {
                 joint_position: from.joint_position,
                 joint_velocity: from.joint_velocity,
                 impulse: from.impulse,
+                limit_impulse: from.limit_impulse,
             };
             self.packs.write_state(env, &state);
             self.packs.write_parameters(env, &from.parameters);
