@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-import polypod
 import pytest
 
+import polypod
 from polypod.accuracy.motion import compare_step_responses
 from polypod.accuracy.reference import Reference
 from polypod.accuracy.robot import load, names
