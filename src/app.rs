@@ -178,7 +178,7 @@ impl Sim {
         app.finish();
         app.cleanup();
         let world = app.world_mut();
-        let ground = crate::world::bake_ground(world)?;
+        let ground = crate::world::bake_ground(world, &task.config.scene)?;
         let workers = Workers::new(threads);
         world.insert_resource(PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers));
         world.insert_resource(workers);

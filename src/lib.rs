@@ -9,6 +9,7 @@ pub mod config;
 pub mod dump;
 pub mod dynamics;
 pub mod morphology;
+mod obstacles;
 #[cfg(feature = "python")]
 mod python;
 pub mod robot;

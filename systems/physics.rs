@@ -14,7 +14,9 @@ use crate::components::{
     JointState, JointTargets, Robot,
 };
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
-use crate::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Plane, Report, State, StepSettings, Workspace};
+use crate::dynamics::{
+    ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Workspace,
+};
 use crate::morphology::Morphologies;
 use crate::rows::{SplitRows, Workers, write_rows};
 use crate::world::Ground;
@@ -132,12 +134,36 @@ impl PhysicsEngine {
         let chunks = workers.num_chunks();
         match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Self(Box::new(Packs::<lanes::Avx512>::new(settings, morphologies, counts, chunks))),
+            Simd::Avx512 => Self(Box::new(Packs::<lanes::Avx512>::new(
+                settings,
+                ground.terrain.clone(),
+                morphologies,
+                counts,
+                chunks,
+            ))),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Self(Box::new(Packs::<lanes::Avx2>::new(settings, morphologies, counts, chunks))),
+            Simd::Avx2 => Self(Box::new(Packs::<lanes::Avx2>::new(
+                settings,
+                ground.terrain.clone(),
+                morphologies,
+                counts,
+                chunks,
+            ))),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Self(Box::new(Packs::<lanes::Neon>::new(settings, morphologies, counts, chunks))),
-            _ => Self(Box::new(Packs::<lanes::Portable>::new(settings, morphologies, counts, chunks))),
+            Simd::Neon => Self(Box::new(Packs::<lanes::Neon>::new(
+                settings,
+                ground.terrain.clone(),
+                morphologies,
+                counts,
+                chunks,
+            ))),
+            _ => Self(Box::new(Packs::<lanes::Portable>::new(
+                settings,
+                ground.terrain.clone(),
+                morphologies,
+                counts,
+                chunks,
+            ))),
         }
     }
 }
@@ -206,12 +232,19 @@ struct Pack<L> {
 /// All packs, with scratch memory for each chunk of work and morphology.
 struct Packs<L: Lanes> {
     settings: StepSettings,
+    terrain: Option<HeightGrid>,
     packs: Vec<Pack<L>>,
     workspaces: Vec<Vec<Workspace<L>>>,
 }
 
 impl<L: Lanes> Packs<L> {
-    fn new(settings: StepSettings, morphologies: &Morphologies, counts: &[usize], chunks: usize) -> Self {
+    fn new(
+        settings: StepSettings,
+        terrain: Option<HeightGrid>,
+        morphologies: &Morphologies,
+        counts: &[usize],
+        chunks: usize,
+    ) -> Self {
         let mut packs = Vec::new();
         let mut first_env = 0;
         for (morphology, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
@@ -235,7 +268,7 @@ impl<L: Lanes> Packs<L> {
         }
         let workspaces =
             (0..chunks).map(|_| morphologies.0.iter().map(|model| Workspace::new(&model.topology)).collect()).collect();
-        Self { settings, packs, workspaces }
+        Self { settings, terrain, packs, workspaces }
     }
 }
 
@@ -267,7 +300,7 @@ impl<L: Lanes> Engine for Packs<L> {
         limits: &StateLimits,
         watched: &[bool],
     ) -> Vec<Evidence> {
-        let settings = &self.settings;
+        let (settings, terrain) = (&self.settings, self.terrain.as_ref());
         let per_chunk = self.packs.len().div_ceil(self.workspaces.len()).max(1);
         let mut rest = Some(rows);
         let tasks = self.packs.chunks_mut(per_chunk).zip(&mut self.workspaces).filter_map(|(packs, workspaces)| {
@@ -285,6 +318,7 @@ impl<L: Lanes> Engine for Packs<L> {
                 L::vectorize(ControlStep {
                     topology,
                     settings,
+                    terrain,
                     parameters: &pack.parameters,
                     drive: &pack.drive,
                     state: &mut pack.state,

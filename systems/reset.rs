@@ -15,12 +15,14 @@ use crate::components::{
 use crate::config::JointPositionMode;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::{Workers, read_rows, write_rows};
+use crate::world::Ground;
 
 /// The state in which an episode begins, as reset events may change it.
 pub struct NewState<'a> {
     /// What kind of robot it is.
     pub morphology: &'a MorphologyModel,
-    /// Pose of the base; starts at the env's origin, at the spawn height, level.
+    /// Pose of the base; starts at the env's origin, at the spawn height, level. Afterwards it is lifted onto
+    /// what stands there.
     pub pose: &'a mut BasePose,
     /// Velocity of the base; starts at rest.
     pub velocity: &'a mut BaseVelocity,
@@ -54,6 +56,9 @@ type SensorRows<'w, 's> = (
     Query<'w, 's, &'static mut Imu>,
 );
 
+/// Half the side of the square about the base's origin in which a robot begins above everything, m.
+const FOOTPRINT: f32 = 0.5;
+
 /// Resets what is due: state, targets, delays, timers, sums, sensors and command, each from the env's own stream.
 pub(super) fn reset_envs(
     workers: Res<Workers>,
@@ -61,6 +66,7 @@ pub(super) fn reset_envs(
     task: Res<CompiledTask>,
     autoreset: Res<Autoreset>,
     request: Res<ResetRequest>,
+    ground: Res<Ground>,
     tags: Query<&'static Morphology, With<Robot>>,
     bodies: Query<&'static Body>,
     (mut poses, mut velocities, mut joints, mut actions, mut targets, mut delays, mut efforts, mut impulses, mut feet): RobotRows,
@@ -108,6 +114,10 @@ pub(super) fn reset_envs(
             joints.velocity.fill(0.0);
             for event in &task.reset_events {
                 event(&mut NewState { morphology, pose, velocity, joints }, rng);
+            }
+            if let Some(terrain) = &ground.terrain {
+                let [x, y, z] = &mut pose.position;
+                *z += terrain.highest_near(*x, *y, FOOTPRINT) - ground.height as f32;
             }
 
             actions[i].current.fill(0.0);

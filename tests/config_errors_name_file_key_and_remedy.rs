@@ -138,6 +138,17 @@ fn values_out_of_range_are_refused() {
         ("[commands.base_velocity]\nlin_vel_x = [1.0]", "commands.base_velocity.lin_vel_x", "two ends"),
         ("[events.push_robot]\nmode = \"startup\"", "events.push_robot.interval_range_s", "only interval events"),
         ("[events.reset_base]\nmode = \"interval\"", "events.reset_base.interval_range_s", "needs its time"),
+        (
+            "[[scene.obstacles]]\nshape = \"box\"\nsize = [1, 1, -1]\nposition = [0, 0, 0]",
+            "scene.obstacles[0]",
+            "not above zero",
+        ),
+        (
+            "[[scene.obstacles]]\nshape = \"heightfield\"\nsize = [1, 1]\nheights = [[0, 1], [0]]\nposition = [0, 0, 0]",
+            "scene.obstacles[0]",
+            "not a table",
+        ),
+        ("[[scene.obstacles]]\nshape = \"bx\"", "scene.obstacles[0].shape", "unknown value `bx`"),
         ("robots = []", "robots", "empty"),
         ("robots = [\"a\", \"b\", \"a\"]", "robots[2]", "listed twice"),
     ];

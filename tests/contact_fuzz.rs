@@ -276,6 +276,7 @@ impl Bench {
         ControlStep {
             topology,
             settings: &settings,
+            terrain: None,
             parameters: &self.parameters,
             drive: &Drive::zeros(topology, 1),
             state: &mut state,

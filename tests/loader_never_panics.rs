@@ -151,6 +151,7 @@ fn step(articulation: &Articulation) -> Result<(), TestCaseError> {
     ControlStep {
         topology,
         settings: &settings,
+        terrain: None,
         parameters: &parameters,
         drive: &Drive::zeros(topology, 1),
         state: &mut state,

@@ -52,6 +52,7 @@ impl Body {
         ControlStep {
             topology: &self.topology,
             settings: &settings,
+            terrain: None,
             parameters: &self.parameters,
             drive: &self.drive,
             state: &mut self.state,

@@ -8,6 +8,7 @@ mod names;
 mod overrides;
 mod parse;
 mod robot;
+mod scene;
 mod suggest;
 mod task;
 pub mod values;
@@ -21,8 +22,9 @@ pub use robot::{
     ActuatorConfig, ActuatorModel, BaseComOffset, BodiesConfig, JointPositionMode, JointPositionReset,
     RandomizationConfig, RangeConfig, ResetConfig, RobotConfig,
 };
+pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, SceneConfig};
 pub(crate) use suggest::did_you_mean;
 pub use task::{
-    CommandsConfig, EngineKind, EventConfig, EventMode, FrictionCombine, GroundConfig, MaterialConfig, ObservationTerm,
-    ObservationsConfig, PhysicsConfig, RewardConfig, SceneConfig, SimConfig, TaskConfig, VelocityCommandConfig,
+    CommandsConfig, EngineKind, EventConfig, EventMode, MaterialConfig, ObservationTerm, ObservationsConfig,
+    PhysicsConfig, RewardConfig, SimConfig, TaskConfig, VelocityCommandConfig,
 };

@@ -8,6 +8,7 @@ use toml::Table;
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::parse::params_beside;
+use super::scene::SceneConfig;
 use super::suggest::did_you_mean;
 use super::values;
 
@@ -127,57 +128,6 @@ pub enum EngineKind {
     Articulated,
     /// Links as Avian's rigid bodies.
     Avian,
-}
-
-/// What the robots stand on.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct SceneConfig {
-    /// An infinite plane at z = 0.
-    #[serde(default)]
-    pub ground: GroundConfig,
-}
-
-/// Surface of the ground.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct GroundConfig {
-    /// Coefficient of friction at rest. Default: 1.
-    #[serde(deserialize_with = "values::non_negative")]
-    pub static_friction: f64,
-    /// Coefficient of friction when sliding. Default: 1.
-    #[serde(deserialize_with = "values::non_negative")]
-    pub dynamic_friction: f64,
-    /// Share of the approach speed that is given back, 0 to 1. Default: 0.
-    #[serde(deserialize_with = "values::fraction")]
-    pub restitution: f64,
-    /// How ground and robot make one coefficient. Default: multiply.
-    pub friction_combine: FrictionCombine,
-}
-
-impl Default for GroundConfig {
-    fn default() -> Self {
-        Self {
-            static_friction: 1.0,
-            dynamic_friction: 1.0,
-            restitution: 0.0,
-            friction_combine: FrictionCombine::Multiply,
-        }
-    }
-}
-
-/// How the coefficients of two surfaces make one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FrictionCombine {
-    /// Their product.
-    Multiply,
-    /// Their mean.
-    Average,
-    /// The smaller one.
-    Min,
-    /// The larger one.
-    Max,
 }
 
 /// A surface.
@@ -363,6 +313,9 @@ impl TaskConfig {
         if self.observations.policy.is_empty() {
             let element = "observations.policy".to_owned();
             return invalid(element, "the policy sees nothing", "add [[observations.policy]] terms");
+        }
+        if let Some((element, problem, remedy)) = self.scene.problem() {
+            return invalid(element, problem, remedy);
         }
         for (name, event) in &self.events {
             let element = format!("events.{name}.interval_range_s");

@@ -11,6 +11,7 @@ use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, quat_to_mat, scale, sub,
 };
 use super::state::{LinkState, State, Workspace};
+use super::terrain::HeightGrid;
 
 /// How contacts and joint bounds are solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,6 +139,8 @@ pub struct ContactWork<S> {
     pub(super) violation: S,
     /// Compliance of the whole robot, one over its mass, 1/kg.
     pub(super) compliance: S,
+    /// Normal and tangents of the ground contacts on terrain, in base axes; empty on a plane.
+    pub(super) ground_frames: Vec<[Vec3<S>; 3]>,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows, plain and divided by `D`: `[contact * stride + p]`, `p` along the path.
@@ -167,6 +170,7 @@ impl<S: Real> ContactWork<S> {
             stride,
             violation: z,
             compliance: z,
+            ground_frames: Vec::with_capacity(topology.contacts.len()),
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
             contact_joint: vec![[z; 3]; contacts * stride],
             contact_joint_scaled: vec![[z; 3]; contacts * stride],
@@ -286,6 +290,7 @@ pub fn build_contacts<S: Real>(
     topology: &Topology,
     parameters: &Parameters<S>,
     settings: &ContactSettings,
+    terrain: Option<&HeightGrid>,
     dt: S,
     state: &mut State<S>,
     work: &mut Workspace<S>,
@@ -294,6 +299,7 @@ pub fn build_contacts<S: Real>(
     let margin = S::splat(CONTACT_MARGIN);
     rows.contacts.clear();
     rows.violation = S::zero();
+    rows.ground_frames.clear();
     rows.pair_frames.clear();
     // composite by now: the whole robot's
     rows.compliance = S::one() / inertia[0].mass;
@@ -306,13 +312,15 @@ pub fn build_contacts<S: Real>(
     // normal and tangents in base axes
     let frame = world.map(|axis| mul_vec_transposed(base_rotation, &axis));
     let inverse_dt = S::one() / dt;
+    let highest =
+        terrain.map_or(margin, |grid| margin + S::splat(f64::from(grid.highest).max(plane.offset) - plane.offset));
     for (link, at) in links.iter().enumerate() {
         let candidates = topology.contacts_of(link);
         if candidates.is_empty() {
             continue;
         }
         let origin_height = ground + dot(&frame[0], &at.position);
-        if !S::any((origin_height - parameters.contact_reach[link]).lt(margin)) {
+        if !S::any((origin_height - parameters.contact_reach[link]).lt(highest)) {
             for c in candidates {
                 state.impulse[c] = [S::zero(); 3];
             }
@@ -320,13 +328,26 @@ pub fn build_contacts<S: Real>(
         }
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
         for c in candidates {
-            let (local, gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
+            let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
+            let mut axes_here = frame;
+            if let Some(grid) = terrain {
+                if !S::any(gap.lt(highest)) {
+                    state.impulse[c] = [S::zero(); 3];
+                    continue;
+                }
+                let centre = add(&at.position, &mul_vec(&at.rotation, &local));
+                (gap, axes_here) = on_terrain(grid, &frame, &state.position, &centre, parameters.contact_radius[c]);
+            }
             let near = gap.lt(margin);
             if !S::any(near) {
                 state.impulse[c] = [S::zero(); 3];
                 continue;
             }
-            let row = contact_rows(topology, factor, axes, at, &frame, c, &local, parameters.contact_radius[c], rows);
+            let row =
+                contact_rows(topology, factor, axes, at, &axes_here, c, &local, parameters.contact_radius[c], rows);
+            if terrain.is_some() {
+                rows.ground_frames.push(axes_here);
+            }
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
             let mut bounce = S::splat(NEVER);
@@ -339,6 +360,32 @@ pub fn build_contacts<S: Real>(
             rows.push(row, near, target, bounce, &state.impulse[c]);
         }
     }
+}
+
+/// Gap of a sphere above terrain, and normal and tangents there in base axes. `level` are the world's z, x and y in base axes,
+/// `centre` the sphere's place about the base's origin.
+#[inline(always)]
+fn on_terrain<S: Real>(
+    grid: &HeightGrid,
+    level: &[Vec3<S>; 3],
+    position: &Vec3<S>,
+    centre: &Vec3<S>,
+    radius: S,
+) -> (S, [Vec3<S>; 3]) {
+    let [z, x, y] = [0, 1, 2].map(|i| dot(&level[i], centre));
+    let (height, n) = grid.below(position[0] + x, position[1] + y);
+    let gap = (position[2] + z - height).mul_add(n[2], -radius);
+    // the x axis, laid onto the surface; slopes are bounded, so that it is never the normal
+    let along = [n[0].neg_mul_add(n[0], S::one()), -(n[0] * n[1]), -(n[0] * n[2])];
+    let tangent = scale(&along, S::one() / along[0].sqrt());
+    let (normal, tangent) = (to_base(level, &n), to_base(level, &tangent));
+    (gap, [normal, tangent, cross(&normal, &tangent)])
+}
+
+/// A vector in world axes, whose z, x and y are `level` in base axes.
+#[inline(always)]
+fn to_base<S: Real>(level: &[Vec3<S>; 3], v: &Vec3<S>) -> Vec3<S> {
+    add_scaled(&add_scaled(&scale(&level[0], v[2]), &level[1], v[0]), &level[2], v[1])
 }
 
 /// Least allowed separation speed at a gap: one that is open may close, a penetration is pushed out.
@@ -634,7 +681,10 @@ pub fn report<S: Real>(
             }
         } else {
             let body = topology.contacts[row.contact].body;
-            add_force(&mut force[body], &ground, &f);
+            match work.ground_frames.get(c) {
+                Some(frame) => add_force(&mut force[body], &frame.map(|axis| mul_vec(base_rotation, &axis)), &f),
+                None => add_force(&mut force[body], &ground, &f),
+            }
             normal_force[body] = normal_force[body] + f[0];
         }
     }

@@ -12,6 +12,7 @@ pub mod self_contact;
 pub mod solver;
 pub mod state;
 pub mod step;
+pub mod terrain;
 
 pub use algorithms::Dynamics;
 pub use articulation::{
@@ -22,3 +23,4 @@ pub use contact::{ContactSettings, Plane};
 pub use lanes::{Lanes, Real, Simd};
 pub use state::{Drive, Report, State, Workspace};
 pub use step::{ControlStep, StepSettings};
+pub use terrain::HeightGrid;

@@ -9,6 +9,7 @@ use super::math::{Spatial, add_scaled, integrate_quat, mul_vec, mul_vec_transpos
 use super::self_contact;
 use super::solver;
 use super::state::{Drive, Report, State, Workspace};
+use super::terrain::HeightGrid;
 
 /// What all packs of a simulation share.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +30,8 @@ pub struct ControlStep<'a, S> {
     pub topology: &'a Topology,
     /// Step sizes and solver settings.
     pub settings: &'a StepSettings,
+    /// What stands on the plane, if anything does; the plane is then level.
+    pub terrain: Option<&'a HeightGrid>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
     /// What is asked of the actuators.
@@ -46,10 +49,10 @@ impl<S: Real> Kernel<S> for ControlStep<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { topology, settings, parameters, drive, state, report, work } = self;
+        let Self { topology, settings, terrain, parameters, drive, state, report, work } = self;
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
-            physics_step(topology, settings, parameters, drive, state, report, substep, work);
+            physics_step(topology, settings, terrain, parameters, drive, state, report, substep, work);
         }
         report_sites(topology, parameters, state, report, work);
     }
@@ -142,6 +145,7 @@ fn actuate<S: Real>(
 fn physics_step<S: Real>(
     topology: &Topology,
     settings: &StepSettings,
+    terrain: Option<&HeightGrid>,
     parameters: &Parameters<S>,
     drive: &Drive<S>,
     state: &mut State<S>,
@@ -185,7 +189,7 @@ fn physics_step<S: Real>(
         let Workspace { factor, contact, .. } = &mut *work;
         factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
     }
-    contact::build_contacts(topology, parameters, &settings.contact, dt, state, work);
+    contact::build_contacts(topology, parameters, &settings.contact, terrain, dt, state, work);
     self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, work);
     for r in 0..6 {
         work.contact.base[r] = work.contact.base[r] + impulse[r];

@@ -254,6 +254,7 @@ impl<L: Lanes> Pack<L> {
             L::vectorize(ControlStep {
                 topology,
                 settings: &StepSettings { decimation, ..*settings },
+                terrain: None,
                 parameters: &self.parameters,
                 drive: &self.drive,
                 state: &mut self.state,

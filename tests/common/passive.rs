@@ -23,6 +23,7 @@ pub fn move_freely(
     ControlStep {
         topology,
         settings: &settings,
+        terrain: None,
         parameters,
         drive: &Drive::zeros(topology, 1),
         state,

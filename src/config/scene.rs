@@ -1,0 +1,204 @@
+//! The scene of a task: ground and obstacles.
+
+use serde::{Deserialize, Serialize};
+
+use super::values;
+
+/// What the robots stand on.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SceneConfig {
+    /// An infinite plane at z = 0.
+    pub ground: GroundConfig,
+    /// What stands on it, the same in every env, with the ground's surface.
+    pub obstacles: Vec<ObstacleConfig>,
+    /// Distance of the points at which the articulated engine knows the height of the obstacles, m. Default: 0.02.
+    #[serde(deserialize_with = "values::positive")]
+    pub grid_cell: f64,
+}
+
+impl Default for SceneConfig {
+    fn default() -> Self {
+        Self { ground: GroundConfig::default(), obstacles: Vec::new(), grid_cell: 0.02 }
+    }
+}
+
+/// Surface of the ground.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GroundConfig {
+    /// Coefficient of friction at rest. Default: 1.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub static_friction: f64,
+    /// Coefficient of friction when sliding. Default: 1.
+    #[serde(deserialize_with = "values::non_negative")]
+    pub dynamic_friction: f64,
+    /// Share of the approach speed that is given back, 0 to 1. Default: 0.
+    #[serde(deserialize_with = "values::fraction")]
+    pub restitution: f64,
+    /// How ground and robot make one coefficient. Default: multiply.
+    pub friction_combine: FrictionCombine,
+}
+
+impl Default for GroundConfig {
+    fn default() -> Self {
+        Self {
+            static_friction: 1.0,
+            dynamic_friction: 1.0,
+            restitution: 0.0,
+            friction_combine: FrictionCombine::Multiply,
+        }
+    }
+}
+
+/// How the coefficients of two surfaces make one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrictionCombine {
+    /// Their product.
+    Multiply,
+    /// Their mean.
+    Average,
+    /// The smaller one.
+    Min,
+    /// The larger one.
+    Max,
+}
+
+/// Something that does not move. `position` is in the env's frame, m; `rpy` are roll, pitch and yaw about fixed axes as in a
+/// URDF, rad, zero by default.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields)]
+pub enum ObstacleConfig {
+    /// A box about its centre.
+    Box {
+        /// Edge lengths, m.
+        size: [f64; 3],
+        /// Of the centre.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+    },
+    /// A sphere about its centre.
+    Sphere {
+        /// m.
+        radius: f64,
+        /// Of the centre.
+        position: [f64; 3],
+    },
+    /// A cylinder about its centre, upright unless it is turned.
+    Cylinder {
+        /// m.
+        radius: f64,
+        /// m.
+        length: f64,
+        /// Of the centre.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+    },
+    /// A capsule about its centre, upright unless it is turned.
+    Capsule {
+        /// m.
+        radius: f64,
+        /// Between the centres of the ends, m.
+        length: f64,
+        /// Of the centre.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+    },
+    /// A wedge that rises along x.
+    Ramp {
+        /// Length, width and height of the upper end, m.
+        size: [f64; 3],
+        /// Of the middle of the underside.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+    },
+    /// Stairs that rise along x.
+    Stairs {
+        /// Depth, width and height of each step, m.
+        size: [f64; 3],
+        /// Number of steps.
+        steps: u32,
+        /// Of the middle of the underside.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+    },
+    /// A surface over a rectangle, two triangles between four heights.
+    Heightfield {
+        /// Edge lengths along x and y, m.
+        size: [f64; 2],
+        /// `heights[i][j]`, m: `i` along x, `j` along y; at least two of each.
+        heights: Vec<Vec<f64>>,
+        /// Of the middle, at height zero.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+    },
+}
+
+impl SceneConfig {
+    /// What no single value can tell: element, problem and remedy.
+    pub(super) fn problem(&self) -> Option<(String, &'static str, &'static str)> {
+        self.obstacles.iter().enumerate().find_map(|(i, obstacle)| {
+            let (problem, remedy) = obstacle.problem()?;
+            Some((format!("scene.obstacles[{i}]"), problem, remedy))
+        })
+    }
+}
+
+impl ObstacleConfig {
+    /// Where it is and how it is turned: `position` and `rpy`.
+    pub fn placement(&self) -> ([f64; 3], [f64; 3]) {
+        match self {
+            Self::Sphere { position, .. } => (*position, [0.0; 3]),
+            Self::Box { position, rpy, .. }
+            | Self::Cylinder { position, rpy, .. }
+            | Self::Capsule { position, rpy, .. }
+            | Self::Ramp { position, rpy, .. }
+            | Self::Stairs { position, rpy, .. }
+            | Self::Heightfield { position, rpy, .. } => (*position, *rpy),
+        }
+    }
+
+    fn problem(&self) -> Option<(&'static str, &'static str)> {
+        let (position, rpy) = self.placement();
+        if !position.iter().chain(&rpy).all(|x| x.is_finite()) {
+            return Some(("its position or rpy is not finite", "write finite numbers"));
+        }
+        let lengths = match self {
+            Self::Box { size, .. } | Self::Ramp { size, .. } | Self::Stairs { size, .. } => *size,
+            Self::Sphere { radius, .. } => [*radius; 3],
+            Self::Cylinder { radius, length, .. } | Self::Capsule { radius, length, .. } => [*radius, *length, 1.0],
+            Self::Heightfield { size, .. } => [size[0], size[1], 1.0],
+        };
+        if !lengths.iter().all(|x| x.is_finite() && *x > 0.0) {
+            return Some(("a length of it is not above zero", "write lengths in m, above 0"));
+        }
+        match self {
+            Self::Stairs { steps: 0, .. } => Some(("it has no steps", "write steps = 1 or more")),
+            Self::Heightfield { heights, .. } => {
+                let columns = heights.first().map_or(0, Vec::len);
+                let rectangular = heights.iter().all(|row| row.len() == columns);
+                if heights.len() < 2 || columns < 2 || !rectangular {
+                    Some(("its heights are not a table of at least two by two", "write rows of equal length"))
+                } else if !heights.iter().flatten().all(|x| x.is_finite()) {
+                    Some(("a height of it is not finite", "write finite numbers"))
+                } else {
+                    None
+                }
+            }
+            _ => None,
+        }
+    }
+}

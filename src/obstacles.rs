@@ -1,0 +1,87 @@
+//! The obstacles of a scene as Avian's colliders.
+
+use avian3d::prelude::{Collider, Position, Rotation};
+use bevy_math::{EulerRot, Quat, Vec3};
+
+use crate::config::ObstacleConfig;
+
+/// One convex or triangulated part of an obstacle.
+pub(crate) struct Part {
+    pub(crate) collider: Collider,
+    pub(crate) position: Position,
+    pub(crate) rotation: Rotation,
+    /// Radius about `position` that holds the part, m.
+    pub(crate) reach: f32,
+}
+
+/// The parts of an obstacle; none where it has no volume that a hull can be made of.
+pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
+    let (position, [roll, pitch, yaw]) = obstacle.placement();
+    let place = Vec3::from_array(position.map(|x| x as f32));
+    // fixed axes: roll first
+    let turn = Quat::from_euler(EulerRot::ZYX, yaw as f32, pitch as f32, roll as f32);
+    // Avian's cylinders and capsules lie along y
+    let upright = Quat::from_rotation_x(std::f32::consts::FRAC_PI_2);
+    let part = |collider: Collider, offset: Vec3, own: Quat, reach: f32| Part {
+        collider,
+        position: Position(place + turn * offset),
+        rotation: Rotation(turn * own),
+        reach,
+    };
+    match obstacle {
+        ObstacleConfig::Box { size, .. } => {
+            let size = Vec3::from_array(size.map(|x| x as f32));
+            let collider = Collider::cuboid(size.x, size.y, size.z);
+            vec![part(collider, Vec3::ZERO, Quat::IDENTITY, 0.5 * size.length())]
+        }
+        ObstacleConfig::Sphere { radius, .. } => {
+            let radius = *radius as f32;
+            vec![part(Collider::sphere(radius), Vec3::ZERO, Quat::IDENTITY, radius)]
+        }
+        ObstacleConfig::Cylinder { radius, length, .. } => {
+            let (radius, length) = (*radius as f32, *length as f32);
+            vec![part(Collider::cylinder(radius, length), Vec3::ZERO, upright, radius + 0.5 * length)]
+        }
+        ObstacleConfig::Capsule { radius, length, .. } => {
+            let (radius, length) = (*radius as f32, *length as f32);
+            vec![part(Collider::capsule(radius, length), Vec3::ZERO, upright, radius + 0.5 * length)]
+        }
+        ObstacleConfig::Ramp { size, .. } => {
+            let [x, y, z] = size.map(|x| x as f32);
+            let (x, y) = (0.5 * x, 0.5 * y);
+            let corners = [[-x, -y, 0.0], [-x, y, 0.0], [x, -y, 0.0], [x, y, 0.0], [x, -y, z], [x, y, z]];
+            let hull = Collider::convex_hull(corners.map(Vec3::from_array).to_vec());
+            hull.map(|hull| part(hull, Vec3::ZERO, Quat::IDENTITY, Vec3::new(x, y, z).length())).into_iter().collect()
+        }
+        ObstacleConfig::Stairs { size, steps, .. } => {
+            let [depth, width, height] = size.map(|x| x as f32);
+            let half = 0.5 * depth * *steps as f32;
+            let step = |i: u32| {
+                let top = height * (i + 1) as f32;
+                let middle = Vec3::new((i as f32 + 0.5) * depth - half, 0.0, 0.5 * top);
+                let reach = 0.5 * Vec3::new(depth, width, top).length();
+                part(Collider::cuboid(depth, width, top), middle, Quat::IDENTITY, reach)
+            };
+            (0..*steps).map(step).collect()
+        }
+        ObstacleConfig::Heightfield { size, heights, .. } => {
+            let (rows, columns) = (heights.len(), heights[0].len());
+            let along = |i: usize, n: usize, length: f64| ((i as f64 / (n - 1) as f64 - 0.5) * length) as f32;
+            let vertices: Vec<Vec3> = (0..rows * columns)
+                .map(|k| (k / columns, k % columns))
+                .map(|(i, j)| Vec3::new(along(i, rows, size[0]), along(j, columns, size[1]), heights[i][j] as f32))
+                .collect();
+            let corner = |i: usize, j: usize| (i * columns + j) as u32;
+            let triangles = (0..(rows - 1) * (columns - 1))
+                .map(|k| (k / (columns - 1), k % (columns - 1)))
+                .flat_map(|(i, j)| {
+                    let [a, b, c, d] = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+                    [[a, b, c], [a, c, d]]
+                })
+                .collect();
+            let reach = vertices.iter().fold(0.0, |most: f32, v| most.max(v.length()));
+            let surface = Collider::try_trimesh(vertices, triangles).ok();
+            surface.map(|surface| part(surface, Vec3::ZERO, Quat::IDENTITY, reach)).into_iter().collect()
+        }
+    }
+}
