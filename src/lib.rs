@@ -3,6 +3,7 @@
 #![warn(missing_docs)]
 
 pub mod app;
+mod avian;
 pub mod batch;
 pub mod components;
 pub mod config;

@@ -15,6 +15,7 @@
 //! # Ok::<(), polypod::SimulationError>(())
 //! ```
 
+mod avian;
 mod options;
 mod packs;
 mod parameters;
@@ -30,7 +31,7 @@ pub use queries::{LinkPoses, LinkVelocities};
 use crate::dynamics::{ContactSettings, Plane, Simd, State, StepSettings};
 use crate::robot::{UNLIMITED, Warning};
 use crate::rows::Workers;
-use options::argument;
+use options::{Engine, argument};
 use packs::{Actuation, JointField, Packs};
 use robot::Robot;
 use rows::{EnvIds, Rows};
@@ -80,7 +81,11 @@ impl Simulation {
     pub fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
         options.validate()?;
         let simd = Simd::choose(options.simd)?;
-        let robot = Robot::new(options)?;
+        let robot = match options.engine() {
+            Engine::Articulated => Robot::new(options)?,
+            // links of a robot do not collide with one another there
+            Engine::Avian => Robot::new(&SimulationOptions { self_collision: Some(false), ..options.clone() })?,
+        };
         let normal = options.ground.map(|n| {
             let length = n.iter().map(|x| x * x).sum::<f64>().sqrt();
             n.map(|x| x / length)
@@ -106,9 +111,10 @@ impl Simulation {
         let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
         let workers = Workers::new(threads);
         let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
-        let packs = match options.precision {
-            Precision::Single => packs::single(simd, topology, &robot.nominal, n, chunks),
-            Precision::Double => packs::double(topology, &robot.nominal, n, chunks),
+        let packs = match (options.engine(), options.precision) {
+            (Engine::Avian, _) => avian::packs(&robot, &settings, n, workers.threads())?,
+            (Engine::Articulated, Precision::Single) => packs::single(simd, topology, &robot.nominal, n, chunks),
+            (Engine::Articulated, Precision::Double) => packs::double(topology, &robot.nominal, n, chunks),
         };
         let mut sim = Self {
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
@@ -118,7 +124,7 @@ impl Simulation {
                 .map(|joint| joint.effort_table.as_ref())
                 .map(|table| table.map_or(1.0, |t| t.limits.iter().fold(0.0, |most, &x| f64::from(x).max(most))))
                 .collect(),
-            fingerprint: snapshot::fingerprint(&robot, &settings),
+            fingerprint: snapshot::fingerprint(&robot, &settings, options.engine()),
             settings,
             packs,
             workers,
@@ -370,6 +376,12 @@ impl Simulation {
             }
         }
         out
+    }
+
+    /// How far the origin of any link is from where the base's pose and the joints' positions put it, at most, m,
+    /// `[num_envs]`. Only the engine `avian` lets joints come apart.
+    pub fn link_drift(&self) -> Vec<f64> {
+        (0..self.num_envs).map(|env| self.packs.link_drift(env)).collect()
     }
 
     /// Effort of each actuator in the last physics step, N m or N, `[num_envs, joints]`.

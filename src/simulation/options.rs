@@ -18,6 +18,13 @@ pub enum Precision {
     Double,
 }
 
+/// Which engine moves the robots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Engine {
+    Articulated,
+    Avian,
+}
+
 /// What a simulation is made from. [`SimulationOptions::new`] has the defaults.
 #[derive(Clone, Debug)]
 pub struct SimulationOptions {
@@ -31,7 +38,9 @@ pub struct SimulationOptions {
     pub ground: Option<[f64; 3]>,
     /// Gravity in world axes, m/s^2. Default: (0, 0, -9.81).
     pub gravity: [f64; 3],
-    /// The physics engine; there is one, `articulated`.
+    /// The physics engine. `articulated`, the default, moves joints and has no other degrees of freedom. `avian` has
+    /// Avian's rigid bodies with polypod's joints between them: single precision, revolute joints, no contact among links
+    /// of a robot, and one friction coefficient, the dynamic one.
     pub engine: String,
     /// Fix the base to the world, at its origin. Default: no.
     pub fixed_base: bool,
@@ -46,7 +55,7 @@ pub struct SimulationOptions {
     /// Whether links of a robot collide with one another, but for those joined by a joint or touching in the default pose.
     /// Default: what the robot's config says; no for a URDF.
     pub self_collision: Option<bool>,
-    /// Sweeps of the contact solver per physics step. Default: 8.
+    /// Sweeps of the contact solver per physics step; substeps of the engine `avian`. Default: 8.
     pub solver_iterations: usize,
     /// Threads. Default: all cores.
     pub threads: Option<usize>,
@@ -86,10 +95,28 @@ impl SimulationOptions {
         has_extension("urdf") || (path.is_file() && !has_extension("toml"))
     }
 
+    /// The engine by its name, once that is checked.
+    pub(super) fn engine(&self) -> Engine {
+        if self.engine == "avian" { Engine::Avian } else { Engine::Articulated }
+    }
+
     /// Checks what does not depend on the robot.
     pub(super) fn validate(&self) -> Result<(), SimulationError> {
-        if self.engine != "articulated" {
-            return Err(argument("engine", format!("there is no engine `{}`", self.engine), "use \"articulated\""));
+        match self.engine.as_str() {
+            "articulated" => {}
+            "avian" if self.precision == Precision::Double => {
+                let remedy = "use single precision, or the engine \"articulated\"";
+                return Err(argument("precision", "the engine avian has single precision only", remedy));
+            }
+            "avian" if self.self_collision == Some(true) => {
+                let remedy = "leave it out, or use the engine \"articulated\"";
+                return Err(argument("self_collision", "the engine avian knows contact with the ground only", remedy));
+            }
+            "avian" => {}
+            other => {
+                let remedy = "use \"articulated\" or \"avian\"";
+                return Err(argument("engine", format!("there is no engine `{other}`"), remedy));
+            }
         }
         if self.num_envs == 0 {
             return Err(argument("num_envs", "0 envs", "pass at least 1"));

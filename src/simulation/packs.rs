@@ -42,6 +42,10 @@ pub(super) trait Packs: Send + Sync {
     fn write_report(&mut self, env: usize, effort: &[f64], force: &[[f64; 3]]);
     /// `n` physics steps of all envs.
     fn step(&mut self, topology: &Topology, settings: &StepSettings, workers: &Workers, actuation: Actuation, n: usize);
+    /// How far the links' origins are from where forward kinematics has them, at most, m.
+    fn link_drift(&self, _env: usize) -> f64 {
+        0.0
+    }
 }
 
 /// Packs in single precision on an instruction set.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
-use super::options::{Precision, SimulationError};
+use super::options::{Engine, Precision, SimulationError};
 use super::robot::Robot;
 use crate::config::fnv1a;
 use crate::dynamics::{Parameters, State, StepSettings};
@@ -46,8 +46,12 @@ struct Env {
 }
 
 /// A hash of what decides a step but for the state and the envs' own numbers.
-pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings) -> u64 {
-    fnv1a(format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal).as_bytes())
+pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: Engine) -> u64 {
+    let mut text = format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal);
+    if engine == Engine::Avian {
+        text += " avian";
+    }
+    fnv1a(text.as_bytes())
 }
 
 impl Simulation {
@@ -63,7 +67,8 @@ impl Simulation {
     }
 
     /// State, time, contact warm starts and all numbers of all envs: restoring them and stepping gives, bit for bit, what
-    /// going on would have given, for any number of threads and on any instruction set.
+    /// going on would have given, for any number of threads and on any instruction set. The engine `avian` keeps no warm
+    /// starts in it, and closes its joints when it is restored: it goes on from the same state, but not with the same bits.
     ///
     /// # Errors
     /// When it cannot be encoded.

@@ -1,0 +1,430 @@
+//! The other physics engine: links as Avian's rigid bodies, held together by joints of polypod's own.
+//!
+//! Avian finds and solves the contacts with the ground. Its own joints correct positions after its contacts are solved,
+//! which makes feet slide; [`joints`] has constraints on velocities instead, solved in turn with the contacts in every
+//! substep.
+
+mod joints;
+mod shapes;
+mod world;
+
+use std::ops::Range;
+use std::time::Duration;
+
+use avian3d::prelude::{
+    AngularVelocity, ComputedAngularInertia, ComputedCenterOfMass, ComputedMass, Friction, LinearVelocity, Position,
+    Restitution, Rotation,
+};
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Component, Entity, World};
+use bevy_math::{Mat3, Vec3};
+use glam::{DMat3, DQuat, DVec3};
+
+use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
+use crate::dynamics::{JointMotion, Parameters, Plane, State, Topology, Workspace, kinematics};
+use crate::robot::Model;
+use crate::rows::Workers;
+use joints::{Joint, JointNumbers, Joints};
+use shapes::LinkCollider;
+use world::Bodies;
+
+/// Why a robot cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum EngineError {
+    /// A joint that slides.
+    #[error("joint `{0}` is prismatic, and the engine avian has revolute joints only")]
+    Prismatic(String),
+    /// Substeps below the clock's resolution.
+    #[error("substeps of {0:e} s are too short or too long for the engine avian")]
+    Step(f64),
+    /// Never seen: links in another order than they were made in.
+    #[error("the engine avian does not keep the links in order")]
+    Order,
+}
+
+/// A number of one joint.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum JointField {
+    /// Position that the gains pull to, rad.
+    Target,
+    /// Effort on top of that, N m.
+    Effort,
+    /// N m/rad.
+    Stiffness,
+    /// N m s/rad.
+    Damping,
+    /// N m, or a factor of the effort table.
+    EffortLimit,
+    /// kg m^2.
+    Armature,
+}
+
+/// What all envs share.
+#[derive(Clone, Copy)]
+pub(crate) struct Settings {
+    /// Physics step, s.
+    pub(crate) dt: f64,
+    /// Substeps in it.
+    pub(crate) substeps: usize,
+    /// m/s^2, world axes.
+    pub(crate) gravity: [f64; 3],
+    /// What the robots stand on.
+    pub(crate) ground: Option<Plane>,
+}
+
+/// Robots of one kind, one in each env.
+pub(crate) struct Engine {
+    topology: Topology,
+    chunks: Vec<Chunk>,
+    /// Envs in each chunk but the last.
+    per_chunk: usize,
+}
+
+/// Envs that share a world of Avian's and are stepped by one thread.
+struct Chunk {
+    world: World,
+    bodies: Bodies,
+    joints: Joints,
+    envs: Vec<Env>,
+    work: Workspace<f64>,
+    /// Contact body of each collider of a robot.
+    body_of_collider: Vec<usize>,
+    /// Lengths of a physics step and of a substep.
+    dt: Duration,
+    h: Duration,
+}
+
+/// What is known of an env between steps.
+struct Env {
+    state: State<f64>,
+    parameters: Parameters<f64>,
+    effort: Vec<f64>,
+    force: Vec<[f64; 3]>,
+}
+
+impl Engine {
+    /// `num_envs` robots in up to `num_chunks` worlds; `align` turns the axes of the model's links into the engine's.
+    pub(crate) fn new(
+        model: &Model,
+        align: &[DMat3],
+        topology: &Topology,
+        nominal: &Parameters<f64>,
+        settings: &Settings,
+        num_envs: usize,
+        num_chunks: usize,
+    ) -> Result<Self, EngineError> {
+        if let Some(j) = topology.joints.iter().position(|joint| joint.motion == JointMotion::Prismatic) {
+            return Err(EngineError::Prismatic(model.joints[j].name.clone()));
+        }
+        let substep = settings.dt / settings.substeps as f64;
+        let dt = Duration::try_from_secs_f64(settings.dt).map_err(|_| EngineError::Step(substep))?;
+        let h = dt.div_f64(settings.substeps as f64);
+        // the clock counts nanoseconds
+        if h < Duration::from_micros(1) {
+            return Err(EngineError::Step(substep));
+        }
+        let colliders = shapes::colliders(model, align, topology.floating);
+        let per_chunk = num_envs.div_ceil(num_chunks.max(1)).max(1);
+        let mut engine = Self { topology: topology.clone(), chunks: Vec::new(), per_chunk };
+        for first in (0..num_envs).step_by(per_chunk) {
+            let count = per_chunk.min(num_envs - first);
+            engine.chunks.push(Chunk::new(topology, nominal, settings, &colliders, count, dt, h)?);
+        }
+        for env in 0..num_envs {
+            engine.set_parameters(env, nominal);
+        }
+        Ok(engine)
+    }
+
+    fn at(&self, env: usize) -> (&Chunk, usize) {
+        (&self.chunks[env / self.per_chunk], env % self.per_chunk)
+    }
+
+    fn at_mut(&mut self, env: usize) -> (&mut Chunk, usize) {
+        (&mut self.chunks[env / self.per_chunk], env % self.per_chunk)
+    }
+
+    /// The state of an env: what was set, or what its bodies came to since.
+    pub(crate) fn state(&self, env: usize) -> &State<f64> {
+        let (chunk, i) = self.at(env);
+        &chunk.envs[i].state
+    }
+
+    /// Puts all links where forward kinematics has them; contacts and joints begin anew.
+    pub(crate) fn set_state(&mut self, env: usize, state: &State<f64>) {
+        let (chunk, i) = (&mut self.chunks[env / self.per_chunk], env % self.per_chunk);
+        chunk.set_state(&self.topology, i, state);
+    }
+
+    /// The numbers of an env.
+    pub(crate) fn parameters(&self, env: usize) -> &Parameters<f64> {
+        let (chunk, i) = self.at(env);
+        &chunk.envs[i].parameters
+    }
+
+    /// Sets the numbers of an env; positions stay, and so do the velocities of the links' origins.
+    pub(crate) fn set_parameters(&mut self, env: usize, parameters: &Parameters<f64>) {
+        let (chunk, i) = (&mut self.chunks[env / self.per_chunk], env % self.per_chunk);
+        chunk.set_parameters(&self.topology, i, parameters);
+    }
+
+    /// Sets a number of a joint.
+    pub(crate) fn set_joint(&mut self, env: usize, joint: usize, field: JointField, value: f64) {
+        let joints = self.topology.num_joints();
+        let (chunk, i) = self.at_mut(env);
+        let parameters = &mut chunk.envs[i].parameters;
+        let to = &mut chunk.joints.all[i * joints + joint];
+        let single = value as f32;
+        match field {
+            JointField::Target => to.target = single,
+            JointField::Effort => to.feedforward = single,
+            JointField::Stiffness => (parameters.stiffness[joint], to.numbers.stiffness) = (value, single),
+            JointField::Damping => (parameters.damping[joint], to.numbers.damping) = (value, single),
+            JointField::EffortLimit => (parameters.effort_limit[joint], to.numbers.effort_limit) = (value, single),
+            JointField::Armature => (parameters.armature[joint], to.numbers.armature) = (value, single),
+        }
+    }
+
+    /// Sets the feed-forward effort of every joint to zero.
+    pub(crate) fn clear_efforts(&mut self) {
+        self.chunks.iter_mut().flat_map(|chunk| &mut chunk.joints.all).for_each(|joint| joint.feedforward = 0.0);
+    }
+
+    /// Mean effort of each actuator in the last physics step, N m.
+    pub(crate) fn effort(&self, env: usize) -> &[f64] {
+        let (chunk, i) = self.at(env);
+        &chunk.envs[i].effort
+    }
+
+    /// Mean force on each contact body in the last physics step, N, world axes.
+    pub(crate) fn force(&self, env: usize) -> &[[f64; 3]] {
+        let (chunk, i) = self.at(env);
+        &chunk.envs[i].force
+    }
+
+    /// Sets what the last physics step reports.
+    pub(crate) fn set_report(&mut self, env: usize, effort: &[f64], force: &[[f64; 3]]) {
+        let (chunk, i) = self.at_mut(env);
+        chunk.envs[i].effort.copy_from_slice(effort);
+        chunk.envs[i].force.copy_from_slice(force);
+    }
+
+    /// How far the links' origins are from where forward kinematics of the state has them, at most, m.
+    pub(crate) fn drift(&self, env: usize) -> f64 {
+        let (chunk, i) = self.at(env);
+        let links = self.topology.num_links();
+        let mut work = Workspace::new(&self.topology);
+        let env = &chunk.envs[i];
+        let rotation = forward(&self.topology, &env.parameters, &env.state, &mut work);
+        let origin = DVec3::from_array(env.state.position);
+        let distances = work.links.iter().zip(&chunk.bodies.links[i * links..]).filter_map(|(link, entity)| {
+            let there = origin + rotation * DVec3::from_array(link.position);
+            Some(chunk.world.get::<Position>(*entity)?.0.as_dvec3().distance(there))
+        });
+        distances.fold(0.0, f64::max)
+    }
+
+    /// `n` physics steps of all envs. With `gains` the actuators pull to the targets, and `explicit` joints hold the effort
+    /// of the beginning of a physics step.
+    pub(crate) fn step(&mut self, workers: &Workers, explicit: &[bool], gains: bool, n: usize) {
+        let topology = &self.topology;
+        workers.for_each(self.chunks.iter_mut(), |chunk| chunk.step(topology, explicit, gains, n));
+    }
+}
+
+impl Chunk {
+    fn new(
+        topology: &Topology,
+        nominal: &Parameters<f64>,
+        settings: &Settings,
+        colliders: &[LinkCollider],
+        num_envs: usize,
+        dt: Duration,
+        h: Duration,
+    ) -> Result<Self, EngineError> {
+        let (links, substeps) = (topology.num_links(), settings.substeps);
+        let (floating, ground, gravity) = (topology.floating, settings.ground, settings.gravity);
+        let (world, bodies) =
+            world::build(num_envs, links, floating, colliders, ground, gravity, substeps).ok_or(EngineError::Order)?;
+        let mut joints = Joints {
+            parents: topology.joints.iter().map(|joint| joint.parent).collect(),
+            axes: topology.joints.iter().map(|joint| vector(joint.axis.direction())).collect(),
+            tables: topology.joints.iter().map(|joint| joint.effort_table.clone()).collect(),
+            all: vec![Joint::default(); num_envs * topology.num_joints()],
+            ..Joints::default()
+        };
+        joints.set_step(h, substeps);
+        let env = || Env {
+            state: State::zeros(topology),
+            parameters: nominal.clone(),
+            effort: vec![0.0; topology.num_joints()],
+            force: vec![[0.0; 3]; topology.num_bodies],
+        };
+        Ok(Self {
+            world,
+            bodies,
+            joints,
+            envs: (0..num_envs).map(|_| env()).collect(),
+            work: Workspace::new(topology),
+            body_of_collider: colliders.iter().map(|collider| collider.body).collect(),
+            dt,
+            h,
+        })
+    }
+
+    fn colliders(&self, env: usize) -> Range<usize> {
+        let count = self.body_of_collider.len();
+        env * count..(env + 1) * count
+    }
+
+    fn set<C: Component<Mutability = Mutable>>(&mut self, entity: Entity, value: C) {
+        if let Some(mut component) = self.world.get_mut::<C>(entity) {
+            *component = value;
+        }
+    }
+
+    fn set_state(&mut self, topology: &Topology, env: usize, state: &State<f64>) {
+        self.envs[env].state = state.clone();
+        let joints = topology.num_joints();
+        for (j, joint) in self.joints.all[env * joints..(env + 1) * joints].iter_mut().enumerate() {
+            joint.forget();
+            (joint.position, joint.velocity) = (state.joint_position[j], state.joint_velocity[j]);
+        }
+        let colliders = self.colliders(env);
+        world::forget_contacts(&mut self.world, colliders);
+        self.place(topology, env);
+    }
+
+    /// Puts the bodies where the state has them.
+    fn place(&mut self, topology: &Topology, env: usize) {
+        let Env { state, parameters, .. } = &self.envs[env];
+        let rotation = forward(topology, parameters, state, &mut self.work);
+        let links = topology.num_links();
+        for link in 0..links {
+            let at = &self.work.links[link];
+            let turn = rotation * matrix(&at.rotation);
+            let position = DVec3::from_array(self.envs[env].state.position) + rotation * DVec3::from_array(at.position);
+            // the velocity of the centre of mass
+            let com = add(
+                at.position,
+                (matrix(&at.rotation) * DVec3::from_array(self.envs[env].parameters.com[link])).to_array(),
+            );
+            let spin = DVec3::from_array(at.velocity.ang);
+            let velocity = DVec3::from_array(at.velocity.lin) + spin.cross(com);
+            let entity = self.bodies.links[env * links + link];
+            self.set(entity, Position(position.as_vec3()));
+            self.set(entity, Rotation(DQuat::from_mat3(&turn).normalize().as_quat()));
+            self.set(entity, LinearVelocity((rotation * velocity).as_vec3()));
+            self.set(entity, AngularVelocity((rotation * spin).as_vec3()));
+        }
+    }
+
+    fn set_parameters(&mut self, topology: &Topology, env: usize, parameters: &Parameters<f64>) {
+        let moved = self.envs[env].parameters.com != parameters.com
+            || self.envs[env].parameters.joint_offset != parameters.joint_offset;
+        self.envs[env].parameters = parameters.clone();
+        let (joints, links) = (topology.num_joints(), topology.num_links());
+        for (j, joint) in self.joints.all[env * joints..(env + 1) * joints].iter_mut().enumerate() {
+            joint.numbers = JointNumbers::new(topology, parameters, j);
+        }
+        for link in 0..links {
+            let entity = self.bodies.links[env * links + link];
+            self.set(entity, ComputedCenterOfMass(vector(parameters.com[link])));
+            if link == 0 && !topology.floating {
+                continue;
+            }
+            self.set(entity, ComputedMass::new(parameters.mass[link] as f32));
+            self.set(entity, angular_inertia(&parameters.inertia[link]));
+        }
+        let (friction, restitution): (Friction, Restitution) =
+            world::surface(parameters.dynamic_friction as f32, parameters.restitution as f32);
+        for collider in self.colliders(env) {
+            let entity = self.bodies.colliders[collider];
+            self.set(entity, friction);
+            self.set(entity, restitution);
+        }
+        if moved {
+            self.place(topology, env);
+        }
+    }
+
+    fn step(&mut self, topology: &Topology, explicit: &[bool], gains: bool, n: usize) {
+        self.joints.explicit.clear();
+        self.joints.explicit.extend(explicit);
+        self.joints.gains = gains;
+        self.world.insert_resource(std::mem::take(&mut self.joints));
+        for _ in 0..n {
+            world::step(&mut self.world, self.dt, self.h);
+        }
+        self.joints = self.world.remove_resource().unwrap_or_default();
+        let (joints, links) = (topology.num_joints(), topology.num_links());
+        for (i, env) in self.envs.iter_mut().enumerate() {
+            let own = &self.joints.all[i * joints..(i + 1) * joints];
+            for (j, joint) in own.iter().enumerate() {
+                env.state.joint_position[j] = joint.position;
+                env.state.joint_velocity[j] = joint.velocity;
+                env.effort[j] = f64::from(joint.effort);
+            }
+            env.force.fill([0.0; 3]);
+            let base = self.bodies.links[i * links];
+            if topology.floating
+                && let Ok(base) = self.world.get_entity(base)
+                && let (Some(position), Some(rotation), Some(linear), Some(angular)) = (
+                    base.get::<Position>(),
+                    base.get::<Rotation>(),
+                    base.get::<LinearVelocity>(),
+                    base.get::<AngularVelocity>(),
+                )
+            {
+                let (q, spin) = (rotation.0.as_dquat(), angular.0.as_dvec3());
+                let com = DVec3::from_array(env.parameters.com[0]);
+                env.state.position = position.0.as_dvec3().to_array();
+                env.state.rotation = [q.w, q.x, q.y, q.z];
+                env.state.linear_velocity = (linear.0.as_dvec3() - spin.cross(q * com)).to_array();
+                env.state.angular_velocity = (q.conjugate() * spin).to_array();
+            }
+        }
+        let count = self.body_of_collider.len();
+        let dt = self.dt.as_secs_f64();
+        world::contact_impulses(&self.world, |pair, impulse| {
+            let force = &mut self.envs[pair / count].force[self.body_of_collider[pair % count]];
+            for (sum, p) in force.iter_mut().zip(impulse.to_array()) {
+                *sum += f64::from(p) / dt;
+            }
+        });
+    }
+}
+
+/// Leaves poses and velocities of the links in the workspace, in base axes; the base's axes in the world.
+fn forward(topology: &Topology, parameters: &Parameters<f64>, state: &State<f64>, work: &mut Workspace<f64>) -> DMat3 {
+    let length = state.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let rotation = quat_to_mat(&state.rotation.map(|x| x / length));
+    let base = if topology.floating {
+        Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) }
+    } else {
+        Spatial::zero()
+    };
+    let (position, velocity) = (&state.joint_position, &state.joint_velocity);
+    kinematics::forward_kinematics(topology, parameters, position, velocity, &base, work);
+    matrix(&rotation)
+}
+
+fn angular_inertia(&[xx, yy, zz, xy, xz, yz]: &[f64; 6]) -> ComputedAngularInertia {
+    let columns = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+    let inverse = DMat3::from_cols_array_2d(&columns).inverse();
+    let m: Mat3 = inverse.as_mat3();
+    ComputedAngularInertia::from_inverse_tensor(avian3d::math::SymmetricMatrix::from_mat3_unchecked(m))
+}
+
+/// From rows.
+fn matrix(rows: &Rows3<f64>) -> DMat3 {
+    DMat3::from_cols_array_2d(rows).transpose()
+}
+
+fn add(a: [f64; 3], b: [f64; 3]) -> DVec3 {
+    DVec3::from_array(a) + DVec3::from_array(b)
+}
+
+fn vector(v: [f64; 3]) -> Vec3 {
+    DVec3::from_array(v).as_vec3()
+}

@@ -1,0 +1,65 @@
+//! A robot's collision shapes as Avian's colliders.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use avian3d::prelude::Collider;
+use bevy_math::{Quat, Vec3};
+use glam::{DMat3, DQuat, DVec3};
+
+use crate::robot::{Geometry, Model};
+
+/// A box that stands for a shape without volume is at least this thick, m.
+const MIN_THICKNESS: f32 = 1e-3;
+
+/// One collider of a link.
+#[derive(Clone)]
+pub(super) struct LinkCollider {
+    pub(super) link: usize,
+    /// Contact body whose force it adds to.
+    pub(super) body: usize,
+    pub(super) collider: Collider,
+    /// Its frame in that of the link, whose axes are the engine's.
+    pub(super) translation: Vec3,
+    pub(super) rotation: Quat,
+}
+
+/// The colliders of a robot; `align` turns a link's URDF axes into the engine's. What cannot move has none.
+pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<LinkCollider> {
+    // cylinders and capsules lie along z in a URDF and along y in Avian
+    let upright = Quat::from_rotation_x(std::f32::consts::FRAC_PI_2);
+    let mut all = Vec::new();
+    for (body, b) in model.bodies.iter().enumerate().filter(|(_, b)| floating || b.link != 0) {
+        for shape in &b.shapes {
+            let mut translation = (align[b.link] * shape.origin.translation).as_vec3();
+            let mut rotation = DQuat::from_mat3(&(align[b.link] * shape.origin.rotation)).normalize().as_quat();
+            let collider = match &shape.geometry {
+                Geometry::Sphere { radius } => Collider::sphere(*radius as f32),
+                Geometry::Box { size } => Collider::cuboid(size.x as f32, size.y as f32, size.z as f32),
+                Geometry::Cylinder { radius, length } => {
+                    rotation *= upright;
+                    Collider::cylinder(*radius as f32, *length as f32)
+                }
+                Geometry::Capsule { radius, length } => {
+                    rotation *= upright;
+                    Collider::capsule(*radius as f32, *length as f32)
+                }
+                Geometry::Hull { points } => hull(points).unwrap_or_else(|| {
+                    let least = points.iter().copied().reduce(DVec3::min).unwrap_or_default().as_vec3();
+                    let most = points.iter().copied().reduce(DVec3::max).unwrap_or_default().as_vec3();
+                    translation += rotation * ((least + most) * 0.5);
+                    let size = (most - least).max(Vec3::splat(MIN_THICKNESS));
+                    Collider::cuboid(size.x, size.y, size.z)
+                }),
+            };
+            all.push(LinkCollider { link: b.link, body, collider, translation, rotation });
+        }
+    }
+    all
+}
+
+/// The hull of points that span a volume.
+fn hull(points: &[DVec3]) -> Option<Collider> {
+    let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
+    // it asserts its way through degenerate input
+    catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(points))).ok().flatten()
+}

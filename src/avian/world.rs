@@ -1,0 +1,392 @@
+//! One of Avian's worlds: robots of one kind as rigid bodies on a plane.
+//!
+//! Robots touch the ground only, and every one is in the frame of its own env, at the same place as all others. There is
+//! no broad phase: each collider and the ground are one pair for good. What happens to a robot depends neither on the
+//! other robots of its world nor on what it touched before.
+
+use std::time::Duration;
+
+use avian3d::collision::collider::EnlargedAabb;
+use avian3d::collision::contact_types::ContactId;
+use avian3d::dynamics::integrator::IntegrationSystems;
+use avian3d::dynamics::solver::constraint_graph::ConstraintGraph;
+use avian3d::dynamics::solver::contact::ContactConstraint;
+use avian3d::dynamics::solver::joint_graph::JointGraphPlugin;
+use avian3d::dynamics::solver::schedule::SubstepSolverSystems;
+use avian3d::dynamics::solver::solver_body::{SolverBody, SolverBodyInertia};
+use avian3d::prelude::*;
+use bevy_app::{App, PluginGroup};
+use bevy_ecs::prelude::*;
+use bevy_ecs::schedule::ScheduleLabel;
+use bevy_math::{Mat3, Quat, Vec3};
+use bevy_time::Time;
+use bevy_transform::components::GlobalTransform;
+
+use super::joints::{Inverse, Joints, LinkPose, Softness};
+use super::shapes::LinkCollider;
+use crate::dynamics::Plane;
+use crate::rows::{read_rows, write_rows};
+
+/// Colliders nearer to the ground than this are looked at even when they stand still, m.
+const CONTACT_TOLERANCE: f32 = 0.002;
+/// Half edge of a box that holds all that can be, m: every collider may touch the ground.
+const EVERYWHERE: f32 = 1e30;
+
+/// What Avian prepares before a step; the engine sets all of it itself and never runs this.
+#[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
+struct Unused;
+
+/// The body that carries a collider, and the collider's frame in the body's.
+#[derive(Component)]
+struct Attached {
+    body: Entity,
+    translation: Vec3,
+    rotation: Quat,
+}
+
+/// Whether the next substep is the first one of its physics step.
+#[derive(Resource, Default)]
+struct FirstSubstep(bool);
+
+/// Impulses of the contact constraints on their robots, in the order of the constraint graph.
+#[derive(Resource, Default)]
+struct Impulses {
+    /// Over the physics step, N s.
+    sum: Vec<Vec3>,
+    /// In the last substep, N s.
+    last: Vec<Vec3>,
+}
+
+/// Entities of a world, robot after robot.
+pub(super) struct Bodies {
+    pub(super) links: Vec<Entity>,
+    pub(super) colliders: Vec<Entity>,
+}
+
+/// A world with robots of `links` links each; all poses and masses are still to be set. `None` when Avian keeps the links
+/// in another order than they were made in.
+pub(super) fn build(
+    robots: usize,
+    links: usize,
+    floating: bool,
+    colliders: &[LinkCollider],
+    ground: Option<Plane>,
+    gravity: [f64; 3],
+    substeps: usize,
+) -> Option<(World, Bodies)> {
+    let mut app = App::empty();
+    app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
+    app.insert_resource(Time::<()>::default());
+    let plugins = PhysicsPlugins::new(Unused)
+        .build()
+        .disable::<CcdPlugin>()
+        .disable::<IslandPlugin>()
+        .disable::<IslandSleepingPlugin>()
+        .disable::<JointPlugin>()
+        .disable::<JointGraphPlugin<FixedJoint>>()
+        .disable::<JointGraphPlugin<RevoluteJoint>>()
+        .disable::<JointGraphPlugin<PrismaticJoint>>()
+        .disable::<JointGraphPlugin<DistanceJoint>>()
+        .disable::<JointGraphPlugin<SphericalJoint>>()
+        .disable::<ForcePlugin>()
+        .disable::<MassPropertyPlugin>()
+        .disable::<ColliderTransformPlugin>()
+        .disable::<ColliderTreePlugin<Collider>>()
+        .disable::<BroadPhaseCorePlugin>()
+        .disable::<BvhBroadPhasePlugin>()
+        .disable::<SpatialQueryPlugin>()
+        .disable::<PhysicsTransformPlugin>()
+        .disable::<PhysicsInterpolationPlugin>();
+    app.add_plugins(plugins);
+    app.insert_resource(Gravity(Vec3::from_array(gravity.map(|x| x as f32))));
+    app.insert_resource(SubstepCount(u32::try_from(substeps).unwrap_or(u32::MAX)));
+    app.insert_resource(NarrowPhaseConfig { contact_tolerance: CONTACT_TOLERANCE, ..NarrowPhaseConfig::default() });
+    app.init_resource::<Joints>();
+    app.init_resource::<Impulses>();
+    app.init_resource::<FirstSubstep>();
+    app.add_systems(
+        PhysicsSchedule,
+        (
+            place_colliders.in_set(PhysicsStepSystems::First).ambiguous_with_all(),
+            order_contacts
+                .after(PhysicsStepSystems::NarrowPhase)
+                .before(PhysicsStepSystems::Solver)
+                .ambiguous_with_all(),
+            prepare_joints.in_set(SolverSystems::PrepareJoints).ambiguous_with_all(),
+            finish_joints.in_set(PhysicsStepSystems::Finalize).ambiguous_with_all(),
+        ),
+    );
+    app.add_systems(
+        SubstepSchedule,
+        (
+            begin_joints
+                .after(IntegrationSystems::Velocity)
+                .before(SubstepSolverSystems::WarmStart)
+                .ambiguous_with_all(),
+            solve_joints
+                .after(SubstepSolverSystems::WarmStart)
+                .before(SubstepSolverSystems::SolveConstraints)
+                .ambiguous_with_all(),
+            relax_joints.after(IntegrationSystems::Position).before(SubstepSolverSystems::Relax).ambiguous_with_all(),
+            sum_impulses.after(SubstepSolverSystems::Relax).before(SubstepSolverSystems::Damping).ambiguous_with_all(),
+        ),
+    );
+    app.finish();
+    app.cleanup();
+    let mut world = std::mem::take(app.world_mut());
+    let bodies = spawn(&mut world, robots, links, floating, colliders, ground);
+    let mut order = world.query_filtered::<Entity, With<SolverBody>>();
+    order.iter(&world).eq(bodies.links.iter().copied()).then_some((world, bodies))
+}
+
+fn spawn(
+    world: &mut World,
+    robots: usize,
+    links: usize,
+    floating: bool,
+    colliders: &[LinkCollider],
+    ground: Option<Plane>,
+) -> Bodies {
+    let everywhere = || EnlargedAabb::new(ColliderAabb::new(Vec3::ZERO, Vec3::splat(EVERYWHERE)));
+    let ground = ground.map(|plane| {
+        let normal = Vec3::from_array(plane.normal.map(|x| x as f32));
+        let position = Position(normal * plane.offset as f32);
+        let body = world.spawn((RigidBody::Static, position, Rotation::IDENTITY)).id();
+        let collider = world
+            .spawn((
+                Collider::half_space(normal),
+                GlobalTransform::IDENTITY,
+                ColliderOf { body },
+                everywhere(),
+                position,
+                Rotation::IDENTITY,
+                surface(1.0, 1.0),
+            ))
+            .id();
+        (body, collider)
+    });
+    let mut bodies = Bodies { links: Vec::new(), colliders: Vec::new() };
+    for _ in 0..robots {
+        let first = bodies.links.len();
+        for link in 0..links {
+            let kind = if link == 0 && !floating { RigidBody::Kinematic } else { RigidBody::Dynamic };
+            let entity = world.spawn((
+                kind,
+                Position(Vec3::ZERO),
+                Rotation::IDENTITY,
+                LinearVelocity::ZERO,
+                AngularVelocity::ZERO,
+                ComputedMass::INFINITY,
+                ComputedAngularInertia::INFINITY,
+                ComputedCenterOfMass::default(),
+            ));
+            bodies.links.push(entity.id());
+        }
+        for c in colliders {
+            let body = bodies.links[first + c.link];
+            let collider = world
+                .spawn((
+                    c.collider.clone(),
+                    // a collider takes its scale from this component, and zero without it
+                    GlobalTransform::IDENTITY,
+                    ColliderOf { body },
+                    everywhere(),
+                    Position(c.translation),
+                    Rotation(c.rotation),
+                    surface(1.0, 0.0),
+                    Attached { body, translation: c.translation, rotation: c.rotation },
+                ))
+                .id();
+            bodies.colliders.push(collider);
+        }
+    }
+    world.flush();
+    if let (Some((ground, plane)), Some(mut graph)) = (ground, world.get_resource_mut::<ContactGraph>()) {
+        for robot in 0..robots {
+            for (i, c) in colliders.iter().enumerate() {
+                let mut edge = ContactEdge::new(bodies.colliders[robot * colliders.len() + i], plane);
+                (edge.body1, edge.body2) = (Some(bodies.links[robot * links + c.link]), Some(ground));
+                graph.add_edge_with(edge, |pair| {
+                    (pair.body1, pair.body2) = (Some(bodies.links[robot * links + c.link]), Some(ground));
+                    pair.flags.insert(ContactPairFlags::GENERATE_CONSTRAINTS);
+                });
+            }
+        }
+    }
+    bodies
+}
+
+/// Friction and restitution coefficients that multiply.
+pub(super) fn surface(friction: f32, restitution: f32) -> (Friction, Restitution) {
+    let rule = CoefficientCombine::Multiply;
+    (
+        Friction { static_coefficient: friction, dynamic_coefficient: friction, combine_rule: rule },
+        Restitution { coefficient: restitution, combine_rule: rule },
+    )
+}
+
+/// One physics step; its length in substeps is that of the joints.
+pub(super) fn step(world: &mut World, dt: Duration, h: Duration) {
+    world.resource_mut::<Time<Physics>>().advance_by(dt);
+    world.resource_mut::<Time<Substeps>>().advance_by(h);
+    *world.resource_mut::<Time>() = world.resource::<Time<Physics>>().as_generic();
+    world.run_schedule(PhysicsSchedule);
+}
+
+/// Adds what touched the ground in the last physics step to `add(pair, impulse on the robot)`; pairs count colliders,
+/// robot after robot.
+pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3)) {
+    let (Some(constraints), Some(contacts), Some(impulses)) = (
+        world.get_resource::<ConstraintGraph>(),
+        world.get_resource::<ContactGraph>(),
+        world.get_resource::<Impulses>(),
+    ) else {
+        return;
+    };
+    for (i, constraint) in all_constraints(constraints).enumerate() {
+        let (Some(sum), Some(last), Some(pair)) =
+            (impulses.sum.get(i), impulses.last.get(i), pair_index(contacts, constraint.contact_id))
+        else {
+            continue;
+        };
+        // restitution comes after the last substep
+        add(pair, *sum + impulse(constraint) - *last);
+    }
+}
+
+/// Makes contacts of some colliders begin anew.
+pub(super) fn forget_contacts(world: &mut World, pairs: std::ops::Range<usize>) {
+    let Some(mut graph) = world.get_resource_mut::<ContactGraph>() else {
+        return;
+    };
+    for pair in graph.active_pairs_mut().get_mut(pairs).unwrap_or_default() {
+        for point in pair.manifolds.iter_mut().flat_map(|manifold| &mut manifold.points) {
+            point.warm_start_normal_impulse = 0.0;
+            point.warm_start_tangent_impulse = bevy_math::Vec2::ZERO;
+        }
+    }
+}
+
+/// Pairs are never removed: their place is the order they were made in.
+fn pair_index(contacts: &ContactGraph, id: ContactId) -> Option<usize> {
+    contacts.get_edge_by_id(id).map(|edge| edge.pair_index)
+}
+
+fn all_constraints(graph: &ConstraintGraph) -> impl Iterator<Item = &ContactConstraint> {
+    graph.colors.iter().flat_map(|color| &color.contact_constraints)
+}
+
+/// Impulse on the robot, the first body of each pair, in the last substep.
+fn impulse(constraint: &ContactConstraint) -> Vec3 {
+    let tangents = constraint.tangent_directions();
+    let on_ground = constraint.points.iter().map(|point| {
+        let along = point.tangent_part.as_ref().map_or(bevy_math::Vec2::ZERO, |part| part.impulse);
+        constraint.normal * point.normal_part.impulse + tangents[0] * along.x + tangents[1] * along.y
+    });
+    -on_ground.fold(Vec3::ZERO, |sum, p| sum + p)
+}
+
+fn place_colliders(
+    mut colliders: Query<(&Attached, &mut Position, &mut Rotation), Without<RigidBody>>,
+    bodies: Query<(&Position, &Rotation), With<RigidBody>>,
+) {
+    for (attached, mut position, mut rotation) in &mut colliders {
+        if let Ok((at, turned)) = bodies.get(attached.body) {
+            position.0 = at.0 + turned.0 * attached.translation;
+            rotation.0 = (turned.0 * attached.rotation).normalize();
+        }
+    }
+}
+
+/// Solves contacts in an order that depends on nothing but which there are.
+fn order_contacts(mut constraints: ResMut<ConstraintGraph>, mut contacts: ResMut<ContactGraph>) {
+    constraints.clear();
+    let touching: Vec<ContactId> = contacts.iter_active_touching().map(|pair| pair.contact_id).collect();
+    for id in touching {
+        if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
+            edge.constraint_handles.clear();
+            for _ in 0..pair.manifolds.len() {
+                constraints.push_manifold(edge, pair);
+            }
+        }
+    }
+}
+
+fn prepare_joints(
+    mut joints: ResMut<Joints>,
+    mut impulses: ResMut<Impulses>,
+    mut first: ResMut<FirstSubstep>,
+    positions: Query<&'static Position, With<SolverBody>>,
+    rotations: Query<&'static Rotation, With<SolverBody>>,
+    inertias: Query<&'static SolverBodyInertia>,
+) {
+    first.0 = true;
+    impulses.sum.clear();
+    impulses.last.clear();
+    let inertias = read_rows(&inertias);
+    joints.inverses.clear();
+    joints.inverses.extend(inertias.iter().map(|inertia| {
+        let i = inertia.effective_inv_angular_inertia();
+        Inverse {
+            mass: inertia.effective_inv_mass().x,
+            inertia: Mat3::from_cols(
+                Vec3::new(i.m00, i.m01, i.m02),
+                Vec3::new(i.m01, i.m11, i.m12),
+                Vec3::new(i.m02, i.m12, i.m22),
+            ),
+        }
+    }));
+    let poses: Vec<LinkPose> = read_rows(&positions)
+        .iter()
+        .zip(read_rows(&rotations))
+        .map(|(position, rotation)| LinkPose { position: position.0, rotation: rotation.0 })
+        .collect();
+    joints.prepare(&poses);
+}
+
+fn begin_joints(
+    mut joints: ResMut<Joints>,
+    mut first: ResMut<FirstSubstep>,
+    mut bodies: Query<&'static mut SolverBody>,
+) {
+    joints.begin(write_rows(&mut bodies), first.0);
+    first.0 = false;
+}
+
+fn solve_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
+    joints.solve(write_rows(&mut bodies));
+}
+
+fn relax_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
+    joints.relax(write_rows(&mut bodies));
+}
+
+fn sum_impulses(mut impulses: ResMut<Impulses>, constraints: Res<ConstraintGraph>) {
+    let Impulses { sum, last } = &mut *impulses;
+    last.clear();
+    last.extend(all_constraints(&constraints).map(impulse));
+    if sum.is_empty() {
+        sum.extend(&*last);
+    } else {
+        sum.iter_mut().zip(&*last).for_each(|(sum, p)| *sum += *p);
+    }
+}
+
+fn finish_joints(
+    mut joints: ResMut<Joints>,
+    rotations: Query<&'static Rotation, With<SolverBody>>,
+    velocities: Query<&'static AngularVelocity, With<SolverBody>>,
+) {
+    let rotations: Vec<Quat> = read_rows(&rotations).iter().map(|rotation| rotation.0).collect();
+    let velocities: Vec<Vec3> = read_rows(&velocities).iter().map(|velocity| velocity.0).collect();
+    joints.finish(&rotations, &velocities);
+}
+
+impl Joints {
+    /// Sets the lengths of a physics step and of its substeps.
+    pub(super) fn set_step(&mut self, h: Duration, substeps: usize) {
+        self.h = h.as_secs_f32();
+        self.substeps = substeps;
+        self.softness = Softness::new(self.h);
+    }
+}

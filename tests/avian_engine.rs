@@ -1,0 +1,259 @@
+//! The engine `avian`: robots stand, survive rough handling, and move as the articulated engine has them; bits depend on
+//! nothing but the state.
+
+mod common;
+
+use std::time::Instant;
+
+use common::{ROBOTS, noise};
+use polypod::simulation::Precision;
+use polypod::{Control, Simulation, SimulationOptions};
+
+const GRAVITY: f64 = 9.81;
+
+fn options(robot: &str, engine: &str, num_envs: usize) -> SimulationOptions {
+    SimulationOptions { engine: engine.into(), threads: Some(1), ..SimulationOptions::new(robot, num_envs) }
+}
+
+fn simulation(robot: &str, engine: &str) -> Simulation {
+    Simulation::new(&options(robot, engine, 1)).unwrap()
+}
+
+/// The default joint positions.
+fn stance(sim: &Simulation) -> Vec<f64> {
+    sim.default_qpos()[sim.nq() - sim.num_joints()..].to_vec()
+}
+
+fn hold(targets: &[f64]) -> Control<'_> {
+    Control { targets: Some(targets), ..Control::default() }
+}
+
+fn most(values: impl IntoIterator<Item = f64>) -> f64 {
+    values.into_iter().map(f64::abs).fold(0.0, f64::max)
+}
+
+fn is_finite(sim: &Simulation) -> bool {
+    sim.qpos().iter().chain(&sim.qvel()).chain(&sim.joint_torque()).chain(&sim.contact_forces()).all(|x| x.is_finite())
+}
+
+/// z component of the base's z axis.
+fn upright(sim: &Simulation) -> f64 {
+    let q = sim.qpos();
+    1.0 - 2.0 * (q[4] * q[4] + q[5] * q[5])
+}
+
+#[test]
+fn every_robot_stands_for_ten_seconds() {
+    let mut failures = Vec::new();
+    for robot in ROBOTS {
+        let [mut avian, mut articulated] = ["avian", "articulated"].map(|engine| simulation(robot, engine));
+        let targets = stance(&avian);
+        let mut drift: f64 = 0.0;
+        for _ in 0..200 {
+            avian.step(&hold(&targets), 10).unwrap();
+            drift = drift.max(avian.link_drift()[0]);
+        }
+        articulated.step(&hold(&targets), 2000).unwrap();
+        let weight = avian.total_mass() * GRAVITY;
+        let up: f64 = avian.contact_forces().chunks(3).map(|f| f[2]).sum();
+        let (ours, theirs) = (avian.joint_torque(), articulated.joint_torque());
+        let off = most(ours.iter().zip(&theirs).map(|(a, b)| a - b)) / most(theirs.iter().copied());
+        let (q, p) = (avian.qpos(), articulated.qpos());
+        let joints = most((7..q.len()).map(|i| q[i] - p[i]));
+        let speed = most(avian.qvel()[..3].iter().copied());
+        println!(
+            "{robot:<12} force/weight {:.5}, height {:.4} ({:+.4}) m, upright {:.5}, drift {:.3} mm, torque off {:.2} % of {:.2} N m, joints off {joints:.5} rad, speed {speed:.5} m/s, moved {:.2} {:.2} mm",
+            up / weight,
+            q[2],
+            q[2] - p[2],
+            upright(&avian),
+            1e3 * drift,
+            1e2 * off,
+            most(theirs.iter().copied()),
+            1e3 * q[0],
+            1e3 * q[1],
+        );
+        let mut check = |holds: bool, what: &str| {
+            if !holds {
+                failures.push(format!("{robot}: {what}"));
+            }
+        };
+        check(is_finite(&avian), "not finite");
+        check(upright(&avian) > 0.98, "not upright");
+        check((up / weight - 1.0).abs() < 0.02, "forces do not add up to the weight");
+        check(drift < 1e-3, "joints come apart");
+        check(off < 0.03, "torques are not those of the articulated engine");
+    }
+    assert!(failures.is_empty(), "{failures:#?}");
+}
+
+#[test]
+fn every_robot_survives_a_drop_and_random_targets() {
+    for robot in ROBOTS {
+        let mut sim = simulation(robot, "avian");
+        let targets = stance(&sim);
+        let mut start = sim.default_qpos().to_vec();
+        start[2] += 0.5;
+        sim.set_state(None, Some(&start), None).unwrap();
+        let (mut drift, mut fastest) = (0.0_f64, 0.0_f64);
+        for step in 0..1000 {
+            let moved: Vec<f64> =
+                (0..targets.len()).map(|j| targets[j] + 0.6 * f64::from(noise(3, 0, step, j))).collect();
+            let asked = if step < 50 { &targets } else { &moved };
+            sim.step(&hold(asked), 4).unwrap();
+            assert!(is_finite(&sim), "{robot}: step {step}");
+            drift = drift.max(sim.link_drift()[0]);
+            fastest = fastest.max(most(sim.qvel()));
+        }
+        let height = sim.qpos()[2];
+        println!(
+            "{robot:<12} drift {:.2} mm, fastest {fastest:.1}, height {height:.3} m, upright {:.3}",
+            1e3 * drift,
+            upright(&sim)
+        );
+        assert!(height > -0.05 && height < 2.0, "{robot}: {height}");
+    }
+}
+
+/// Largest difference of joint positions while one joint follows a step of 0.1 rad with the base fixed in the air.
+fn step_response(robot: &str, joint: usize) -> (f64, f64) {
+    let [mut avian, mut articulated] = ["avian", "articulated"].map(|engine| {
+        let options = SimulationOptions { fixed_base: true, ground: None, ..options(robot, engine, 1) };
+        Simulation::new(&options).unwrap()
+    });
+    let targets = stance(&avian);
+    for sim in [&mut avian, &mut articulated] {
+        sim.step(&hold(&targets), 400).unwrap();
+    }
+    let rest = most(avian.qpos().iter().zip(&articulated.qpos()).map(|(a, b)| a - b));
+    let mut targets = targets;
+    targets[joint] += 0.1;
+    let mut off: f64 = 0.0;
+    for _ in 0..200 {
+        for sim in [&mut avian, &mut articulated] {
+            sim.step(&hold(&targets), 1).unwrap();
+        }
+        off = off.max(most(avian.qpos().iter().zip(&articulated.qpos()).map(|(a, b)| a - b)));
+    }
+    (rest, off)
+}
+
+/// Of a step of 0.1 rad.
+const STEP_BOUND: f64 = 0.01;
+
+#[test]
+fn a_step_of_a_joint_is_followed_as_in_the_articulated_engine() {
+    let mut failures = Vec::new();
+    for robot in ROBOTS {
+        for joint in 0..3 {
+            let (rest, off) = step_response(robot, joint);
+            println!("{robot:<12} joint {joint}: at rest {rest:.6} rad, at most {off:.5} rad off");
+            if rest > 1e-3 || off > STEP_BOUND {
+                failures.push(format!("{robot} joint {joint}: {rest} {off}"));
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{failures:#?}");
+}
+
+fn bits(sim: &Simulation) -> Vec<u64> {
+    [sim.qpos(), sim.qvel(), sim.joint_torque(), sim.contact_forces()].concat().iter().map(|x| x.to_bits()).collect()
+}
+
+/// Random targets for `steps` control steps; the bits of each.
+fn run(sim: &mut Simulation, steps: usize, stream: u64) -> Vec<Vec<u64>> {
+    let (stance, envs) = (stance(sim), sim.num_envs());
+    (0..steps)
+        .map(|step| {
+            let targets: Vec<f64> = (0..envs)
+                .flat_map(|env| stance.iter().enumerate().map(move |(j, q)| (env, j, *q)))
+                .map(|(env, j, q)| q + 0.3 * f64::from(noise(stream, env, step, j)))
+                .collect();
+            sim.step(&hold(&targets), 4).unwrap();
+            bits(sim)
+        })
+        .collect()
+}
+
+#[test]
+fn bits_depend_on_neither_threads_nor_runs_nor_other_envs() {
+    let with = |threads, envs| {
+        let options = SimulationOptions { threads: Some(threads), ..options("anymal_c", "avian", envs) };
+        run(&mut Simulation::new(&options).unwrap(), 100, 1)
+    };
+    let one = with(1, 6);
+    assert_eq!(one, with(1, 6), "another run");
+    assert_eq!(one, with(2, 6), "two threads");
+    let alone = with(1, 1);
+    let sim = simulation("anymal_c", "avian");
+    let (nq, nv) = (sim.nq(), sim.nv());
+    for (all, first) in one.iter().zip(&alone) {
+        assert_eq!(all[..nq], first[..nq]);
+        assert_eq!(all[6 * nq..6 * nq + nv], first[nq..nq + nv]);
+    }
+}
+
+#[test]
+fn a_reset_env_is_a_fresh_one() {
+    for robot in ["anymal_d", "unitree_go2"] {
+        let mut fresh = simulation(robot, "avian");
+        let expected = run(&mut fresh, 150, 1);
+        let mut used = simulation(robot, "avian");
+        // lying on the ground in some heap
+        let mut start = used.default_qpos().to_vec();
+        start[2] += 0.3;
+        start[3..7].copy_from_slice(&[0.5, 0.8, 0.2, 0.1]);
+        used.set_state(None, Some(&start), None).unwrap();
+        run(&mut used, 200, 2);
+        let (qpos, qvel) = (used.default_qpos().to_vec(), vec![0.0; used.nv()]);
+        used.set_state(None, Some(&qpos), Some(&qvel)).unwrap();
+        assert_eq!(used.qpos(), qpos);
+        assert!(run(&mut used, 150, 1) == expected, "{robot}");
+    }
+}
+
+#[test]
+fn a_snapshot_keeps_the_state() {
+    let mut sim = simulation("spot", "avian");
+    sim.set_mass(None, 0, &[30.0]).unwrap();
+    run(&mut sim, 20, 1);
+    let snapshot = sim.snapshot().unwrap();
+    let mut other = simulation("spot", "avian");
+    other.restore(&snapshot).unwrap();
+    assert_eq!(bits(&sim), bits(&other));
+    assert_eq!(sim.energy(), other.energy());
+    assert!(simulation("spot", "articulated").restore(&snapshot).is_err());
+}
+
+#[test]
+fn what_the_engine_lacks_is_refused() {
+    let error = |options: SimulationOptions| Simulation::new(&options).err().unwrap().to_string();
+    let avian = || options("spot", "avian", 1);
+    let message = error(SimulationOptions { precision: Precision::Double, ..avian() });
+    assert!(message.starts_with("precision: ") && message.contains("articulated"), "{message}");
+    let message = error(SimulationOptions { self_collision: Some(true), ..avian() });
+    assert!(message.starts_with("self_collision: "), "{message}");
+    let message = error(SimulationOptions { dt: 1e-7, ..avian() });
+    assert!(message.starts_with("dt: "), "{message}");
+    let message = error(options("tests/data/urdf/cart.urdf", "avian", 1));
+    assert!(message.contains("prismatic"), "{message}");
+    let message = error(options("spot", "xpbd", 1));
+    assert!(message.contains("avian"), "{message}");
+}
+
+#[test]
+#[ignore = "measures"]
+fn env_steps_per_second() {
+    for (threads, envs) in [(1, 64), (1, 512), (2, 512)] {
+        let options = SimulationOptions { threads: Some(threads), ..options("anymal_c", "avian", envs) };
+        let mut sim = Simulation::new(&options).unwrap();
+        run(&mut sim, 5, 1);
+        let start = Instant::now();
+        let steps = 8192 / envs;
+        run(&mut sim, steps, 2);
+        println!(
+            "{threads} threads, {envs} envs: {:.0} env steps/s",
+            (4 * steps * envs) as f64 / start.elapsed().as_secs_f64()
+        );
+    }
+}
