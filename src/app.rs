@@ -12,7 +12,7 @@ use crate::components::{
     Env, EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
     Morphology, MountedOn, PerJoint, Robot,
 };
-use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
@@ -144,13 +144,6 @@ impl Sim {
         let task = library.task(&options.task, &options.overrides)?;
         let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
         check_arguments(&names, options.num_envs, options.threads)?;
-        if task.config.physics.engine == EngineKind::Avian {
-            return Err(argument(
-                "physics.engine",
-                "this version has no `avian` engine for robots",
-                "use \"articulated\"",
-            ));
-        }
         let robots = names.iter().map(|name| library.robot(name)).collect::<Result<Vec<_>, _>>()?;
         check_distinct(&robots)?;
         Self::assemble(options, task, robots, registry)
@@ -180,7 +173,10 @@ impl Sim {
         let world = app.world_mut();
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
         let workers = Workers::new(threads);
-        world.insert_resource(PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers));
+        let engine = PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
+            argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")
+        })?;
+        world.insert_resource(engine);
         world.insert_resource(workers);
         world.insert_resource(Batch::new(options.num_envs, compiled.num_obs(), CANONICAL_JOINT_NAMES.len()));
         world.insert_resource(Logs::new(&compiled));

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use bevy_ecs::prelude::Resource;
+use glam::DMat3;
 
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
@@ -30,6 +31,8 @@ pub struct MorphologyModel {
     pub roles: Roles,
     /// What all robots of the kind share.
     pub topology: Topology,
+    /// Turns a link's URDF axes into those of the engine, `[links]`.
+    pub align: Vec<DMat3>,
     /// Their numbers before any randomisation.
     pub nominal: Parameters<f32>,
     /// Canonical slot -> physical joint.
@@ -83,7 +86,7 @@ impl MorphologyModel {
             default_position[joint] = default_pose[slot];
         }
         let self_collision = config.self_collisions.then_some(&default_position[..]);
-        let (topology, nominal) = articulation(&model, &roles, &actuators, self_collision);
+        let (topology, nominal, align) = articulation(&model, &roles, &actuators, self_collision);
         let lowest_foot = lowest_foot(&model, &roles, &default_position);
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
@@ -111,6 +114,7 @@ impl MorphologyModel {
             spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
             action_scale: config.action_scale as f32,
             topology,
+            align,
             nominal,
             roles,
             model,
@@ -167,18 +171,18 @@ fn articulation(
     roles: &Roles,
     actuators: &[(&str, &ActuatorConfig); 12],
     self_collision: Option<&[f64]>,
-) -> (Topology, Parameters<f32>) {
+) -> (Topology, Parameters<f32>, Vec<DMat3>) {
     let sites: Vec<Site> = (0..4)
         .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
         .collect();
-    let Articulation { mut topology, parameters: mut p, .. } = Articulation::new(model, true, &sites, self_collision);
+    let Articulation { mut topology, parameters: mut p, align } = Articulation::new(model, true, &sites, self_collision);
     topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
     for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
         let actuator = actuators[slot].1;
         apply_actuator(&mut topology.joints[j], &mut p, j, actuator);
     }
     let nominal = Parameters::from_scalars(&topology, &p);
-    (topology, nominal)
+    (topology, nominal, align)
 }
 
 /// Gives joint `j` the actuator of a config, but for its delay.

@@ -7,6 +7,7 @@ mod disturb;
 mod logs;
 mod observe;
 mod physics;
+mod physics_avian;
 mod reset;
 mod reward;
 mod sense;

@@ -7,12 +7,15 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::system::RegisteredSystemError;
 
 use super::broken::{BrokenStates, Evidence, Motion};
+use super::physics_avian::AvianRobots;
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, Feet, JointEffort,
     JointState, JointTargets, Robot,
 };
+use crate::avian::EngineError;
+use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
 use crate::dynamics::{
     ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Workspace,
@@ -21,11 +24,11 @@ use crate::morphology::Morphologies;
 use crate::rows::{SplitRows, Workers, write_rows};
 use crate::world::Ground;
 
-/// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for.
+/// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
 #[derive(Resource)]
 pub struct PhysicsEngine(Box<dyn Engine>);
 
-trait Engine: Send + Sync {
+pub(super) trait Engine: Send + Sync {
     /// Takes over a robot's numbers.
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
     /// One control step of all robots. Of each morphology in `watched` the first env whose new state is broken is
@@ -41,16 +44,16 @@ trait Engine: Send + Sync {
 }
 
 /// The components that the engine reads and writes, row `i` belonging to env `i`.
-struct PhysicsRows<'a> {
-    poses: &'a mut [BasePose],
-    velocities: &'a mut [BaseVelocity],
-    joints: &'a mut [JointState],
-    targets: &'a mut [JointTargets],
-    delays: &'a mut [ActuatorDelay],
-    efforts: &'a mut [JointEffort],
+pub(super) struct PhysicsRows<'a> {
+    pub(super) poses: &'a mut [BasePose],
+    pub(super) velocities: &'a mut [BaseVelocity],
+    pub(super) joints: &'a mut [JointState],
+    pub(super) targets: &'a mut [JointTargets],
+    pub(super) delays: &'a mut [ActuatorDelay],
+    pub(super) efforts: &'a mut [JointEffort],
     impulses: &'a mut [ConstraintImpulses],
-    forces: &'a mut [ContactForces],
-    feet: &'a mut [Feet],
+    pub(super) forces: &'a mut [ContactForces],
+    pub(super) feet: &'a mut [Feet],
 }
 
 impl SplitRows for PhysicsRows<'_> {
@@ -82,7 +85,7 @@ impl SplitRows for PhysicsRows<'_> {
 }
 
 impl PhysicsRows<'_> {
-    fn motion(&self, row: usize) -> Motion {
+    pub(super) fn motion(&self, row: usize) -> Motion {
         Motion {
             pose: self.poses[row],
             velocity: self.velocities[row],
@@ -95,7 +98,7 @@ impl PhysicsRows<'_> {
 
 impl Evidence {
     /// What is known before the new state is written; `after` is still the old one.
-    fn before(morphology: usize, first_env: usize, row: usize, rows: &PhysicsRows) -> Self {
+    pub(super) fn before(morphology: usize, first_env: usize, row: usize, rows: &PhysicsRows) -> Self {
         let before = rows.motion(row);
         Self {
             morphology,
@@ -110,15 +113,21 @@ impl Evidence {
 
 impl PhysicsEngine {
     /// An engine for robots of these kinds, `counts[m]` of kind `m` in contiguous blocks.
-    pub fn new(
+    ///
+    /// # Errors
+    /// What Avian's engine cannot simulate.
+    pub(crate) fn new(
         simd: Simd,
         task: &CompiledTask,
         morphologies: &Morphologies,
         counts: &[usize],
         ground: &Ground,
         workers: &Workers,
-    ) -> Self {
+    ) -> Result<Self, EngineError> {
         let config = &task.config;
+        if config.physics.engine == EngineKind::Avian {
+            return Ok(Self(Box::new(AvianRobots::new(config, morphologies, counts, ground, workers)?)));
+        }
         let settings = StepSettings {
             dt: config.sim.dt,
             decimation: config.sim.decimation as usize,
@@ -131,40 +140,17 @@ impl PhysicsEngine {
                 ..ContactSettings::default()
             },
         };
-        let chunks = workers.num_chunks();
-        match simd {
+        let (chunks, terrain) = (workers.num_chunks(), ground.terrain.clone());
+        let engine: Box<dyn Engine> = match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Self(Box::new(Packs::<lanes::Avx512>::new(
-                settings,
-                ground.terrain.clone(),
-                morphologies,
-                counts,
-                chunks,
-            ))),
+            Simd::Avx512 => Box::new(Packs::<lanes::Avx512>::new(settings, terrain, morphologies, counts, chunks)),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Self(Box::new(Packs::<lanes::Avx2>::new(
-                settings,
-                ground.terrain.clone(),
-                morphologies,
-                counts,
-                chunks,
-            ))),
+            Simd::Avx2 => Box::new(Packs::<lanes::Avx2>::new(settings, terrain, morphologies, counts, chunks)),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Self(Box::new(Packs::<lanes::Neon>::new(
-                settings,
-                ground.terrain.clone(),
-                morphologies,
-                counts,
-                chunks,
-            ))),
-            _ => Self(Box::new(Packs::<lanes::Portable>::new(
-                settings,
-                ground.terrain.clone(),
-                morphologies,
-                counts,
-                chunks,
-            ))),
-        }
+            Simd::Neon => Box::new(Packs::<lanes::Neon>::new(settings, terrain, morphologies, counts, chunks)),
+            _ => Box::new(Packs::<lanes::Portable>::new(settings, terrain, morphologies, counts, chunks)),
+        };
+        Ok(Self(engine))
     }
 }
 

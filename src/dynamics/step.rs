@@ -249,7 +249,7 @@ fn physics_step<S: Real>(
 
 /// Positions and velocities of the sites at the end of the control step.
 #[inline(always)]
-fn report_sites<S: Real>(
+pub(crate) fn report_sites<S: Real>(
     topology: &Topology,
     parameters: &Parameters<S>,
     state: &State<S>,

@@ -1,0 +1,243 @@
+//! The control step on Avian's rigid bodies.
+//!
+//! The engine keeps the robots between control steps. What a reset or a push has written into a robot's components is set
+//! there first, and the robot's contacts begin anew; a robot whose components are as the engine left them goes on.
+
+use super::broken::Evidence;
+use super::physics::{Engine, PhysicsRows};
+use super::terminate::{StateLimits, StateNumbers};
+use crate::avian::{self, EngineError, JointField};
+use crate::config::TaskConfig;
+use crate::dynamics::step::report_sites;
+use crate::dynamics::{Parameters, Plane, Report, State, Topology, Workspace};
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::{SplitRows, Workers};
+use crate::world::Ground;
+
+/// Robots of all kinds.
+pub(super) struct AvianRobots {
+    decimation: usize,
+    blocks: Vec<Block>,
+}
+
+/// The robots of one kind.
+struct Block {
+    first_env: usize,
+    count: usize,
+    engine: avian::Engine,
+    topology: Topology,
+    explicit: Vec<bool>,
+    work: Workspace<f64>,
+    report: Report<f64>,
+    state: State<f64>,
+    /// Joint velocities before the last physics step, `[count * joints]`.
+    before: Vec<f64>,
+    dt: f64,
+}
+
+impl AvianRobots {
+    /// Robots of these kinds, `counts[m]` of kind `m` in contiguous blocks.
+    pub(super) fn new(
+        config: &TaskConfig,
+        morphologies: &Morphologies,
+        counts: &[usize],
+        ground: &Ground,
+        workers: &Workers,
+    ) -> Result<Self, EngineError> {
+        let settings = avian::Settings {
+            dt: config.sim.dt,
+            substeps: config.physics.solver_iterations as usize,
+            gravity: ground.gravity,
+            ground: Some(Plane::level(ground.height)),
+        };
+        let decimation = config.sim.decimation as usize;
+        let mut first_env = 0;
+        let mut blocks = Vec::new();
+        for (model, &count) in morphologies.0.iter().zip(counts) {
+            blocks.push(Block::new(model, &settings, first_env, count, decimation, workers.num_chunks())?);
+            first_env += count;
+        }
+        Ok(Self { decimation, blocks })
+    }
+}
+
+impl Engine for AvianRobots {
+    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
+        let at = self.blocks.partition_point(|block| block.first_env + block.count <= env);
+        if let Some(block) = self.blocks.get_mut(at) {
+            let parameters = Parameters::from_scalars(&block.topology, parameters);
+            block.engine.set_parameters(env - block.first_env, &parameters);
+        }
+    }
+
+    fn step(
+        &mut self,
+        _morphologies: &Morphologies,
+        workers: &Workers,
+        mut rows: PhysicsRows,
+        limits: &StateLimits,
+        watched: &[bool],
+    ) -> Vec<Evidence> {
+        let mut found = Vec::new();
+        for (morphology, block) in self.blocks.iter_mut().enumerate() {
+            let (mut mine, more) = rows.split_rows(block.count);
+            rows = more;
+            block.gather(&mine);
+            for substep in 0..self.decimation {
+                block.aim(&mine, substep, self.decimation);
+                if substep + 1 == self.decimation {
+                    block.remember_velocities();
+                }
+                block.engine.step(workers, &block.explicit, true, 1);
+                block.note_forces(&mut mine, substep);
+            }
+            let broken = if watched[morphology] { block.first_broken(limits) } else { None };
+            let before = broken.map(|row| (row, Evidence::before(morphology, block.first_env, row, &mine)));
+            block.scatter(&mut mine);
+            if let Some((row, mut evidence)) = before {
+                evidence.after = mine.motion(row);
+                found.push(evidence);
+            }
+        }
+        found
+    }
+}
+
+impl Block {
+    fn new(
+        model: &MorphologyModel,
+        settings: &avian::Settings,
+        first_env: usize,
+        count: usize,
+        decimation: usize,
+        chunks: usize,
+    ) -> Result<Self, EngineError> {
+        let topology = model.topology.clone();
+        let nominal = Parameters::from_scalars(&topology, &model.nominal);
+        Ok(Self {
+            first_env,
+            count,
+            engine: avian::Engine::new(&model.model, &model.align, &topology, &nominal, settings, count, chunks)?,
+            explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
+            work: Workspace::new(&topology),
+            report: Report::zeros(&topology, decimation),
+            state: State::zeros(&topology),
+            before: vec![0.0; count * topology.num_joints()],
+            topology,
+            dt: settings.dt,
+        })
+    }
+
+    /// Sets the robots whose components are not what the engine left.
+    fn gather(&mut self, rows: &PhysicsRows) {
+        for row in 0..self.count {
+            let state = self.engine.state(row);
+            let (pose, velocity, joints) = (&rows.poses[row], &rows.velocities[row], &rows.joints[row]);
+            let same = equal(&state.position, &pose.position)
+                && equal(&state.rotation, &pose.rotation)
+                && equal(&state.linear_velocity, &velocity.linear)
+                && equal(&state.angular_velocity, &velocity.angular)
+                && equal(&state.joint_position, &joints.position)
+                && equal(&state.joint_velocity, &joints.velocity);
+            if !same {
+                let to = &mut self.state;
+                to.position = pose.position.map(f64::from);
+                to.rotation = pose.rotation.map(f64::from);
+                to.linear_velocity = velocity.linear.map(f64::from);
+                to.angular_velocity = velocity.angular.map(f64::from);
+                widen(&mut to.joint_position, &joints.position);
+                widen(&mut to.joint_velocity, &joints.velocity);
+                self.engine.set_state(row, &self.state);
+            }
+        }
+    }
+
+    /// Gives every actuator the target from its delay ago.
+    fn aim(&mut self, rows: &PhysicsRows, substep: usize, decimation: usize) {
+        for row in 0..self.count {
+            let (history, delay) = (&rows.targets[row].history, &rows.delays[row].0);
+            for joint in 0..self.topology.num_joints() {
+                // a target of this age is seen by delays beyond `substep + (age - 1) decimation`
+                let late = delay[joint].round() as usize;
+                let age = (1..history.len()).rev().find(|age| substep + (age - 1) * decimation < late).unwrap_or(0);
+                self.engine.set_joint(row, joint, JointField::Target, f64::from(history[age][joint]));
+            }
+        }
+    }
+
+    fn remember_velocities(&mut self) {
+        let joints = self.topology.num_joints();
+        for (row, before) in self.before.chunks_exact_mut(joints.max(1)).enumerate() {
+            before.copy_from_slice(&self.engine.state(row).joint_velocity);
+        }
+    }
+
+    fn note_forces(&self, rows: &mut PhysicsRows, substep: usize) {
+        for row in 0..self.count {
+            let force = self.engine.force(row);
+            let normal = &mut rows.forces[row].normal[substep * force.len()..(substep + 1) * force.len()];
+            for (to, f) in normal.iter_mut().zip(force) {
+                // the ground is level
+                *to = f[2].abs() as f32;
+            }
+        }
+    }
+
+    /// The first robot whose new state is not finite or beyond the limits.
+    fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
+        (0..self.count).find(|&row| {
+            let state = self.engine.state(row);
+            let numbers: StateNumbers<f64> = [
+                &state.position,
+                &state.rotation,
+                &state.linear_velocity,
+                &state.angular_velocity,
+                &state.joint_position,
+                &state.joint_velocity,
+                self.engine.effort(row),
+            ];
+            limits.violation(numbers, |x| x as f32).is_some()
+        })
+    }
+
+    fn scatter(&mut self, rows: &mut PhysicsRows) {
+        let joints = self.topology.num_joints();
+        for row in 0..self.count {
+            let state = self.engine.state(row);
+            narrow(&mut rows.poses[row].position, &state.position);
+            narrow(&mut rows.poses[row].rotation, &state.rotation);
+            narrow(&mut rows.velocities[row].linear, &state.linear_velocity);
+            narrow(&mut rows.velocities[row].angular, &state.angular_velocity);
+            narrow(&mut rows.joints[row].position, &state.joint_position);
+            narrow(&mut rows.joints[row].velocity, &state.joint_velocity);
+            narrow(&mut rows.efforts[row].applied, self.engine.effort(row));
+            let before = &self.before[row * joints..(row + 1) * joints];
+            for ((to, new), old) in rows.efforts[row].acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
+                *to = ((new - old) / self.dt) as f32;
+            }
+            for (to, force) in rows.forces[row].net.iter_mut().zip(self.engine.force(row)) {
+                narrow(to, force);
+            }
+            report_sites(&self.topology, self.engine.parameters(row), state, &mut self.report, &mut self.work);
+            for (to, site) in rows.feet[row].position.iter_mut().zip(&self.report.site_position) {
+                narrow(to, site);
+            }
+            for (to, site) in rows.feet[row].velocity.iter_mut().zip(&self.report.site_velocity) {
+                narrow(to, site);
+            }
+        }
+    }
+}
+
+/// Whether numbers are those that were written out before.
+fn equal(wide: &[f64], narrow: &[f32]) -> bool {
+    wide.iter().zip(narrow).all(|(&x, &y)| x as f32 == y)
+}
+
+fn widen(to: &mut [f64], from: &[f32]) {
+    to.iter_mut().zip(from).for_each(|(x, &y)| *x = f64::from(y));
+}
+
+fn narrow(to: &mut [f32], from: &[f64]) {
+    to.iter_mut().zip(from).for_each(|(x, &y)| *x = y as f32);
+}
