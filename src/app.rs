@@ -173,9 +173,10 @@ impl Sim {
         let world = app.world_mut();
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
         let workers = Workers::new(threads);
-        let engine = PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
-            argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")
-        })?;
+        let engine =
+            PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
+                argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")
+            })?;
         world.insert_resource(engine);
         world.insert_resource(workers);
         world.insert_resource(Batch::new(options.num_envs, compiled.num_obs(), CANONICAL_JOINT_NAMES.len()));

@@ -175,7 +175,8 @@ fn articulation(
     let sites: Vec<Site> = (0..4)
         .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
         .collect();
-    let Articulation { mut topology, parameters: mut p, align } = Articulation::new(model, true, &sites, self_collision);
+    let Articulation { mut topology, parameters: mut p, align } =
+        Articulation::new(model, true, &sites, self_collision);
     topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
     for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
         let actuator = actuators[slot].1;

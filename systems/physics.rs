@@ -10,11 +10,11 @@ use super::broken::{BrokenStates, Evidence, Motion};
 use super::physics_avian::AvianRobots;
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
+use crate::avian::EngineError;
 use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, Feet, JointEffort,
     JointState, JointTargets, Robot,
 };
-use crate::avian::EngineError;
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
 use crate::dynamics::{

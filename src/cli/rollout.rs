@@ -35,6 +35,9 @@ pub(super) struct Rollout {
     /// What the robots do.
     #[arg(long, value_enum, default_value_t = Actions::Random)]
     actions: Actions,
+    /// Physics engine of the robots, `articulated` or `avian`; the task's by default.
+    #[arg(long)]
+    engine: Option<String>,
     /// Changes to the task, such as `sim.decimation=2`; may be given several times.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
@@ -54,11 +57,13 @@ enum Actions {
 impl Rollout {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
+        let mut overrides = self.overrides;
+        overrides.extend(self.engine.map(|engine| format!("physics.engine={engine}")));
         let options = SimOptions {
             robots: self.robots,
             seed: self.seed,
             threads: self.threads,
-            overrides: self.overrides,
+            overrides,
             dump_dir: self.dump_dir,
             ..SimOptions::new(self.task, self.num_envs)
         };
