@@ -62,7 +62,7 @@ fn every_robot_stands_for_ten_seconds() {
         let joints = most((7..q.len()).map(|i| q[i] - p[i]));
         let speed = most(avian.qvel()[..3].iter().copied());
         println!(
-            "{robot:<12} force/weight {:.5}, height {:.4} ({:+.4}) m, upright {:.5}, drift {:.3} mm, torque off {:.2} % of {:.2} N m, joints off {joints:.5} rad, speed {speed:.5} m/s, moved {:.2} {:.2} mm",
+            "{robot:<12} force/weight {:.5}, height {:.4} ({:+.4}) m, upright {:.5}, drift {:.3} mm, torque off {:.2} % of {:.2} N m, joints off {joints:.5} rad, speed {speed:.5} m/s, moved {:.2} {:.2} mm (articulated {:.2} {:.2} mm)",
             up / weight,
             q[2],
             q[2] - p[2],
@@ -72,6 +72,8 @@ fn every_robot_stands_for_ten_seconds() {
             most(theirs.iter().copied()),
             1e3 * q[0],
             1e3 * q[1],
+            1e3 * p[0],
+            1e3 * p[1],
         );
         let mut check = |holds: bool, what: &str| {
             if !holds {
@@ -235,7 +237,7 @@ fn what_the_engine_lacks_is_refused() {
     assert!(message.starts_with("self_collision: "), "{message}");
     let message = error(SimulationOptions { dt: 1e-7, ..avian() });
     assert!(message.starts_with("dt: "), "{message}");
-    let message = error(options("tests/data/urdf/cart.urdf", "avian", 1));
+    let message = error(options("tests/data/urdf/arm.urdf", "avian", 1));
     assert!(message.contains("prismatic"), "{message}");
     let message = error(options("spot", "xpbd", 1));
     assert!(message.contains("avian"), "{message}");

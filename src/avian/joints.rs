@@ -1,7 +1,9 @@
-//! Revolute joints as soft, warm-started velocity constraints between rigid bodies, solved in turn with Avian's contacts.
+//! Revolute joints as velocity constraints between rigid bodies, solved in turn with Avian's contacts.
 //!
-//! A joint holds two links together by three rows for the anchor and two for the axis. What acts about the axis (gains,
-//! damping, rotor, dry friction, limits) is one scalar row, solved exactly: see [`AxisRow`].
+//! The joints of a robot form a tree, so all of them are solved at once, exactly: articulated inertias are summed from the
+//! leaves to the base, and changes of velocity handed on from the base to the leaves (Featherstone, Rigid Body Dynamics
+//! Algorithms, 2008, section 7.3, for impulses). Gains, damping and rotors are implicit parts of that solution. Dry
+//! friction and position limits are impulses that every solution corrects for the next one.
 
 use std::f64::consts::TAU;
 
@@ -11,79 +13,28 @@ use bevy_math::{Mat3, Quat, Vec3};
 
 use crate::dynamics::{EffortTable, Parameters, Topology};
 
-/// Natural frequency of the anchor and axis rows, in cycles per substep, and their damping ratio.
-const FREQUENCY: f32 = 0.125;
-const DAMPING_RATIO: f32 = 2.0;
+/// Share of an anchor's gap, of an axis's misalignment and of a limit's violation that is taken back in a substep.
+const TAKEN_BACK: f32 = 0.2;
 /// Share of a substep by which the stiffness looks ahead. From 1/4 on every stiffness is stable; 1 is backward Euler.
 const LOOK_AHEAD: f32 = 0.36;
-/// Joints beyond a position limit return at no more than this, rad/s.
+/// Links that came apart return at no more than this, m/s or rad/s.
 const MAX_RETURN: f32 = 4.0;
-/// Anchors that came apart return at no more than this, m/s, and axes at no more than this, rad/s.
-const MAX_BIAS: f32 = 4.0;
-
-/// Share of an error that is taken back, and of impulses that are let go, in a substep.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Softness {
-    bias: f32,
-    mass_scale: f32,
-    impulse_scale: f32,
-}
-
-impl Softness {
-    pub(super) fn new(h: f32) -> Self {
-        // Catto, Soft Constraints (GDC 2011)
-        let angle = std::f32::consts::TAU * FREQUENCY;
-        let a = 2.0 * DAMPING_RATIO + angle;
-        let scale = 1.0 / (1.0 + angle * a);
-        Self { bias: angle / a / h, mass_scale: angle * a * scale, impulse_scale: scale }
-    }
-}
+/// Share of the inertia behind a joint that corrections of its bounds count with: what is before the joint yields, too.
+const BOUND_MASS: f32 = 0.4;
 
 /// What acts about a joint's axis, as impulses over one substep.
 #[derive(Clone, Copy, Debug, Default)]
 struct AxisRow {
-    /// Actuator impulse at zero speed, before its limits, N m s.
+    /// Actuator impulse at zero speed, N m s.
     drive: f32,
-    /// What the actuator loses per speed, N m s^2.
+    /// What the actuator loses per speed, N m s^2: nothing beyond its limits.
     slope: f32,
-    /// Limits of the actuator's impulse, N m s.
-    least: f32,
-    most: f32,
     /// Rotor inertia and viscous damping, kg m^2.
     drag: f32,
     /// Rotor inertia times the speed before, N m s.
     momentum: f32,
     /// Largest impulse of dry friction, N m s.
     friction: f32,
-}
-
-impl AxisRow {
-    /// The actuator's impulse at a speed.
-    fn motor(&self, speed: f32) -> f32 {
-        (self.drive - self.slope * speed).min(self.most).max(self.least)
-    }
-
-    /// Speed that solves the row: `now` is the present one with the impulse `applied` in it, `k` the speed that a unit of
-    /// impulse gives, and the result stays between the bounds.
-    fn solve(&self, k: f32, now: f32, applied: f32, [low, high]: [f32; 2]) -> f32 {
-        let start = now + k * (self.momentum - applied);
-        let free = |friction: f32| {
-            let speed = (start + k * (self.drive + friction)) / (1.0 + k * (self.slope + self.drag));
-            let impulse = self.drive - self.slope * speed;
-            let saturated = |limit: f32| (start + k * (limit + friction)) / (1.0 + k * self.drag);
-            if impulse > self.most {
-                saturated(self.most)
-            } else if impulse < self.least {
-                saturated(self.least)
-            } else {
-                speed
-            }
-        };
-        // the friction that holds the joint still, if it can
-        let hold = -start / k - self.motor(0.0);
-        let speed = if hold.abs() < self.friction { 0.0 } else { free(hold.min(self.friction).max(-self.friction)) };
-        speed.min(high).max(low)
-    }
 }
 
 /// Numbers of one joint of one robot.
@@ -140,6 +91,27 @@ struct Geometry {
     axes: [Vec3; 2],
 }
 
+/// A symmetric 6 x 6 matrix: what turns, how turning and moving are coupled, what moves.
+#[derive(Clone, Copy)]
+pub(super) struct Inertia {
+    turn: Mat3,
+    couple: Mat3,
+    shift: Mat3,
+}
+
+impl Default for Inertia {
+    fn default() -> Self {
+        Self::ZERO
+    }
+}
+
+/// A velocity or an impulse about some point.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Twist {
+    ang: Vec3,
+    lin: Vec3,
+}
+
 /// One joint of one robot.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Joint {
@@ -153,29 +125,45 @@ pub(super) struct Joint {
     pub(super) velocity: f64,
     /// Mean effort of the actuator in the last physics step, N m.
     pub(super) effort: f32,
-    /// Accumulated impulses: anchor, axis, about the axis, of the actuator.
-    point: Vec3,
-    align: Vec3,
-    turn: f32,
+    /// Impulses of dry friction and of the bounds in a substep, N m s.
+    rub: f32,
+    bound: f32,
+    /// What has acted about the axis in the present substep, N m s.
+    applied: f32,
+    /// Speed that the joints were last solved for, rad/s: the rotor's. Contacts change that of the links alone.
+    rotor: f32,
+    row: AxisRow,
     start: Geometry,
     now: Geometry,
-    point_mass: Mat3,
     /// Position in the present substep, rad.
     angle: f32,
-    row: AxisRow,
-    motor: f32,
+    /// From the parent's reference point to its anchor, m.
+    reach: Vec3,
+    /// Of the child and all that it carries, about the anchor, with the joint free to give way.
+    carried: Inertia,
+    /// Impulse at the anchor per speed of the joint, and one over its part along the axis.
+    push: Twist,
+    inverse: f32,
+    /// Speed that the impulses on the joint and on what it carries give it.
+    share: f32,
 }
 
 impl Joint {
     /// Forgets the impulses of the last step.
     pub(super) fn forget(&mut self) {
-        (self.point, self.align, self.turn, self.motor) = (Vec3::ZERO, Vec3::ZERO, 0.0, 0.0);
+        (self.rub, self.bound) = (0.0, 0.0);
+        self.rotor = self.velocity as f32;
+    }
+
+    /// Speed about the axis.
+    fn speed(&self, a: &SolverBody, b: &SolverBody) -> f32 {
+        self.now.axes[0].dot(b.angular_velocity - a.angular_velocity)
     }
 }
 
-/// Inverse mass and world-axes inverse inertia of a link.
+/// Mass properties of a link at the beginning of a physics step, world axes.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Inverse {
+pub(super) struct LinkMass {
     pub(super) mass: f32,
     pub(super) inertia: Mat3,
 }
@@ -190,6 +178,8 @@ pub(super) struct LinkPose {
 /// The joints of all robots of a world.
 #[derive(Resource, Default)]
 pub(super) struct Joints {
+    /// Whether bases move.
+    pub(super) floating: bool,
     /// The link that carries each joint, `[joints]`.
     pub(super) parents: Vec<usize>,
     /// Joint axes in link axes, `[joints]`.
@@ -201,11 +191,15 @@ pub(super) struct Joints {
     /// Length of a substep, s, and their number in a physics step.
     pub(super) h: f32,
     pub(super) substeps: usize,
-    pub(super) softness: Softness,
     /// `[robots * joints]`.
     pub(super) all: Vec<Joint>,
     /// `[robots * links]`.
-    pub(super) inverses: Vec<Inverse>,
+    pub(super) masses: Vec<LinkMass>,
+    /// Inverse articulated inertia of each base, `[robots]`.
+    pub(super) bases: Vec<Inertia>,
+    /// Scratch memory, `[links]`.
+    pub(super) inertias: Vec<Inertia>,
+    pub(super) twists: Vec<Twist>,
 }
 
 /// Effort limit from a table over the joint position.
@@ -217,17 +211,51 @@ fn table_limit(table: &EffortTable, position: f32) -> f32 {
     (b - a).mul_add(x - i as f32, a)
 }
 
-/// `[v]x M [v]x^T`.
-fn cross_square(m: &Mat3, v: Vec3) -> Mat3 {
-    // columns of [v]x are v x e_k
-    let cross = Mat3::from_cols(v.cross(Vec3::X), v.cross(Vec3::Y), v.cross(Vec3::Z));
-    cross * *m * cross.transpose()
+/// The matrix of `v x`.
+fn skew(v: Vec3) -> Mat3 {
+    Mat3::from_cols(v.cross(Vec3::X), v.cross(Vec3::Y), v.cross(Vec3::Z))
 }
 
-/// The parent's and the child's body of a joint.
-fn pair(bodies: &mut [SolverBody], parent: usize, child: usize) -> (&mut SolverBody, &mut SolverBody) {
-    let (left, right) = bodies.split_at_mut(child);
-    (&mut left[parent], &mut right[0])
+/// `a b^T`.
+fn outer(a: Vec3, b: Vec3) -> Mat3 {
+    Mat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+impl Inertia {
+    const ZERO: Self = Self { turn: Mat3::ZERO, couple: Mat3::ZERO, shift: Mat3::ZERO };
+
+    /// A body about a point that is `arm` from its centre of mass.
+    fn of_body(body: &LinkMass, arm: Vec3) -> Self {
+        let arm = skew(arm);
+        let couple = arm * -body.mass;
+        Self { turn: body.inertia + arm * couple, couple, shift: Mat3::from_diagonal(Vec3::splat(body.mass)) }
+    }
+
+    /// The same about a point from which the present one is `reach` away.
+    fn moved(&self, reach: Vec3) -> Self {
+        let r = skew(reach);
+        let couple = self.couple + r * self.shift;
+        Self { turn: self.turn + r * self.couple.transpose() - couple * r, couple, shift: self.shift }
+    }
+
+    fn plus(&self, other: &Self) -> Self {
+        Self { turn: self.turn + other.turn, couple: self.couple + other.couple, shift: self.shift + other.shift }
+    }
+
+    fn apply(&self, v: &Twist) -> Twist {
+        Twist {
+            ang: self.turn * v.ang + self.couple * v.lin,
+            lin: self.couple.transpose() * v.ang + self.shift * v.lin,
+        }
+    }
+
+    fn inverse(&self) -> Self {
+        let shift = self.shift.inverse();
+        let mixed = self.couple * shift;
+        let turn = (self.turn - mixed * self.couple.transpose()).inverse();
+        let couple = -(turn * mixed);
+        Self { turn, couple, shift: shift - mixed.transpose() * couple }
+    }
 }
 
 impl Joints {
@@ -238,108 +266,33 @@ impl Joints {
     /// Takes up the poses at the beginning of a physics step.
     pub(super) fn prepare(&mut self, poses: &[LinkPose]) {
         let (joints, links) = (self.num_joints(), self.num_joints() + 1);
+        self.bases.resize(poses.len() / links, Inertia::default());
+        self.inertias.resize(links, Inertia::default());
+        self.twists.resize(links, Twist::default());
         for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
             let poses = &poses[robot * links..(robot + 1) * links];
-            let inverses = &self.inverses[robot * links..(robot + 1) * links];
             for (j, joint) in chunk.iter_mut().enumerate() {
-                let (parent, child) = (self.parents[j], j + 1);
-                let [a, b] = [&poses[parent], &poses[child]];
+                let [a, b] = [&poses[self.parents[j]], &poses[j + 1]];
                 let arms = [a.rotation * joint.numbers.anchors[0], b.rotation * joint.numbers.anchors[1]];
                 // the child's anchor is its origin
                 let gap = b.position - (a.position + a.rotation * joint.numbers.offset);
                 joint.start = Geometry { gap, arms, axes: [a.rotation * self.axes[j], b.rotation * self.axes[j]] };
-                let [ia, ib] = [&inverses[parent], &inverses[child]];
-                let k = Mat3::from_diagonal(Vec3::splat(ia.mass + ib.mass))
-                    + cross_square(&ia.inertia, arms[0])
-                    + cross_square(&ib.inertia, arms[1]);
-                joint.point_mass = k.inverse();
-                joint.now = joint.start;
                 joint.angle = joint.position as f32;
                 joint.effort = 0.0;
             }
         }
     }
 
-    /// What actuators and rotors do in a substep, and the impulses of the last one as a first guess.
-    pub(super) fn begin(&mut self, bodies: &mut [SolverBody], first: bool) {
+    /// Takes up where the bodies are, what the actuators do in this substep, and the articulated inertias.
+    pub(super) fn begin(&mut self, bodies: &[SolverBody], first: bool) {
         let (joints, links) = (self.num_joints(), self.num_joints() + 1);
-        let h = self.h;
+        let (h, gains) = (self.h, self.gains);
         for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
-            let bodies = &mut bodies[robot * links..(robot + 1) * links];
-            let inverses = &self.inverses[robot * links..(robot + 1) * links];
+            let bodies = &bodies[robot * links..(robot + 1) * links];
+            let masses = &self.masses[robot * links..(robot + 1) * links];
+            self.inertias[0] = Inertia::of_body(&masses[0], Vec3::ZERO);
             for (j, joint) in chunk.iter_mut().enumerate() {
-                let (parent, child) = (self.parents[j], j + 1);
-                let axis = joint.now.axes[0];
-                let speed = axis.dot(bodies[child].angular_velocity - bodies[parent].angular_velocity);
-                let n = &joint.numbers;
-                let limit = match &self.tables[j] {
-                    Some(table) => n.effort_limit * table_limit(table, joint.angle),
-                    None => n.effort_limit,
-                };
-                let line = speed / n.motor_velocity_limit;
-                let most = (n.saturation * (1.0 - line)).min(limit).max(0.0);
-                let least = (n.saturation * (-1.0 - line)).max(-limit).min(0.0);
-                let (kp, kd) = if self.gains { (n.stiffness, n.damping) } else { (0.0, 0.0) };
-                let wanted = kp * (joint.target - joint.angle) + joint.feedforward;
-                let held = joint.row;
-                joint.row = AxisRow {
-                    drive: h * wanted,
-                    slope: h * (kp * LOOK_AHEAD * h + kd),
-                    least: h * least,
-                    most: h * most,
-                    drag: n.armature + h * n.joint_damping,
-                    momentum: n.armature * speed,
-                    friction: h * n.friction,
-                };
-                if self.explicit[j] {
-                    // the effort of the step's beginning, held
-                    let effort =
-                        if first { (h * (wanted - kd * speed)).min(h * most).max(h * least) } else { held.drive };
-                    joint.row = AxisRow { drive: effort, slope: 0.0, least: effort, most: effort, ..joint.row };
-                }
-            }
-            // every joint has seen the speeds before any impulse changes them
-            for (j, joint) in chunk.iter_mut().enumerate() {
-                let (parent, child) = (self.parents[j], j + 1);
-                let axis = joint.now.axes[0];
-                joint.align -= axis * axis.dot(joint.align);
-                let [ia, ib] = [&inverses[parent], &inverses[child]];
-                let (a, b) = pair(bodies, parent, child);
-                let twist = joint.align + axis * joint.turn;
-                let [ra, rb] = joint.now.arms;
-                a.linear_velocity -= joint.point * ia.mass;
-                a.angular_velocity -= ia.inertia * (ra.cross(joint.point) + twist);
-                b.linear_velocity += joint.point * ib.mass;
-                b.angular_velocity += ib.inertia * (rb.cross(joint.point) + twist);
-            }
-        }
-    }
-
-    /// One sweep with the errors of position taken back, leaves first.
-    pub(super) fn solve(&mut self, bodies: &mut [SolverBody]) {
-        let (joints, links) = (self.num_joints(), self.num_joints() + 1);
-        for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
-            let bodies = &mut bodies[robot * links..(robot + 1) * links];
-            let inverses = &self.inverses[robot * links..(robot + 1) * links];
-            for (j, joint) in chunk.iter_mut().enumerate().rev() {
-                let (parent, child) = (self.parents[j], j + 1);
-                let (a, b) = pair(bodies, parent, child);
-                sweep::<true>(joint, a, b, [&inverses[parent], &inverses[child]], self.softness, self.h);
-            }
-        }
-    }
-
-    /// Follows the bodies to where they have moved, and one sweep without errors of position, base first.
-    pub(super) fn relax(&mut self, bodies: &mut [SolverBody]) {
-        let (joints, links) = (self.num_joints(), self.num_joints() + 1);
-        for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
-            let bodies = &mut bodies[robot * links..(robot + 1) * links];
-            let inverses = &self.inverses[robot * links..(robot + 1) * links];
-            for (j, joint) in chunk.iter_mut().enumerate() {
-                let (parent, child) = (self.parents[j], j + 1);
-                let (a, b) = pair(bodies, parent, child);
-                let axis = joint.now.axes[0];
-                joint.angle += self.h * axis.dot(b.angular_velocity - a.angular_velocity);
+                let (a, b) = (&bodies[self.parents[j]], &bodies[j + 1]);
                 let start = &joint.start;
                 let arms = [a.delta_rotation * start.arms[0], b.delta_rotation * start.arms[1]];
                 let moved = b.delta_position - a.delta_position;
@@ -348,8 +301,121 @@ impl Joints {
                     arms,
                     axes: [a.delta_rotation * start.axes[0], b.delta_rotation * start.axes[1]],
                 };
-                sweep::<false>(joint, a, b, [&inverses[parent], &inverses[child]], self.softness, self.h);
-                joint.effort += joint.motor;
+                self.inertias[j + 1] = Inertia::of_body(&masses[j + 1], arms[1]);
+                let speed = joint.rotor;
+                let explicit = self.explicit[j];
+                if first || !explicit {
+                    joint.actuate(self.tables[j].as_ref(), speed, gains, explicit, h);
+                }
+                let n = &joint.numbers;
+                joint.row.drag = n.armature + h * n.joint_damping;
+                joint.row.momentum = n.armature * speed;
+                joint.row.friction = h * n.friction;
+                joint.applied = 0.0;
+            }
+            for j in (0..joints).rev() {
+                let parent = self.parents[j];
+                let own_arm = parent.checked_sub(1).map_or(Vec3::ZERO, |p| chunk[p].now.arms[1]);
+                let joint = &mut chunk[j];
+                let whole = self.inertias[j + 1];
+                let axis = joint.now.axes[0];
+                let push = Twist { ang: whole.turn * axis, lin: whole.couple.transpose() * axis };
+                let inverse = 1.0 / (axis.dot(push.ang) + joint.row.slope + joint.row.drag);
+                let (ang, lin) = (push.ang * inverse, push.lin * inverse);
+                joint.carried = Inertia {
+                    turn: whole.turn - outer(ang, push.ang),
+                    couple: whole.couple - outer(ang, push.lin),
+                    shift: whole.shift - outer(lin, push.lin),
+                };
+                joint.reach = joint.now.arms[0] - own_arm;
+                (joint.push, joint.inverse) = (push, inverse);
+                self.inertias[parent] = self.inertias[parent].plus(&joint.carried.moved(joint.reach));
+            }
+            self.bases[robot] = if self.floating { self.inertias[0].inverse() } else { Inertia::default() };
+        }
+    }
+
+    /// Changes the velocities so that the joints hold, with `bias` also taking back what they came apart.
+    pub(super) fn solve(&mut self, bodies: &mut [SolverBody], bias: bool) {
+        let (joints, links) = (self.num_joints(), self.num_joints() + 1);
+        let back = if bias { TAKEN_BACK / self.h } else { 0.0 };
+        for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
+            let bodies = &mut bodies[robot * links..(robot + 1) * links];
+            let twists = &mut self.twists;
+            twists.fill(Twist::default());
+            for (j, joint) in chunk.iter_mut().enumerate().rev() {
+                let parent = self.parents[j];
+                let (a, b) = (&bodies[parent], &bodies[j + 1]);
+                let Geometry { gap, arms: [ra, rb], axes: [axis, child_axis] } = joint.now;
+                let speed = joint.speed(a, b);
+                let apart =
+                    b.linear_velocity + b.angular_velocity.cross(rb) - a.linear_velocity - a.angular_velocity.cross(ra);
+                let askew = b.angular_velocity - a.angular_velocity - axis * speed;
+                let error = Twist {
+                    ang: -(askew + (axis.cross(child_axis) * back).clamp_length_max(MAX_RETURN)),
+                    lin: -(apart + (gap * back).clamp_length_max(MAX_RETURN)),
+                };
+                let row = &joint.row;
+                let missing =
+                    row.drive + row.momentum + joint.rub + joint.bound - (row.slope + row.drag) * speed - joint.applied;
+                let own = twists[j + 1];
+                let along = axis.dot(own.ang) + missing;
+                let share = along * joint.inverse;
+                let resist = joint.carried.apply(&error);
+                let up = Twist {
+                    ang: own.ang - joint.push.ang * share - resist.ang,
+                    lin: own.lin - joint.push.lin * share - resist.lin,
+                };
+                let to = &mut twists[parent];
+                to.ang += up.ang + joint.reach.cross(up.lin);
+                to.lin += up.lin;
+                // kept for the way back
+                twists[j + 1] = error;
+                joint.share = share;
+            }
+            let base = self.bases[robot].apply(&twists[0]);
+            twists[0] = base;
+            bodies[0].angular_velocity += base.ang;
+            bodies[0].linear_velocity += base.lin;
+            for (j, joint) in chunk.iter_mut().enumerate() {
+                let from = twists[self.parents[j]];
+                let error = twists[j + 1];
+                let given =
+                    Twist { ang: from.ang + error.ang, lin: from.lin + from.ang.cross(joint.reach) + error.lin };
+                let faster =
+                    joint.share - joint.inverse * (joint.push.ang.dot(given.ang) + joint.push.lin.dot(given.lin));
+                let twist = Twist { ang: given.ang + joint.now.axes[0] * faster, lin: given.lin };
+                twists[j + 1] = twist;
+                let b = &mut bodies[j + 1];
+                b.angular_velocity += twist.ang;
+                b.linear_velocity += twist.lin - twist.ang.cross(joint.now.arms[1]);
+            }
+            for (j, joint) in chunk.iter_mut().enumerate() {
+                let speed = joint.speed(&bodies[self.parents[j]], &bodies[j + 1]);
+                joint.correct(speed, self.h, back);
+            }
+        }
+    }
+
+    /// Follows the joints to where their velocities have taken them.
+    pub(super) fn advance(&mut self, bodies: &[SolverBody]) {
+        let (joints, links) = (self.num_joints(), self.num_joints() + 1);
+        for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
+            let bodies = &bodies[robot * links..(robot + 1) * links];
+            for (j, joint) in chunk.iter_mut().enumerate() {
+                joint.angle += self.h * joint.speed(&bodies[self.parents[j]], &bodies[j + 1]);
+            }
+        }
+    }
+
+    /// Adds up the efforts of the substep.
+    pub(super) fn add_efforts(&mut self, bodies: &[SolverBody]) {
+        let (joints, links) = (self.num_joints(), self.num_joints() + 1);
+        for (robot, chunk) in self.all.chunks_mut(joints.max(1)).enumerate() {
+            let bodies = &bodies[robot * links..(robot + 1) * links];
+            for (j, joint) in chunk.iter_mut().enumerate() {
+                let speed = joint.speed(&bodies[self.parents[j]], &bodies[j + 1]);
+                joint.effort += joint.row.drive - joint.row.slope * speed;
             }
         }
     }
@@ -377,67 +443,42 @@ impl Joints {
     }
 }
 
-/// One joint's rows, one after another: about the axis, the axis, the anchor.
-#[inline]
-fn sweep<const BIAS: bool>(
-    joint: &mut Joint,
-    a: &mut SolverBody,
-    b: &mut SolverBody,
-    [ia, ib]: [&Inverse; 2],
-    soft: Softness,
-    h: f32,
-) {
-    let Geometry { gap, arms: [ra, rb], axes: [axis, child_axis] } = joint.now;
-    let n = &joint.numbers;
-    let relative = b.angular_velocity - a.angular_velocity;
+impl Joint {
+    /// Gains and feed-forward effort within the motor's torque-speed line and the effort limit (or its table): implicit
+    /// inside them, explicit beyond, as in the articulated engine.
+    fn actuate(&mut self, table: Option<&EffortTable>, speed: f32, gains: bool, explicit: bool, h: f32) {
+        let n = &self.numbers;
+        let limit = match table {
+            Some(table) => n.effort_limit * table_limit(table, self.angle),
+            None => n.effort_limit,
+        };
+        let line = speed / n.motor_velocity_limit;
+        let most = (n.saturation * (1.0 - line)).min(limit).max(0.0);
+        let least = (n.saturation * (-1.0 - line)).max(-limit).min(0.0);
+        let (kp, kd) = if gains { (n.stiffness, n.damping) } else { (0.0, 0.0) };
+        let at_rest = kp * (self.target - self.angle) + self.feedforward;
+        let slope = if explicit { kd } else { kd + kp * LOOK_AHEAD * h };
+        let wanted = at_rest - slope * speed;
+        let effort = wanted.min(most).max(least);
+        (self.row.drive, self.row.slope) =
+            if explicit || effort != wanted { (h * effort, 0.0) } else { (h * at_rest, h * slope) };
+    }
 
-    let response = (ia.inertia + ib.inertia) * axis;
-    let k = axis.dot(response);
-    let speed = axis.dot(relative);
-    // a bound may be reached within the substep; beyond it the joint returns
-    let to_lower = n.lower - joint.angle;
-    let to_upper = n.upper - joint.angle;
-    let back = |distance: f32| if BIAS { (soft.bias * distance).clamp(-MAX_RETURN, MAX_RETURN) } else { 0.0 };
-    let low = if to_lower <= 0.0 { to_lower / h } else { back(to_lower) };
-    let high = if to_upper >= 0.0 { to_upper / h } else { back(to_upper) };
-    let bounds = [low.max(-n.velocity_limit), high.min(n.velocity_limit)];
-    let new = joint.row.solve(k, speed, joint.turn, bounds);
-    joint.motor = joint.row.motor(new);
-    let impulse = (new - speed) / k;
-    joint.turn += impulse;
-    a.angular_velocity -= ia.inertia * (axis * impulse);
-    b.angular_velocity += ib.inertia * (axis * impulse);
-
-    let (u, v) = axis.any_orthonormal_pair();
-    let sum = ia.inertia + ib.inertia;
-    let (su, sv) = (sum * u, sum * v);
-    let (kuu, kuv, kvv) = (u.dot(su), u.dot(sv), v.dot(sv));
-    let mut wanted = b.angular_velocity - a.angular_velocity;
-    if BIAS {
-        wanted += (axis.cross(child_axis) * soft.bias).clamp_length_max(MAX_BIAS);
+    /// Corrects dry friction and bounds by the speed that the last solution came to.
+    fn correct(&mut self, speed: f32, h: f32, back: f32) {
+        let (n, row) = (&self.numbers, &self.row);
+        self.rotor = speed;
+        self.applied = row.drive + row.momentum + self.rub + self.bound - (row.slope + row.drag) * speed;
+        let mass = BOUND_MASS / self.inverse;
+        self.rub = (self.rub - mass * speed).min(row.friction).max(-row.friction);
+        // a bound may be reached within the substep; beyond it the joint returns
+        let (to_lower, to_upper) = (n.lower - self.angle, n.upper - self.angle);
+        let low = if to_lower <= 0.0 { to_lower / h } else { (to_lower * back).min(MAX_RETURN) };
+        let high = if to_upper >= 0.0 { to_upper / h } else { (to_upper * back).max(-MAX_RETURN) };
+        let (low, high) = (low.max(-n.velocity_limit), high.min(n.velocity_limit));
+        // positive at the lower bound, negative at the upper one
+        let at_low = (self.bound + mass * (low - speed)).max(0.0);
+        let at_high = (self.bound + mass * (high - speed)).min(0.0);
+        self.bound = at_low + at_high;
     }
-    let (wu, wv) = (u.dot(wanted), v.dot(wanted));
-    let scale = -1.0 / (kuu * kvv - kuv * kuv);
-    let mut impulse = u * (scale * (kvv * wu - kuv * wv)) + v * (scale * (kuu * wv - kuv * wu));
-    if BIAS {
-        impulse = impulse * soft.mass_scale - joint.align * soft.impulse_scale;
-    }
-    joint.align += impulse;
-    a.angular_velocity -= ia.inertia * impulse;
-    b.angular_velocity += ib.inertia * impulse;
-
-    let mut wanted =
-        b.linear_velocity + b.angular_velocity.cross(rb) - a.linear_velocity - a.angular_velocity.cross(ra);
-    if BIAS {
-        wanted += (gap * soft.bias).clamp_length_max(MAX_BIAS);
-    }
-    let mut impulse = -(joint.point_mass * wanted);
-    if BIAS {
-        impulse = impulse * soft.mass_scale - joint.point * soft.impulse_scale;
-    }
-    joint.point += impulse;
-    a.linear_velocity -= impulse * ia.mass;
-    a.angular_velocity -= ia.inertia * ra.cross(impulse);
-    b.linear_velocity += impulse * ib.mass;
-    b.angular_velocity += ib.inertia * rb.cross(impulse);
 }

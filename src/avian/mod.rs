@@ -247,6 +247,7 @@ impl Chunk {
         let (world, bodies) =
             world::build(num_envs, links, floating, colliders, ground, gravity, substeps).ok_or(EngineError::Order)?;
         let mut joints = Joints {
+            floating,
             parents: topology.joints.iter().map(|joint| joint.parent).collect(),
             axes: topology.joints.iter().map(|joint| vector(joint.axis.direction())).collect(),
             tables: topology.joints.iter().map(|joint| joint.effort_table.clone()).collect(),
@@ -287,8 +288,8 @@ impl Chunk {
         self.envs[env].state = state.clone();
         let joints = topology.num_joints();
         for (j, joint) in self.joints.all[env * joints..(env + 1) * joints].iter_mut().enumerate() {
-            joint.forget();
             (joint.position, joint.velocity) = (state.joint_position[j], state.joint_velocity[j]);
+            joint.forget();
         }
         let colliders = self.colliders(env);
         world::forget_contacts(&mut self.world, colliders);

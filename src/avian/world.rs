@@ -22,7 +22,7 @@ use bevy_math::{Mat3, Quat, Vec3};
 use bevy_time::Time;
 use bevy_transform::components::GlobalTransform;
 
-use super::joints::{Inverse, Joints, LinkPose, Softness};
+use super::joints::{Joints, LinkMass, LinkPose};
 use super::shapes::LinkCollider;
 use crate::dynamics::Plane;
 use crate::rows::{read_rows, write_rows};
@@ -113,6 +113,7 @@ pub(super) fn build(
                 .before(PhysicsStepSystems::Solver)
                 .ambiguous_with_all(),
             prepare_joints.in_set(SolverSystems::PrepareJoints).ambiguous_with_all(),
+            reclose_joints.in_set(SolverSystems::PostSubstep).ambiguous_with_all(),
             finish_joints.in_set(PhysicsStepSystems::Finalize).ambiguous_with_all(),
         ),
     );
@@ -126,6 +127,10 @@ pub(super) fn build(
             solve_joints
                 .after(SubstepSolverSystems::WarmStart)
                 .before(SubstepSolverSystems::SolveConstraints)
+                .ambiguous_with_all(),
+            close_joints
+                .after(SubstepSolverSystems::SolveConstraints)
+                .before(IntegrationSystems::Position)
                 .ambiguous_with_all(),
             relax_joints.after(IntegrationSystems::Position).before(SubstepSolverSystems::Relax).ambiguous_with_all(),
             sum_impulses.after(SubstepSolverSystems::Relax).before(SubstepSolverSystems::Damping).ambiguous_with_all(),
@@ -324,17 +329,15 @@ fn prepare_joints(
     impulses.sum.clear();
     impulses.last.clear();
     let inertias = read_rows(&inertias);
-    joints.inverses.clear();
-    joints.inverses.extend(inertias.iter().map(|inertia| {
+    joints.masses.clear();
+    joints.masses.extend(inertias.iter().map(|inertia| {
         let i = inertia.effective_inv_angular_inertia();
-        Inverse {
-            mass: inertia.effective_inv_mass().x,
-            inertia: Mat3::from_cols(
-                Vec3::new(i.m00, i.m01, i.m02),
-                Vec3::new(i.m01, i.m11, i.m12),
-                Vec3::new(i.m02, i.m12, i.m22),
-            ),
-        }
+        let inverse = Mat3::from_cols(
+            Vec3::new(i.m00, i.m01, i.m02),
+            Vec3::new(i.m01, i.m11, i.m12),
+            Vec3::new(i.m02, i.m12, i.m22),
+        );
+        LinkMass { mass: 1.0 / inertia.effective_inv_mass().x, inertia: inverse.inverse() }
     }));
     let poses: Vec<LinkPose> = read_rows(&positions)
         .iter()
@@ -344,21 +347,30 @@ fn prepare_joints(
     joints.prepare(&poses);
 }
 
-fn begin_joints(
-    mut joints: ResMut<Joints>,
-    mut first: ResMut<FirstSubstep>,
-    mut bodies: Query<&'static mut SolverBody>,
-) {
-    joints.begin(write_rows(&mut bodies), first.0);
+fn begin_joints(mut joints: ResMut<Joints>, mut first: ResMut<FirstSubstep>, bodies: Query<&'static SolverBody>) {
+    joints.begin(read_rows(&bodies), first.0);
     first.0 = false;
 }
 
 fn solve_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
-    joints.solve(write_rows(&mut bodies));
+    joints.solve(write_rows(&mut bodies), true);
+}
+
+fn close_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
+    let bodies = write_rows(&mut bodies);
+    joints.solve(bodies, true);
+    joints.advance(bodies);
 }
 
 fn relax_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
-    joints.relax(write_rows(&mut bodies));
+    let bodies = write_rows(&mut bodies);
+    joints.solve(bodies, false);
+    joints.add_efforts(bodies);
+}
+
+/// The joints hold in what is reported, too.
+fn reclose_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
+    joints.solve(write_rows(&mut bodies), false);
 }
 
 fn sum_impulses(mut impulses: ResMut<Impulses>, constraints: Res<ConstraintGraph>) {
@@ -387,6 +399,5 @@ impl Joints {
     pub(super) fn set_step(&mut self, h: Duration, substeps: usize) {
         self.h = h.as_secs_f32();
         self.substeps = substeps;
-        self.softness = Softness::new(self.h);
     }
 }
