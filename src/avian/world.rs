@@ -18,7 +18,7 @@ use avian3d::prelude::*;
 use bevy_app::{App, PluginGroup};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleLabel;
-use bevy_math::{Mat3, Quat, Vec3};
+use bevy_math::{Mat3, Quat, Vec2, Vec3};
 use bevy_time::Time;
 use bevy_transform::components::GlobalTransform;
 
@@ -103,6 +103,7 @@ pub(super) fn build(
     app.insert_resource(NarrowPhaseConfig { contact_tolerance: CONTACT_TOLERANCE, ..NarrowPhaseConfig::default() });
     app.init_resource::<Joints>();
     app.init_resource::<Impulses>();
+    app.init_resource::<Tangents>();
     app.init_resource::<FirstSubstep>();
     app.add_systems(
         PhysicsSchedule,
@@ -114,6 +115,7 @@ pub(super) fn build(
                 .ambiguous_with_all(),
             prepare_joints.in_set(SolverSystems::PrepareJoints).ambiguous_with_all(),
             reclose_joints.in_set(SolverSystems::PostSubstep).ambiguous_with_all(),
+            keep_tangents.in_set(PhysicsStepSystems::Finalize).ambiguous_with_all(),
             finish_joints.in_set(PhysicsStepSystems::Finalize).ambiguous_with_all(),
         ),
     );
@@ -267,7 +269,7 @@ pub(super) fn forget_contacts(world: &mut World, pairs: std::ops::Range<usize>) 
     for pair in graph.active_pairs_mut().get_mut(pairs).unwrap_or_default() {
         for point in pair.manifolds.iter_mut().flat_map(|manifold| &mut manifold.points) {
             point.warm_start_normal_impulse = 0.0;
-            point.warm_start_tangent_impulse = bevy_math::Vec2::ZERO;
+            point.warm_start_tangent_impulse = Vec2::ZERO;
         }
     }
 }
@@ -285,7 +287,7 @@ fn all_constraints(graph: &ConstraintGraph) -> impl Iterator<Item = &ContactCons
 fn impulse(constraint: &ContactConstraint) -> Vec3 {
     let tangents = constraint.tangent_directions();
     let on_ground = constraint.points.iter().map(|point| {
-        let along = point.tangent_part.as_ref().map_or(bevy_math::Vec2::ZERO, |part| part.impulse);
+        let along = point.tangent_part.as_ref().map_or(Vec2::ZERO, |part| part.impulse);
         constraint.normal * point.normal_part.impulse + tangents[0] * along.x + tangents[1] * along.y
     });
     -on_ground.fold(Vec3::ZERO, |sum, p| sum + p)
@@ -303,16 +305,56 @@ fn place_colliders(
     }
 }
 
-/// Solves contacts in an order that depends on nothing but which there are.
-fn order_contacts(mut constraints: ResMut<ConstraintGraph>, mut contacts: ResMut<ContactGraph>) {
+/// Tangents of each pair's contacts in the last physics step, in the order of the pairs.
+#[derive(Resource, Default)]
+struct Tangents(Vec<[Vec3; 2]>);
+
+/// Solves contacts in an order that depends on nothing but which there are, and warm-starts friction with the impulses of
+/// the last step.
+///
+/// Avian keeps them along tangents that it chooses anew in every step, by the direction of a velocity that is all but zero
+/// for feet that stand, and would apply them in another direction.
+fn order_contacts(
+    mut constraints: ResMut<ConstraintGraph>,
+    mut contacts: ResMut<ContactGraph>,
+    tangents: Res<Tangents>,
+    velocities: Query<&LinearVelocity>,
+) {
     constraints.clear();
     let touching: Vec<ContactId> = contacts.iter_active_touching().map(|pair| pair.contact_id).collect();
     for id in touching {
         if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
             edge.constraint_handles.clear();
+            let velocity = pair.body1.and_then(|body| velocities.get(body).ok()).map_or(Vec3::ZERO, |v| v.0);
+            let [old, old_across] = tangents.0.get(edge.pair_index).copied().unwrap_or_default();
+            for manifold in &mut pair.manifolds {
+                let [new, new_across] = tangents_of(manifold.normal, velocity);
+                for point in &mut manifold.points {
+                    let impulse = point.warm_start_tangent_impulse;
+                    let impulse = old * impulse.x + old_across * impulse.y;
+                    point.warm_start_tangent_impulse = Vec2::new(impulse.dot(new), impulse.dot(new_across));
+                }
+            }
             for _ in 0..pair.manifolds.len() {
                 constraints.push_manifold(edge, pair);
             }
+        }
+    }
+}
+
+/// The tangents that Avian chooses for contacts of a body of this velocity with one at rest.
+fn tangents_of(normal: Vec3, velocity: Vec3) -> [Vec3; 2] {
+    let inward = -normal;
+    let along = velocity - inward * inward.dot(velocity);
+    let tangent = along.try_normalize().unwrap_or(inward.any_orthonormal_vector());
+    [tangent, inward.cross(tangent)]
+}
+
+fn keep_tangents(mut tangents: ResMut<Tangents>, constraints: Res<ConstraintGraph>, contacts: Res<ContactGraph>) {
+    tangents.0.resize(contacts.active_pairs().len(), [Vec3::ZERO; 2]);
+    for constraint in all_constraints(&constraints) {
+        if let Some(kept) = pair_index(&contacts, constraint.contact_id).and_then(|pair| tangents.0.get_mut(pair)) {
+            *kept = constraint.tangent_directions();
         }
     }
 }
