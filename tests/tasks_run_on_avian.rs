@@ -75,3 +75,9 @@ fn resets_pushes_and_delays_change_nothing_about_reproducibility() {
     assert_all_same(&mut one, &mut two, "one and two threads");
     assert_all_same(&mut one, &mut again, "twice the same");
 }
+
+#[test]
+fn obstacles_are_refused() {
+    let error = Sim::new(&on_avian(SimOptions::new("velocity_obstacles", 8))).err().unwrap().to_string();
+    assert!(error.contains("scene.obstacles") && error.contains("articulated"), "{error}");
+}
