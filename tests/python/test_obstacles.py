@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from polypod import _core
 from polypod.evaluation import load_policy
 from polypod.training import run_dir
