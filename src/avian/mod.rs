@@ -1,8 +1,8 @@
 //! The other physics engine: links as Avian's rigid bodies, held together by joints of polypod's own.
 //!
 //! Avian finds and solves the contacts with the ground. Its own joints correct positions after its contacts are solved,
-//! which makes feet slide; [`joints`] has constraints on velocities instead, solved in turn with the contacts in every
-//! substep.
+//! which makes feet slide; [`joints`] solves changes of velocity instead, all joints of a robot at once, in turn with the contacts
+//! in every substep.
 
 mod joints;
 mod shapes;
