@@ -174,13 +174,6 @@ impl Sim {
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
         let workers = Workers::new(threads);
         if task.config.physics.engine == EngineKind::Avian {
-            if !task.config.scene.obstacles.is_empty() {
-                return Err(argument(
-                    "scene.obstacles",
-                    "physics.engine = \"avian\" knows the ground plane only",
-                    "remove them, or use \"articulated\"",
-                ));
-            }
             for robot in morphologies.0.iter().filter(|robot| !robot.topology.pairs.is_empty()) {
                 tracing::warn!("{}: its links pass through each other under physics.engine = \"avian\"", robot.name());
             }

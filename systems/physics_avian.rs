@@ -7,7 +7,7 @@ use super::broken::Evidence;
 use super::physics::{Engine, PhysicsRows};
 use super::terminate::{StateLimits, StateNumbers};
 use crate::avian::{self, EngineError, JointField};
-use crate::config::TaskConfig;
+use crate::config::{ObstacleConfig, TaskConfig};
 use crate::dynamics::step::report_sites;
 use crate::dynamics::{Parameters, Plane, Report, State, Topology, Workspace};
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -54,7 +54,15 @@ impl AvianRobots {
         let mut first_env = 0;
         let mut blocks = Vec::new();
         for (model, &count) in morphologies.0.iter().zip(counts) {
-            blocks.push(Block::new(model, &settings, first_env, count, decimation, workers.num_chunks())?);
+            blocks.push(Block::new(
+                model,
+                &settings,
+                &config.scene.obstacles,
+                first_env,
+                count,
+                decimation,
+                workers.num_chunks(),
+            )?);
             first_env += count;
         }
         Ok(Self { decimation, blocks })
@@ -107,6 +115,7 @@ impl Block {
     fn new(
         model: &MorphologyModel,
         settings: &avian::Settings,
+        obstacles: &[ObstacleConfig],
         first_env: usize,
         count: usize,
         decimation: usize,
@@ -117,7 +126,16 @@ impl Block {
         Ok(Self {
             first_env,
             count,
-            engine: avian::Engine::new(&model.model, &model.align, &topology, &nominal, settings, count, chunks)?,
+            engine: avian::Engine::new(
+                &model.model,
+                &model.align,
+                &topology,
+                &nominal,
+                settings,
+                obstacles,
+                count,
+                chunks,
+            )?,
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
             work: Workspace::new(&topology),
             report: Report::zeros(&topology, decimation),
@@ -177,7 +195,7 @@ impl Block {
             let force = self.engine.force(row);
             let normal = &mut rows.forces[row].normal[substep * force.len()..(substep + 1) * force.len()];
             for (to, f) in normal.iter_mut().zip(force) {
-                // the ground is level
+                // what carries a robot is mostly level
                 *to = f[2].abs() as f32;
             }
         }

@@ -77,7 +77,33 @@ fn resets_pushes_and_delays_change_nothing_about_reproducibility() {
 }
 
 #[test]
-fn obstacles_are_refused() {
-    let error = Sim::new(&on_avian(SimOptions::new("velocity_obstacles", 8))).err().unwrap().to_string();
-    assert!(error.contains("scene.obstacles") && error.contains("articulated"), "{error}");
+fn robots_stand_on_a_box_as_on_the_ground() {
+    let heights = |task: &str, x: f32, lift: f32| -> Vec<f32> {
+        let calm = ["events.reset_base.x=[0.0, 0.0]", "events.reset_base.y=[0.0, 0.0]"];
+        let quiet = ["events.reset_joints.enabled=false", "events.push_robot.enabled=false"];
+        let overrides = [calm, quiet, ["events.add_base_mass.enabled=false", "events.base_com.enabled=false"]];
+        let mut options = on_avian(SimOptions::new(task, 8));
+        options.overrides.extend(overrides.concat().into_iter().map(String::from));
+        let mut sim = Sim::new(&options).unwrap();
+        let world = sim.world_mut();
+        for (mut pose, mut velocity) in world.query::<(&mut BasePose, &mut BaseVelocity)>().iter_mut(world) {
+            pose.position[0] = x;
+            pose.position[2] += lift;
+            *velocity = BaseVelocity::default();
+        }
+        let actions = vec![0.0; sim.batch().actions.len()];
+        for _ in 0..150 {
+            sim.step(&actions).unwrap();
+        }
+        let world = sim.world_mut();
+        let mut robots: Vec<(EnvId, f32)> =
+            world.query::<(&EnvId, &BasePose)>().iter(world).map(|(env, pose)| (*env, pose.position[2])).collect();
+        robots.sort_by_key(|(env, _)| *env);
+        robots.into_iter().map(|(_, height)| height).collect()
+    };
+    let (flat, boxed) = (heights("velocity_flat_universal", 0.0, 0.0), heights("velocity_obstacles", 3.75, 0.2));
+    for ((name, low), high) in common::ROBOTS.iter().zip(flat).zip(boxed) {
+        println!("{name}: {:.4} m higher on the box", high - low);
+        assert!((high - low - 0.2).abs() < 2e-3, "{name}: {low} m on the ground, {high} m on the box");
+    }
 }

@@ -20,8 +20,10 @@ use bevy_ecs::prelude::{Component, Entity, World};
 use bevy_math::{Mat3, Vec3};
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::config::ObstacleConfig;
 use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{JointMotion, Parameters, Plane, State, Topology, Workspace, kinematics};
+use crate::obstacles;
 use crate::robot::Model;
 use crate::rows::Workers;
 use joints::{Joint, JointNumbers, Joints};
@@ -103,13 +105,15 @@ struct Env {
 }
 
 impl Engine {
-    /// `num_envs` robots in up to `num_chunks` worlds; `align` turns the axes of the model's links into the engine's.
+    /// `num_envs` robots in up to `num_chunks` worlds, each among the same `obstacles`; `align` turns the axes of the model's links
+    /// into the engine's.
     pub(crate) fn new(
         model: &Model,
         align: &[DMat3],
         topology: &Topology,
         nominal: &Parameters<f64>,
         settings: &Settings,
+        obstacles: &[ObstacleConfig],
         num_envs: usize,
         num_chunks: usize,
     ) -> Result<Self, EngineError> {
@@ -128,7 +132,7 @@ impl Engine {
         let mut engine = Self { topology: topology.clone(), chunks: Vec::new(), per_chunk };
         for first in (0..num_envs).step_by(per_chunk) {
             let count = per_chunk.min(num_envs - first);
-            engine.chunks.push(Chunk::new(topology, nominal, settings, &colliders, count, dt, h)?);
+            engine.chunks.push(Chunk::new(topology, nominal, settings, &colliders, obstacles, count, dt, h)?);
         }
         for env in 0..num_envs {
             engine.set_parameters(env, nominal);
@@ -238,14 +242,16 @@ impl Chunk {
         nominal: &Parameters<f64>,
         settings: &Settings,
         colliders: &[LinkCollider],
+        obstacles: &[ObstacleConfig],
         num_envs: usize,
         dt: Duration,
         h: Duration,
     ) -> Result<Self, EngineError> {
         let (links, substeps) = (topology.num_links(), settings.substeps);
         let (floating, ground, gravity) = (topology.floating, settings.ground, settings.gravity);
-        let (world, bodies) =
-            world::build(num_envs, links, floating, colliders, ground, gravity, substeps).ok_or(EngineError::Order)?;
+        let parts = obstacles.iter().flat_map(obstacles::parts).collect();
+        let (world, bodies) = world::build(num_envs, links, floating, colliders, ground, parts, gravity, substeps)
+            .ok_or(EngineError::Order)?;
         let mut joints = Joints {
             floating,
             parents: topology.joints.iter().map(|joint| joint.parent).collect(),
@@ -291,8 +297,8 @@ impl Chunk {
             (joint.position, joint.velocity) = (state.joint_position[j], state.joint_velocity[j]);
             joint.forget();
         }
-        let colliders = self.colliders(env);
-        world::forget_contacts(&mut self.world, colliders);
+        let (colliders, statics) = (self.colliders(env), self.bodies.statics);
+        world::forget_contacts(&mut self.world, colliders.start * statics..colliders.end * statics);
         self.place(topology, env);
     }
 
@@ -385,10 +391,11 @@ impl Chunk {
                 env.state.angular_velocity = (q.conjugate() * spin).to_array();
             }
         }
-        let count = self.body_of_collider.len();
+        let (count, statics) = (self.body_of_collider.len(), self.bodies.statics);
         let dt = self.dt.as_secs_f64();
         world::contact_impulses(&self.world, |pair, impulse| {
-            let force = &mut self.envs[pair / count].force[self.body_of_collider[pair % count]];
+            let collider = pair / statics;
+            let force = &mut self.envs[collider / count].force[self.body_of_collider[collider % count]];
             for (sum, p) in force.iter_mut().zip(impulse.to_array()) {
                 *sum += f64::from(p) / dt;
             }

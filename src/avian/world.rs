@@ -1,7 +1,7 @@
 //! One of Avian's worlds: robots of one kind as rigid bodies on a plane.
 //!
-//! Robots touch the ground only, and every one is in the frame of its own env, at the same place as all others. There is
-//! no broad phase: each collider and the ground are one pair for good. What happens to a robot depends neither on the
+//! Robots touch the ground and what stands on it only, and every one is in the frame of its own env, at the same place as all
+//! others. There is no broad phase: each collider and the ground, or an obstacle's part, are one pair for good. What happens to a robot depends neither on the
 //! other robots of its world nor on what it touched before.
 
 use std::time::Duration;
@@ -25,6 +25,7 @@ use bevy_transform::components::GlobalTransform;
 use super::joints::{Joints, LinkMass, LinkPose};
 use super::shapes::LinkCollider;
 use crate::dynamics::Plane;
+use crate::obstacles::Part;
 use crate::rows::{read_rows, write_rows};
 
 /// Colliders nearer to the ground than this are looked at even when they stand still, m.
@@ -61,6 +62,8 @@ struct Impulses {
 pub(super) struct Bodies {
     pub(super) links: Vec<Entity>,
     pub(super) colliders: Vec<Entity>,
+    /// What each collider makes a pair with: the ground and the obstacles' parts.
+    pub(super) statics: usize,
 }
 
 /// A world with robots of `links` links each; all poses and masses are still to be set. `None` when Avian keeps the links
@@ -71,6 +74,7 @@ pub(super) fn build(
     floating: bool,
     colliders: &[LinkCollider],
     ground: Option<Plane>,
+    obstacles: Vec<Part>,
     gravity: [f64; 3],
     substeps: usize,
 ) -> Option<(World, Bodies)> {
@@ -141,7 +145,7 @@ pub(super) fn build(
     app.finish();
     app.cleanup();
     let mut world = std::mem::take(app.world_mut());
-    let bodies = spawn(&mut world, robots, links, floating, colliders, ground);
+    let bodies = spawn(&mut world, robots, links, floating, colliders, ground, obstacles);
     let mut order = world.query_filtered::<Entity, With<SolverBody>>();
     order.iter(&world).eq(bodies.links.iter().copied()).then_some((world, bodies))
 }
@@ -153,26 +157,25 @@ fn spawn(
     floating: bool,
     colliders: &[LinkCollider],
     ground: Option<Plane>,
+    obstacles: Vec<Part>,
 ) -> Bodies {
     let everywhere = || EnlargedAabb::new(ColliderAabb::new(Vec3::ZERO, Vec3::splat(EVERYWHERE)));
-    let ground = ground.map(|plane| {
+    let plane = ground.map(|plane| {
         let normal = Vec3::from_array(plane.normal.map(|x| x as f32));
-        let position = Position(normal * plane.offset as f32);
-        let body = world.spawn((RigidBody::Static, position, Rotation::IDENTITY)).id();
-        let collider = world
-            .spawn((
-                Collider::half_space(normal),
-                GlobalTransform::IDENTITY,
-                ColliderOf { body },
-                everywhere(),
-                position,
-                Rotation::IDENTITY,
-                surface(1.0, 1.0),
-            ))
-            .id();
-        (body, collider)
+        (Collider::half_space(normal), Position(normal * plane.offset as f32), Rotation::IDENTITY)
     });
-    let mut bodies = Bodies { links: Vec::new(), colliders: Vec::new() };
+    let parts = obstacles.into_iter().map(|part| (part.collider, part.position, part.rotation));
+    let statics: Vec<(Entity, Entity)> = plane
+        .into_iter()
+        .chain(parts)
+        .map(|(collider, position, rotation)| {
+            let body = world.spawn((RigidBody::Static, position, rotation)).id();
+            let of = ColliderOf { body };
+            let place = (GlobalTransform::IDENTITY, everywhere(), position, rotation);
+            (body, world.spawn((collider, of, place, surface(1.0, 1.0))).id())
+        })
+        .collect();
+    let mut bodies = Bodies { links: Vec::new(), colliders: Vec::new(), statics: statics.len() };
     for _ in 0..robots {
         let first = bodies.links.len();
         for link in 0..links {
@@ -208,15 +211,19 @@ fn spawn(
         }
     }
     world.flush();
-    if let (Some((ground, plane)), Some(mut graph)) = (ground, world.get_resource_mut::<ContactGraph>()) {
+    if let Some(mut graph) = world.get_resource_mut::<ContactGraph>() {
         for robot in 0..robots {
             for (i, c) in colliders.iter().enumerate() {
-                let mut edge = ContactEdge::new(bodies.colliders[robot * colliders.len() + i], plane);
-                (edge.body1, edge.body2) = (Some(bodies.links[robot * links + c.link]), Some(ground));
-                graph.add_edge_with(edge, |pair| {
-                    (pair.body1, pair.body2) = (Some(bodies.links[robot * links + c.link]), Some(ground));
-                    pair.flags.insert(ContactPairFlags::GENERATE_CONSTRAINTS);
-                });
+                let (link, collider) =
+                    (bodies.links[robot * links + c.link], bodies.colliders[robot * colliders.len() + i]);
+                for &(body, shape) in &statics {
+                    let mut edge = ContactEdge::new(collider, shape);
+                    (edge.body1, edge.body2) = (Some(link), Some(body));
+                    graph.add_edge_with(edge, |pair| {
+                        (pair.body1, pair.body2) = (Some(link), Some(body));
+                        pair.flags.insert(ContactPairFlags::GENERATE_CONSTRAINTS);
+                    });
+                }
             }
         }
     }
@@ -240,8 +247,8 @@ pub(super) fn step(world: &mut World, dt: Duration, h: Duration) {
     world.run_schedule(PhysicsSchedule);
 }
 
-/// Adds what touched the ground in the last physics step to `add(pair, impulse on the robot)`; pairs count colliders,
-/// robot after robot.
+/// Adds what touched the ground in the last physics step to `add(pair, impulse on the robot)`; pairs count, collider after
+/// collider and robot after robot, what each can touch.
 pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3)) {
     let (Some(constraints), Some(contacts), Some(impulses)) = (
         world.get_resource::<ConstraintGraph>(),
