@@ -66,7 +66,8 @@ fn overrides_that_cannot_be_applied() {
     let e = overridden("rewards.spot.gait.stdd=0.1");
     assert_config(&e, ConfigErrorKind::UnknownKey, &["rewards.spot.gait", "stdd", "did you mean `std`?"]);
     assert!(matches!(overridden("sim.decimation"), SimError::Config(_)));
-    assert_argument(&overridden("physics.engine=avian"), "physics.engine", &["articulated"]);
+    let e = error(|o| o.overrides = ["physics.engine=avian", "sim.dt=1e-8"].map(String::from).to_vec());
+    assert_argument(&e, "physics.engine", &["too short", "sim.dt"]);
 }
 
 #[test]

@@ -73,7 +73,9 @@ def test_shapes(name, fixed):
     [
         ({"robot": "unitree_go3"}, polypod.UnknownNameError, "unitree_go2"),
         ({"robot": "nowhere.urdf"}, polypod.RobotError, "nowhere.urdf"),
-        ({"engine": "avian"}, polypod.ConfigError, "articulated"),
+        ({"engine": "bullet"}, polypod.ConfigError, "articulated"),
+        ({"engine": "avian", "dtype": "float64"}, polypod.ConfigError, "articulated"),
+        ({"engine": "avian", "self_collision": True}, polypod.ConfigError, "self_collision"),
         ({"ground": "sea"}, polypod.ConfigError, "plane"),
         ({"ground_normal": (0, 0, 0)}, polypod.ConfigError, "ground_normal"),
         ({"dtype": "float16"}, polypod.ConfigError, "float64"),
