@@ -3,6 +3,7 @@
 use avian3d::prelude::{Collider, Position, Rotation};
 use bevy_math::{EulerRot, Quat, Vec3};
 
+use crate::avian::hull;
 use crate::config::ObstacleConfig;
 
 /// One convex or triangulated part of an obstacle.
@@ -50,7 +51,7 @@ pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
             let [x, y, z] = size.map(|x| x as f32);
             let (x, y) = (0.5 * x, 0.5 * y);
             let corners = [[-x, -y, 0.0], [-x, y, 0.0], [x, -y, 0.0], [x, y, 0.0], [x, -y, z], [x, y, z]];
-            let hull = Collider::convex_hull(corners.map(Vec3::from_array).to_vec());
+            let hull = hull(&corners.map(|corner| Vec3::from_array(corner).as_dvec3()));
             hull.map(|hull| part(hull, Vec3::ZERO, Quat::IDENTITY, Vec3::new(x, y, z).length())).into_iter().collect()
         }
         ObstacleConfig::Stairs { size, steps, .. } => {

@@ -84,7 +84,40 @@ impl SplitRows for PhysicsRows<'_> {
     }
 }
 
+/// The numbers of a state that have a limit.
+pub(super) fn state_numbers<'a, L>(state: &'a State<L>, effort: &'a [L]) -> StateNumbers<'a, L> {
+    [
+        &state.position,
+        &state.rotation,
+        &state.linear_velocity,
+        &state.angular_velocity,
+        &state.joint_position,
+        &state.joint_velocity,
+        effort,
+    ]
+}
+
 impl PhysicsRows<'_> {
+    /// Reads poses and velocities of a row into a lane.
+    pub(super) fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize) {
+        put(&mut state.position, &self.poses[row].position, lane);
+        put(&mut state.rotation, &self.poses[row].rotation, lane);
+        put(&mut state.linear_velocity, &self.velocities[row].linear, lane);
+        put(&mut state.angular_velocity, &self.velocities[row].angular, lane);
+        put(&mut state.joint_position, &self.joints[row].position, lane);
+        put(&mut state.joint_velocity, &self.joints[row].velocity, lane);
+    }
+
+    /// Writes poses and velocities of a lane into a row.
+    pub(super) fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize) {
+        get(&state.position, &mut self.poses[row].position, lane);
+        get(&state.rotation, &mut self.poses[row].rotation, lane);
+        get(&state.linear_velocity, &mut self.velocities[row].linear, lane);
+        get(&state.angular_velocity, &mut self.velocities[row].angular, lane);
+        get(&state.joint_position, &mut self.joints[row].position, lane);
+        get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
+    }
+
     pub(super) fn motion(&self, row: usize) -> Motion {
         Motion {
             pose: self.poses[row],
@@ -342,13 +375,13 @@ fn put_arrays<L: Real, const N: usize>(to: &mut [[L; N]], from: &[[f32; N]], lan
     }
 }
 
-fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
+pub(super) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         *x = y.lane(lane) as f32;
     }
 }
 
-fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
+pub(super) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         get(y, x, lane);
     }
@@ -360,12 +393,7 @@ impl<L: Real> Pack<L> {
             // idle lanes shadow the last robot
             let row = lane.min(self.count - 1);
             let (state, drive) = (&mut self.state, &mut self.drive);
-            put(&mut state.position, &rows.poses[row].position, lane);
-            put(&mut state.rotation, &rows.poses[row].rotation, lane);
-            put(&mut state.linear_velocity, &rows.velocities[row].linear, lane);
-            put(&mut state.angular_velocity, &rows.velocities[row].angular, lane);
-            put(&mut state.joint_position, &rows.joints[row].position, lane);
-            put(&mut state.joint_velocity, &rows.joints[row].velocity, lane);
+            rows.read_motion(row, state, lane);
             put_arrays(&mut state.impulse, &rows.impulses[row].contacts, lane);
             put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
             for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
@@ -377,28 +405,14 @@ impl<L: Real> Pack<L> {
 
     /// The first lane whose new state is not finite or beyond the limits.
     fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
-        let state = &self.state;
-        let numbers: StateNumbers<L> = [
-            &state.position,
-            &state.rotation,
-            &state.linear_velocity,
-            &state.angular_velocity,
-            &state.joint_position,
-            &state.joint_velocity,
-            &self.report.joint_effort,
-        ];
+        let numbers = state_numbers(&self.state, &self.report.joint_effort);
         (0..self.count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
     }
 
     fn scatter(&self, rows: &mut PhysicsRows) {
         let (state, report) = (&self.state, &self.report);
         for lane in 0..self.count {
-            get(&state.position, &mut rows.poses[lane].position, lane);
-            get(&state.rotation, &mut rows.poses[lane].rotation, lane);
-            get(&state.linear_velocity, &mut rows.velocities[lane].linear, lane);
-            get(&state.angular_velocity, &mut rows.velocities[lane].angular, lane);
-            get(&state.joint_position, &mut rows.joints[lane].position, lane);
-            get(&state.joint_velocity, &mut rows.joints[lane].velocity, lane);
+            rows.write_motion(lane, state, lane);
             get_arrays(&state.impulse, &mut rows.impulses[lane].contacts, lane);
             get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
             get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);

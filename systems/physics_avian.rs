@@ -4,8 +4,8 @@
 //! there first, and the robot's contacts begin anew; a robot whose components are as the engine left them goes on.
 
 use super::broken::Evidence;
-use super::physics::{Engine, PhysicsRows};
-use super::terminate::{StateLimits, StateNumbers};
+use super::physics::{Engine, PhysicsRows, get, get_arrays, state_numbers};
+use super::terminate::StateLimits;
 use crate::avian::{self, EngineError, JointField};
 use crate::config::{ObstacleConfig, TaskConfig};
 use crate::dynamics::step::report_sites;
@@ -158,13 +158,7 @@ impl Block {
                 && equal(&state.joint_position, &joints.position)
                 && equal(&state.joint_velocity, &joints.velocity);
             if !same {
-                let to = &mut self.state;
-                to.position = pose.position.map(f64::from);
-                to.rotation = pose.rotation.map(f64::from);
-                to.linear_velocity = velocity.linear.map(f64::from);
-                to.angular_velocity = velocity.angular.map(f64::from);
-                widen(&mut to.joint_position, &joints.position);
-                widen(&mut to.joint_velocity, &joints.velocity);
+                rows.read_motion(row, &mut self.state, 0);
                 self.engine.set_state(row, &self.state);
             }
         }
@@ -204,16 +198,7 @@ impl Block {
     /// The first robot whose new state is not finite or beyond the limits.
     fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
         (0..self.count).find(|&row| {
-            let state = self.engine.state(row);
-            let numbers: StateNumbers<f64> = [
-                &state.position,
-                &state.rotation,
-                &state.linear_velocity,
-                &state.angular_velocity,
-                &state.joint_position,
-                &state.joint_velocity,
-                self.engine.effort(row),
-            ];
+            let numbers = state_numbers(self.engine.state(row), self.engine.effort(row));
             limits.violation(numbers, |x| x as f32).is_some()
         })
     }
@@ -222,27 +207,16 @@ impl Block {
         let joints = self.topology.num_joints();
         for row in 0..self.count {
             let state = self.engine.state(row);
-            narrow(&mut rows.poses[row].position, &state.position);
-            narrow(&mut rows.poses[row].rotation, &state.rotation);
-            narrow(&mut rows.velocities[row].linear, &state.linear_velocity);
-            narrow(&mut rows.velocities[row].angular, &state.angular_velocity);
-            narrow(&mut rows.joints[row].position, &state.joint_position);
-            narrow(&mut rows.joints[row].velocity, &state.joint_velocity);
-            narrow(&mut rows.efforts[row].applied, self.engine.effort(row));
+            rows.write_motion(row, state, 0);
+            get(self.engine.effort(row), &mut rows.efforts[row].applied, 0);
             let before = &self.before[row * joints..(row + 1) * joints];
             for ((to, new), old) in rows.efforts[row].acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
                 *to = ((new - old) / self.dt) as f32;
             }
-            for (to, force) in rows.forces[row].net.iter_mut().zip(self.engine.force(row)) {
-                narrow(to, force);
-            }
+            get_arrays(self.engine.force(row), &mut rows.forces[row].net, 0);
             report_sites(&self.topology, self.engine.parameters(row), state, &mut self.report, &mut self.work);
-            for (to, site) in rows.feet[row].position.iter_mut().zip(&self.report.site_position) {
-                narrow(to, site);
-            }
-            for (to, site) in rows.feet[row].velocity.iter_mut().zip(&self.report.site_velocity) {
-                narrow(to, site);
-            }
+            get_arrays(&self.report.site_position, &mut rows.feet[row].position, 0);
+            get_arrays(&self.report.site_velocity, &mut rows.feet[row].velocity, 0);
         }
     }
 }
@@ -250,12 +224,4 @@ impl Block {
 /// Whether numbers are those that were written out before.
 fn equal(wide: &[f64], narrow: &[f32]) -> bool {
     wide.iter().zip(narrow).all(|(&x, &y)| x as f32 == y)
-}
-
-fn widen(to: &mut [f64], from: &[f32]) {
-    to.iter_mut().zip(from).for_each(|(x, &y)| *x = f64::from(y));
-}
-
-fn narrow(to: &mut [f32], from: &[f64]) {
-    to.iter_mut().zip(from).for_each(|(x, &y)| *x = y as f32);
 }

@@ -202,15 +202,6 @@ pub(super) struct Joints {
     pub(super) twists: Vec<Twist>,
 }
 
-/// Effort limit from a table over the joint position.
-fn table_limit(table: &EffortTable, position: f32) -> f32 {
-    let last = table.limits.len().saturating_sub(1);
-    let x = ((position - table.start) * table.inverse_step).clamp(0.0, last as f32);
-    let i = (x as usize).min(last.saturating_sub(1));
-    let (a, b) = (table.limits[i], table.limits[(i + 1).min(last)]);
-    (b - a).mul_add(x - i as f32, a)
-}
-
 /// The matrix of `v x`.
 fn skew(v: Vec3) -> Mat3 {
     Mat3::from_cols(v.cross(Vec3::X), v.cross(Vec3::Y), v.cross(Vec3::Z))
@@ -449,7 +440,7 @@ impl Joint {
     fn actuate(&mut self, table: Option<&EffortTable>, speed: f32, gains: bool, explicit: bool, h: f32) {
         let n = &self.numbers;
         let limit = match table {
-            Some(table) => n.effort_limit * table_limit(table, self.angle),
+            Some(table) => n.effort_limit * table.limit_at(self.angle),
             None => n.effort_limit,
         };
         let line = speed / n.motor_velocity_limit;

@@ -28,6 +28,7 @@ use crate::robot::Model;
 use crate::rows::Workers;
 use joints::{Joint, JointNumbers, Joints};
 use shapes::LinkCollider;
+pub(crate) use shapes::hull;
 use world::Bodies;
 
 /// Why a robot cannot be simulated.

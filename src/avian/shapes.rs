@@ -58,7 +58,7 @@ pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<L
 }
 
 /// The hull of points that span a volume.
-fn hull(points: &[DVec3]) -> Option<Collider> {
+pub(crate) fn hull(points: &[DVec3]) -> Option<Collider> {
     let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
     // it asserts its way through degenerate input
     catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(points))).ok().flatten()

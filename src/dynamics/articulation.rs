@@ -81,6 +81,19 @@ pub struct EffortTable {
     pub limits: Vec<f32>,
 }
 
+impl EffortTable {
+    /// The limit at a position, N m.
+    #[inline(always)]
+    pub(crate) fn limit_at(&self, position: f32) -> f32 {
+        let last = self.limits.len() - 1;
+        // a NaN becomes 0 in the cast
+        let x = ((position - self.start) * self.inverse_step).clamp(0.0, last as f32);
+        let i = (x as usize).min(last.saturating_sub(1));
+        let (a, b) = (self.limits[i], self.limits[(i + 1).min(last)]);
+        (b - a).mul_add(x - i as f32, a)
+    }
+}
+
 /// Where a contact candidate sits on its link.
 #[derive(Clone, Copy, Debug)]
 pub enum ContactKind {

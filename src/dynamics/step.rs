@@ -1,6 +1,6 @@
 //! One control step of a pack: actuators, forward dynamics with contact, integration, substep after substep.
 
-use super::articulation::{Parameters, Topology};
+use super::articulation::{EffortTable, Parameters, Topology};
 use super::contact::{self, ContactSettings};
 use super::factor;
 use super::kinematics;
@@ -82,16 +82,10 @@ fn select_targets<S: Real>(
 
 /// Effort limit from a table over the joint position.
 #[inline(always)]
-fn table_limit<S: Real>(table: &super::articulation::EffortTable, position: S) -> S {
-    let last = table.limits.len() - 1;
+fn table_limit<S: Real>(table: &EffortTable, position: S) -> S {
     let mut limit = S::zero();
     for lane in 0..S::LANES {
-        let x = (position.lane(lane) as f32 - table.start) * table.inverse_step;
-        // a NaN becomes 0 in the cast
-        let x = x.clamp(0.0, last as f32);
-        let i = (x as usize).min(last.saturating_sub(1));
-        let (a, b) = (table.limits[i], table.limits[(i + 1).min(last)]);
-        limit.set_lane(lane, f64::from((b - a).mul_add(x - i as f32, a)));
+        limit.set_lane(lane, f64::from(table.limit_at(position.lane(lane) as f32)));
     }
     limit
 }

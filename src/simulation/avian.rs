@@ -4,7 +4,7 @@ use super::options::{SimulationError, argument};
 use super::packs::{Actuation, JointField, Packs};
 use super::robot::Robot;
 use super::rows::{EnvIds, Rows};
-use crate::avian::{self, Engine, EngineError, Settings};
+use crate::avian::{Engine, EngineError, Settings};
 use crate::dynamics::{Parameters, State, StepSettings, Topology};
 use crate::rows::Workers;
 
@@ -56,14 +56,6 @@ impl Packs for AvianPacks {
     }
 
     fn write_joints(&mut self, envs: &EnvIds, field: JointField, rows: &Rows) {
-        let field = match field {
-            JointField::Target => avian::JointField::Target,
-            JointField::Effort => avian::JointField::Effort,
-            JointField::Stiffness => avian::JointField::Stiffness,
-            JointField::Damping => avian::JointField::Damping,
-            JointField::EffortLimit => avian::JointField::EffortLimit,
-            JointField::Armature => avian::JointField::Armature,
-        };
         for row in 0..envs.len() {
             let env = envs.get(row);
             for joint in 0..self.engine.effort(env).len() {

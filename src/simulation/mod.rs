@@ -28,10 +28,11 @@ pub use options::{Precision, SimulationError, SimulationOptions};
 pub use parameters::LinkId;
 pub use queries::{LinkPoses, LinkVelocities};
 
+use crate::config::EngineKind;
 use crate::dynamics::{ContactSettings, Plane, Simd, State, StepSettings};
 use crate::robot::{UNLIMITED, Warning};
 use crate::rows::Workers;
-use options::{Engine, argument};
+use options::argument;
 use packs::{Actuation, JointField, Packs};
 use robot::Robot;
 use rows::{EnvIds, Rows};
@@ -82,9 +83,9 @@ impl Simulation {
         options.validate()?;
         let simd = Simd::choose(options.simd)?;
         let robot = match options.engine() {
-            Engine::Articulated => Robot::new(options)?,
+            EngineKind::Articulated => Robot::new(options)?,
             // links of a robot do not collide with one another there
-            Engine::Avian => Robot::new(&SimulationOptions { self_collision: Some(false), ..options.clone() })?,
+            EngineKind::Avian => Robot::new(&SimulationOptions { self_collision: Some(false), ..options.clone() })?,
         };
         let normal = options.ground.map(|n| {
             let length = n.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -112,9 +113,9 @@ impl Simulation {
         let workers = Workers::new(threads);
         let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
         let packs = match (options.engine(), options.precision) {
-            (Engine::Avian, _) => avian::packs(&robot, &settings, n, workers.threads())?,
-            (Engine::Articulated, Precision::Single) => packs::single(simd, topology, &robot.nominal, n, chunks),
-            (Engine::Articulated, Precision::Double) => packs::double(topology, &robot.nominal, n, chunks),
+            (EngineKind::Avian, _) => avian::packs(&robot, &settings, n, workers.threads())?,
+            (EngineKind::Articulated, Precision::Single) => packs::single(simd, topology, &robot.nominal, n, chunks),
+            (EngineKind::Articulated, Precision::Double) => packs::double(topology, &robot.nominal, n, chunks),
         };
         let mut sim = Self {
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::config::ConfigError;
+use crate::config::{ConfigError, EngineKind};
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
 use crate::robot::RobotError;
@@ -16,13 +16,6 @@ pub enum Precision {
     Single,
     /// Double precision, one env at a time: slower, for reference.
     Double,
-}
-
-/// Which engine moves the robots.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Engine {
-    Articulated,
-    Avian,
 }
 
 /// What a simulation is made from. [`SimulationOptions::new`] has the defaults.
@@ -96,8 +89,8 @@ impl SimulationOptions {
     }
 
     /// The engine by its name, once that is checked.
-    pub(super) fn engine(&self) -> Engine {
-        if self.engine == "avian" { Engine::Avian } else { Engine::Articulated }
+    pub(super) fn engine(&self) -> EngineKind {
+        if self.engine == "avian" { EngineKind::Avian } else { EngineKind::Articulated }
     }
 
     /// Checks what does not depend on the robot.

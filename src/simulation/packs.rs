@@ -1,6 +1,7 @@
 //! Envs side by side in lanes: the part of a simulation that knows in which type it computes.
 
 use super::rows::{EnvIds, Rows};
+pub(super) use crate::avian::JointField;
 use crate::dynamics::lanes::{self, Lanes, Real};
 use crate::dynamics::{ControlStep, Drive, Parameters, Report, Simd, State, StepSettings, Topology, Workspace};
 use crate::rows::Workers;
@@ -15,17 +16,6 @@ pub(super) enum Actuation {
     Targets,
     /// The efforts alone.
     Effort,
-}
-
-/// Numbers of one env that are kept per joint and often set.
-#[derive(Clone, Copy)]
-pub(super) enum JointField {
-    Target,
-    Effort,
-    Stiffness,
-    Damping,
-    EffortLimit,
-    Armature,
 }
 
 /// Envs in some type of number. At this boundary all are `f64`.

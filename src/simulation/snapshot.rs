@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
-use super::options::{Engine, Precision, SimulationError};
+use super::options::{Precision, SimulationError};
 use super::robot::Robot;
+use crate::config::EngineKind;
 use crate::config::fnv1a;
 use crate::dynamics::{Parameters, State, StepSettings};
 
@@ -46,9 +47,9 @@ struct Env {
 }
 
 /// A hash of what decides a step but for the state and the envs' own numbers.
-pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: Engine) -> u64 {
+pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: EngineKind) -> u64 {
     let mut text = format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal);
-    if engine == Engine::Avian {
+    if engine == EngineKind::Avian {
         text += " avian";
     }
     fnv1a(text.as_bytes())
