@@ -9,8 +9,8 @@ use smallvec::smallvec;
 use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    Env, EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
-    Morphology, MountedOn, PerJoint, Robot,
+    Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, HeightScan, Imu, JointEffort, JointState,
+    JointTargets, Morphology, MountedOn, PerJoint, Robot,
 };
 use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
@@ -20,8 +20,8 @@ use crate::morphology::{Morphologies, MorphologyError, MorphologyModel};
 use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::rows::Workers;
 use crate::systems::{
-    Autoreset, BrokenStates, CompiledTask, ControlStep, Logs, PhysicsEngine, PipelinePlugin, Registry, ResetEnvs,
-    ResetRequest, TermError, history_length, randomise_at_startup,
+    Autoreset, BlockSizes, BrokenStates, CompiledTask, ControlStep, Logs, PhysicsEngine, PipelinePlugin, Registry,
+    ResetEnvs, ResetRequest, ScanRays, TermError, history_length, place_envs, randomise_at_startup,
 };
 use crate::world::{WorldError, WorldPlugin};
 
@@ -188,7 +188,10 @@ impl Sim {
         world.insert_resource(Logs::new(&compiled));
         world.insert_resource(options.autoreset);
         world.insert_resource(BrokenStates::new(robots.len()));
-        spawn(world, &morphologies, &compiled, &counts);
+        let rays = ScanRays::new(task.config.sensors.height_scanner.as_ref());
+        spawn(world, &morphologies, &compiled, &counts, rays.len());
+        world.insert_resource(rays);
+        world.insert_resource(BlockSizes(counts.clone()));
         world.insert_resource(morphologies);
         world.insert_resource(compiled);
         world.insert_resource(ground);
@@ -270,8 +273,12 @@ impl Sim {
         for mut command in self.world.query::<&mut Command>().iter_mut(&mut self.world) {
             *command = Command::default();
         }
+        for mut episode in self.world.query::<&mut Episode>().iter_mut(&mut self.world) {
+            *episode = Episode::default();
+        }
         // running a system once only fails when its parameters are missing, and all are inserted in `with_registry`
-        if let Err(error) = self.world.run_system_cached(randomise_at_startup) {
+        let ran = self.world.run_system_cached(randomise_at_startup).and(self.world.run_system_cached(place_envs));
+        if let Err(error) = ran {
             tracing::error!("startup randomisation did not run: {error}");
         }
     }
@@ -455,12 +462,12 @@ fn check_distinct(robots: &[LoadedRobot]) -> Result<(), SimError> {
 }
 
 /// Spawns envs, robots and sensors, each kind in the order of env ids and in one table.
-fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, counts: &[usize]) {
+fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, counts: &[usize], rays: usize) {
     let ids = counts.iter().enumerate().flat_map(|(m, &n)| std::iter::repeat_n(m, n)).enumerate();
     let tags: Vec<_> = ids.map(|(env, m)| (EnvId(env as u32), Morphology(m as u16))).collect();
     world.spawn_batch(tags.iter().map(|&(id, tag)| {
         (
-            (id, tag, Env, EnvRng::new(0, id.0), Episode::default(), Command::default()),
+            (id, tag, Env, EnvRng::new(0, id.0), Episode::default(), Command::default(), EnvOrigin::default()),
             EventTimers(smallvec![0.0; task.num_interval_events()]),
             EpisodeSums { terms: smallvec![0.0; task.rewards[usize::from(tag.0)].len()], ..EpisodeSums::default() },
         )
@@ -483,7 +490,11 @@ fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, co
         };
         (id, tag, robot, sensor)
     }));
-    world.spawn_batch(mounted.into_iter().map(|(id, tag, robot)| (id, tag, robot, Imu::default())));
+    world.spawn_batch(mounted.iter().map(|&(id, tag, robot)| (id, tag, robot, Imu::default())));
+    if rays > 0 {
+        let scan = || HeightScan { hits: vec![0.0; rays].into() };
+        world.spawn_batch(mounted.into_iter().map(|(id, tag, robot)| (id, tag, robot, scan())));
+    }
 }
 
 fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
@@ -501,7 +512,11 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
         ConstraintImpulses { contacts: vec![[0.0; 3]; model.topology.num_impulses()].into(), limits: zeros },
         ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
-        Feet { position: smallvec![[0.0; 3]; model.feet.len()], velocity: smallvec![[0.0; 3]; model.feet.len()] },
+        Feet {
+            position: smallvec![[0.0; 3]; model.feet.len()],
+            velocity: smallvec![[0.0; 3]; model.feet.len()],
+            height: smallvec![0.0; model.feet.len()],
+        },
         Body(Box::new(model.nominal.clone())),
     )
 }

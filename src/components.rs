@@ -1,7 +1,8 @@
 //! Every component and tag of the simulated world.
 //!
 //! One env is three kinds of entities, all tagged with [`EnvId`] and [`Morphology`]: the env itself ([`Env`]), its robot
-//! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`]). Entities of a kind are spawned in the order of
+//! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`],
+//! [`HeightScan`]). Entities of a kind are spawned in the order of
 //! their env ids, so that systems read each component as one slice, row `i` belonging to env `i`.
 
 use bevy_ecs::prelude::*;
@@ -114,6 +115,17 @@ pub struct Command {
     pub pinned: bool,
 }
 
+/// Where an env is on the ground.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnvOrigin {
+    /// x and y of the env's origin in the world, m; zero where every env has ground and obstacles of its own.
+    pub position: [f32; 2],
+    /// Row of its tile, if the ground is generated terrain.
+    pub terrain_level: u32,
+    /// Column of its tile.
+    pub terrain_column: u32,
+}
+
 /// Seconds until each interval event of the task happens next.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct EventTimers(pub SmallVec<[f32; 4]>);
@@ -133,6 +145,8 @@ pub struct EpisodeSums {
     pub command_xy: f32,
     /// Yaw rate that was commanded, rad/s, summed over steps.
     pub command_yaw: f32,
+    /// Planar speed, m/s, summed over steps.
+    pub speed_xy: f32,
     /// Control steps that were summed.
     pub steps: u32,
 }
@@ -223,6 +237,8 @@ pub struct Feet {
     pub position: SmallVec<[[f32; 3]; 4]>,
     /// World axes, m/s.
     pub velocity: SmallVec<[[f32; 3]; 4]>,
+    /// Of the centres above the ground below them, m.
+    pub height: SmallVec<[f32; 4]>,
 }
 
 /// The robot's own numbers: masses, lengths, gains, friction. They start as its morphology's and may be randomised.
@@ -248,6 +264,13 @@ pub struct ContactSensor {
     pub last_contact_time: SmallVec<[f32; 4]>,
     /// How long each foot's last flight lasted, s.
     pub last_air_time: SmallVec<[f32; 4]>,
+}
+
+/// Height scanner on the base; the task's config says where its rays are.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct HeightScan {
+    /// Height of the ground where each ray hits it, m.
+    pub hits: Box<[f32]>,
 }
 
 /// Inertial sensor on the base.

@@ -19,6 +19,7 @@ pub mod simulation;
 pub mod snapshot;
 #[path = "../systems/mod.rs"]
 pub mod systems;
+pub mod terrain;
 pub mod world;
 
 pub use app::{Sim, SimError, SimOptions};

@@ -4,9 +4,11 @@ use avian3d::prelude::{Collider, Position, Rotation};
 use bevy_math::{EulerRot, Quat, Vec3};
 
 use crate::avian::hull;
-use crate::config::ObstacleConfig;
+use crate::config::{ObstacleConfig, TerrainConfig};
+use crate::terrain;
 
 /// One convex or triangulated part of an obstacle.
+#[derive(Clone)]
 pub(crate) struct Part {
     pub(crate) collider: Collider,
     pub(crate) position: Position,
@@ -85,4 +87,16 @@ pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
             surface.map(|surface| part(surface, Vec3::ZERO, Quat::IDENTITY, reach)).into_iter().collect()
         }
     }
+}
+
+/// Generated terrain as one part: all tiles and the border.
+pub(crate) fn terrain(config: &TerrainConfig) -> Option<Part> {
+    let mut whole = terrain::border(config);
+    for tile in terrain::generate(config) {
+        whole.append(&tile.mesh, tile.origin);
+    }
+    let reach = whole.vertices.iter().map(|v| Vec3::from_array(*v).length()).fold(0.0, f32::max);
+    let vertices = whole.vertices.into_iter().map(Vec3::from_array).collect();
+    let collider = Collider::try_trimesh(vertices, whole.triangles).ok()?;
+    Some(Part { collider, position: Position::default(), rotation: Rotation::default(), reach })
 }

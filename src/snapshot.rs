@@ -7,13 +7,13 @@ use crate::app::{Sim, SimError};
 use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    EnvId, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
+    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
 };
 use crate::config::fnv1a;
-use crate::systems::Logs;
+use crate::systems::{Logs, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 /// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 
@@ -59,7 +59,9 @@ macro_rules! snapshot {
                 sim.world_mut().insert_resource(batch);
                 sim.world_mut().insert_resource(logs);
                 sim.set_seed(seed);
-                Ok(())
+                // what sensors see of the ground follows from the state
+                let scanned = sim.world_mut().run_system_cached(scan_heights);
+                scanned.map_err(|error| SimError::Snapshot(format!("the height scanner did not run: {error}")))
             }
         }
     };
@@ -69,7 +71,7 @@ snapshot! {
     rngs: EnvRng, episodes: Episode, commands: Command, timers: EventTimers, sums: EpisodeSums,
     poses: BasePose, velocities: BaseVelocity, joints: JointState, actions: Action, targets: JointTargets,
     delays: ActuatorDelay, efforts: JointEffort, impulses: ConstraintImpulses, forces: ContactForces, feet: Feet,
-    bodies: Body, contacts: ContactSensor, imus: Imu,
+    bodies: Body, contacts: ContactSensor, imus: Imu, origins: EnvOrigin,
 }
 
 /// A value as bytes, with a checksum at the end.

@@ -15,9 +15,11 @@ use bevy_math::{Dir3, Vec3};
 use bevy_time::Time;
 use bevy_transform::components::GlobalTransform;
 
-use crate::config::{FrictionCombine, GroundConfig, SceneConfig, TaskConfig};
+use crate::components::EnvOrigin;
+use crate::config::{FrictionCombine, GroundConfig, SceneConfig, TaskConfig, TerrainConfig};
 use crate::dynamics::HeightGrid;
 use crate::obstacles;
+use crate::terrain::{self, Mesh, TerrainLayout};
 
 /// The world cannot be baked.
 #[derive(Debug, thiserror::Error)]
@@ -28,10 +30,13 @@ pub enum WorldError {
     /// An obstacle has no shape.
     #[error("scene.obstacles[{0}]: no collider can be made of it; give it a volume, or a heightfield distinct heights")]
     NoShape(usize),
-    /// The obstacles are too far apart for one grid.
+    /// A tile has no shape.
+    #[error("scene.terrain: no collider can be made of the tile in row {0}, column {1}; change its sub-terrain's numbers")]
+    NoTile(u32, u32),
+    /// The terrain is too large or the obstacles are too far apart for one grid.
     #[error(
-        "scene: a grid of {0} x {1} heights would be needed for the obstacles; move them together, or raise \
-         scene.grid_cell"
+        "scene: a grid of {0} x {1} heights would be needed for terrain and obstacles; make it smaller or move them \
+         together, or raise scene.grid_cell"
     )]
     TooLarge(usize, usize),
 }
@@ -51,6 +56,20 @@ pub struct ObstacleCollider {
     pub index: usize,
     /// Radius about its position that holds the collider, m.
     reach: f32,
+}
+
+/// Marks the colliders of generated terrain.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TerrainCollider {
+    /// A tile.
+    Tile {
+        /// Level of difficulty.
+        row: u32,
+        /// Place along y.
+        column: u32,
+    },
+    /// The flat border.
+    Border,
 }
 
 /// Adds Avian with a task's ground, obstacles and gravity.
@@ -74,14 +93,27 @@ impl Plugin for WorldPlugin {
         app.add_plugins(PhysicsPlugins::new(UpdateWorld).build());
         app.insert_resource(Gravity(self.gravity));
         let ground = &self.scene.ground;
-        app.world_mut().spawn((
-            GroundCollider,
-            RigidBody::Static,
-            Collider::half_space(Vec3::Z),
-            surface(ground),
-            // a collider takes its scale from this component, and zero without it
-            GlobalTransform::IDENTITY,
-        ));
+        if let Some(terrain) = &self.scene.terrain {
+            for (tag, collider, position) in terrain_colliders(terrain) {
+                app.world_mut().spawn((
+                    (tag, GroundCollider),
+                    RigidBody::Static,
+                    collider,
+                    position,
+                    surface(ground),
+                    GlobalTransform::IDENTITY,
+                ));
+            }
+        } else {
+            app.world_mut().spawn((
+                GroundCollider,
+                RigidBody::Static,
+                Collider::half_space(Vec3::Z),
+                surface(ground),
+                // a collider takes its scale from this component, and zero without it
+                GlobalTransform::IDENTITY,
+            ));
+        }
         for (index, obstacle) in self.scene.obstacles.iter().enumerate() {
             for part in obstacles::parts(obstacle) {
                 app.world_mut().spawn((
@@ -96,6 +128,21 @@ impl Plugin for WorldPlugin {
             }
         }
     }
+}
+
+/// The tiles and the border; a tile of which no collider can be made is left out.
+fn terrain_colliders(config: &TerrainConfig) -> Vec<(TerrainCollider, Collider, Position)> {
+    let collider = |mesh: Mesh| {
+        let vertices = mesh.vertices.into_iter().map(Vec3::from_array).collect();
+        Collider::try_trimesh(vertices, mesh.triangles).ok()
+    };
+    let tiles = terrain::generate(config).into_iter().filter_map(|tile| {
+        let [x, y] = tile.origin;
+        let tag = TerrainCollider::Tile { row: tile.row, column: tile.column };
+        Some((tag, collider(tile.mesh)?, Position(Vec3::new(x, y, 0.0))))
+    });
+    let border = collider(terrain::border(config)).map(|border| (TerrainCollider::Border, border, Position::default()));
+    tiles.chain(border).collect()
 }
 
 /// Avian's material of the ground and of what stands on it.
@@ -121,13 +168,21 @@ pub struct Ground {
     pub height: f64,
     /// m/s^2, world axes.
     pub gravity: [f64; 3],
-    /// Heights where obstacles stand, the same in every env.
+    /// Heights where there is terrain or obstacles stand, in the frame in which envs have their [`EnvOrigin`].
     pub terrain: Option<HeightGrid>,
+    /// The tiles of generated terrain.
+    pub layout: Option<TerrainLayout>,
     friction: Friction,
     restitution: Restitution,
 }
 
 impl Ground {
+    /// Height below a place about an env's origin, m.
+    pub fn height_at(&self, origin: &EnvOrigin, [x, y]: [f32; 2]) -> f32 {
+        let [x0, y0] = origin.position;
+        self.terrain.as_ref().map_or(self.height as f32, |grid| grid.sample(x0 + x, y0 + y).0)
+    }
+
     /// Static and dynamic friction of a robot's surface on the ground, by the ground's combine rule.
     pub fn friction_with(&self, of_robot: [f32; 2]) -> [f32; 2] {
         let ground = [self.friction.static_coefficient, self.friction.dynamic_coefficient];
@@ -153,12 +208,12 @@ impl Ground {
 const RAY_START: f32 = 100.0;
 
 /// Points that a grid may have.
-const MOST_POINTS: usize = 16_000_000;
+const MOST_POINTS: usize = 64_000_000;
 
 /// Reads ground, obstacles and gravity from Avian's world, once the app's plugins are finished.
 ///
 /// # Errors
-/// There is no ground, an obstacle has no shape, or the obstacles are too far apart for one grid.
+/// There is no ground, a tile or an obstacle has no shape, or they need too large a grid.
 pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldError> {
     world.run_schedule(UpdateWorld);
     let obstacles: Vec<(Entity, ObstacleCollider, Vec3)> =
@@ -166,11 +221,28 @@ pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, Wor
     if let Some(index) = (0..scene.obstacles.len()).find(|i| obstacles.iter().all(|(_, o, _)| o.index != *i)) {
         return Err(WorldError::NoShape(index));
     }
+    let tiles: Vec<(Mesh, [f32; 2])> = world
+        .query::<(&TerrainCollider, &Collider, &Position)>()
+        .iter(world)
+        .filter_map(|(_, collider, position)| Some((Mesh::of_collider(collider)?, position.0.truncate().to_array())))
+        .collect();
+    let layout = scene.terrain.as_ref().map(TerrainLayout::new);
+    if let Some(layout) = &layout {
+        let tags: Vec<_> = world.query::<&TerrainCollider>().iter(world).copied().collect();
+        let places = (0..layout.num_rows).flat_map(|row| (0..layout.num_cols).map(move |column| (row, column)));
+        let missing =
+            places.filter(|_| tags.len() <= (layout.num_rows * layout.num_cols) as usize).find(|&(row, column)| !tags.contains(&TerrainCollider::Tile { row, column }));
+        if let Some((row, column)) = missing {
+            return Err(WorldError::NoTile(row, column));
+        }
+    }
     let mut rays: SystemState<SpatialQuery> = SystemState::new(world);
     let query = rays.get(world).map_err(|_| WorldError::NoGround)?;
     let bare = SpatialQueryFilter::from_excluded_entities(obstacles.iter().map(|(entity, ..)| *entity));
     let (hit, height) = below(&query, [0.0; 2], &bare).ok_or(WorldError::NoGround)?;
-    let terrain = bake_terrain(&query, &obstacles, scene.grid_cell as f32, height)?;
+    // the border of terrain, and what lies beyond, is at height 0
+    let height = if layout.is_some() { 0.0 } else { height };
+    let terrain = bake_terrain(&query, &tiles, &obstacles, scene.grid_cell as f32, height)?;
     let (friction, restitution) = world
         .query::<(&Friction, &Restitution)>()
         .get(world, hit)
@@ -180,6 +252,7 @@ pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, Wor
         height: f64::from(height),
         gravity: world.resource::<Gravity>().0.to_array().map(f64::from),
         terrain,
+        layout,
         friction,
         restitution,
     })
@@ -191,33 +264,58 @@ pub fn below(query: &SpatialQuery, [x, y]: [f32; 2], filter: &SpatialQueryFilter
     Some((hit.entity, RAY_START - hit.distance))
 }
 
-/// A ray for every point of a grid that the obstacles lie on.
+/// The heights of tiles, from the triangles of their colliders, and of obstacles, by rays.
 fn bake_terrain(
     query: &SpatialQuery,
+    tiles: &[(Mesh, [f32; 2])],
     obstacles: &[(Entity, ObstacleCollider, Vec3)],
     cell: f32,
     ground: f32,
 ) -> Result<Option<HeightGrid>, WorldError> {
-    if obstacles.is_empty() {
+    if tiles.is_empty() && obstacles.is_empty() {
         return Ok(None);
     }
-    // at its edge the grid is as high as the ground
+    let around = |axis: usize| {
+        let of_tiles = tiles.iter().flat_map(move |(mesh, origin)| mesh.vertices.iter().map(move |v| origin[axis] + v[axis]));
+        let of_obstacles = obstacles.iter().flat_map(move |(_, o, at)| [at[axis] - o.reach, at[axis] + o.reach]);
+        of_tiles.chain(of_obstacles).fold((f32::MAX, f32::MIN), |(low, high), x| (low.min(x), high.max(x)))
+    };
     let side = |axis: usize| {
-        let low = obstacles.iter().map(|(_, o, at)| at[axis] - o.reach).fold(f32::MAX, f32::min) - 2.0 * cell;
-        let high = obstacles.iter().map(|(_, o, at)| at[axis] + o.reach).fold(f32::MIN, f32::max) + 2.0 * cell;
-        // a point at zero keeps the grid where it is when obstacles are added
-        let first = (low / cell).floor();
-        (first * cell, ((high / cell).ceil() - first) as usize + 1)
+        let (low, high) = around(axis);
+        // at its edge the grid is as high as the ground, and a point at zero keeps it where it is when obstacles are added
+        let first = (low / cell).floor() - 2.0;
+        (first * cell, ((high / cell).ceil() - first) as usize + 3)
     };
     let ((x, rows), (y, columns)) = (side(0), side(1));
     if rows.saturating_mul(columns) > MOST_POINTS {
         return Err(WorldError::TooLarge(rows, columns));
     }
+    let mut grid = HeightGrid::level([x, y], cell, [rows, columns], if tiles.is_empty() { ground } else { f32::MIN });
+    for (mesh, origin) in tiles {
+        mesh.rasterise(*origin, &mut grid);
+    }
+    for height in &mut grid.heights {
+        // no tile there
+        if *height == f32::MIN {
+            *height = ground;
+        }
+    }
     let all = SpatialQueryFilter::default();
-    let heights: Vec<f32> = (0..rows * columns)
-        .map(|k| [x + (k / columns) as f32 * cell, y + (k % columns) as f32 * cell])
-        .map(|place| below(query, place, &all).map_or(ground, |(_, height)| height))
-        .collect();
-    let highest = heights.iter().copied().fold(ground, f32::max);
-    Ok(Some(HeightGrid { origin: [x, y], cell, size: [rows, columns], heights, highest }))
+    for (_, obstacle, at) in obstacles {
+        let span = |axis: usize| {
+            let of = |x: f32| ((x - grid.origin[axis]) / cell).clamp(0.0, (grid.size[axis] - 1) as f32);
+            of(at[axis] - obstacle.reach).floor() as usize..of(at[axis] + obstacle.reach).ceil() as usize + 1
+        };
+        let (rows, columns) = (span(0), span(1));
+        for i in rows {
+            for j in columns.clone() {
+                let place = [x + i as f32 * cell, y + j as f32 * cell];
+                if let Some((_, height)) = below(query, place, &all) {
+                    grid.heights[i * grid.size[1] + j] = height;
+                }
+            }
+        }
+    }
+    grid.note_blocks();
+    Ok(Some(grid))
 }

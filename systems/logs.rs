@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 use super::Autoreset;
 use super::terms::CompiledTask;
 use super::view::ViewParam;
-use crate::components::{Episode, EpisodeSums, Morphology, Robot};
+use crate::components::{EnvOrigin, Episode, EpisodeSums, Morphology, Robot};
 use crate::morphology::Morphologies;
 use crate::rows::{Workers, read_rows, write_rows};
+use crate::world::Ground;
 
 /// Adds the step's tracking errors to the episodes' sums.
 pub(super) fn sum_metrics(
@@ -37,6 +38,7 @@ pub(super) fn sum_metrics(
             sum.error_vel_yaw += (c[2] - view.imu.angular_velocity[2]).abs();
             sum.command_xy += length(c[0], c[1]);
             sum.command_yaw += c[2].abs();
+            sum.speed_xy += length(v[0], v[1]);
             sum.steps += 1;
         }
     });
@@ -61,6 +63,10 @@ pub struct EpisodeStats {
     pub command_yaw: f64,
     /// Reward per second.
     pub reward_per_s: f64,
+    /// Way that the base went in an episode, m.
+    pub distance: f64,
+    /// Level of difficulty of the tile on which the episode was, if the ground is generated terrain.
+    pub terrain_level: Option<f64>,
 }
 
 /// Sums over the finished episodes of one robot.
@@ -74,6 +80,9 @@ pub struct RobotLog {
     error_vel_yaw: f64,
     command_xy: f64,
     command_yaw: f64,
+    speed_xy: f64,
+    /// Sum of the terrain levels, of those episodes that had one.
+    levels: Option<f64>,
     /// Episode sums of each reward term.
     terms: Vec<f64>,
     /// Episodes ended by each cause.
@@ -85,7 +94,7 @@ impl RobotLog {
         Self { terms: vec![0.0; terms], causes: vec![0; causes], ..Self::default() }
     }
 
-    fn add(&mut self, episode: &Episode, sums: &EpisodeSums) {
+    fn add(&mut self, episode: &Episode, sums: &EpisodeSums, level: Option<u32>) {
         self.episodes += 1;
         self.falls += u64::from(episode.terminated);
         self.steps += u64::from(sums.steps);
@@ -94,6 +103,10 @@ impl RobotLog {
         self.error_vel_yaw += f64::from(sums.error_vel_yaw);
         self.command_xy += f64::from(sums.command_xy);
         self.command_yaw += f64::from(sums.command_yaw);
+        self.speed_xy += f64::from(sums.speed_xy);
+        if let Some(level) = level {
+            self.levels = Some(self.levels.unwrap_or_default() + f64::from(level));
+        }
         for (sum, &term) in self.terms.iter_mut().zip(&sums.terms) {
             *sum += f64::from(term);
         }
@@ -114,6 +127,8 @@ impl RobotLog {
             command_xy: self.command_xy / steps,
             command_yaw: self.command_yaw / steps,
             reward_per_s: self.reward / (steps * step_dt),
+            distance: self.speed_xy * step_dt / self.episodes.max(1) as f64,
+            terrain_level: self.levels.map(|sum| sum / self.episodes.max(1) as f64),
         }
     }
 }
@@ -162,6 +177,10 @@ impl Logs {
             out.insert(format!("Metrics/{robot}/fall_rate"), stats.falls as f64 / episodes);
             out.insert(format!("Metrics/{robot}/episode_length_s"), stats.episode_length_s);
             out.insert(format!("Metrics/{robot}/reward_per_s"), stats.reward_per_s);
+            out.insert(format!("Metrics/{robot}/distance"), stats.distance);
+            if let Some(level) = stats.terrain_level {
+                out.insert(format!("Curriculum/{robot}/terrain_levels"), level);
+            }
         }
         out
     }
@@ -187,16 +206,19 @@ pub(super) fn collect_episodes(
     tags: Query<&'static Morphology, With<Robot>>,
     mut episodes: Query<&'static mut Episode>,
     sums: Query<&'static EpisodeSums>,
+    origins: Query<&'static EnvOrigin>,
+    ground: Res<Ground>,
     mut logs: ResMut<Logs>,
 ) {
-    let (tags, sums) = (read_rows(&tags), read_rows(&sums));
+    let (tags, sums, origins) = (read_rows(&tags), read_rows(&sums), read_rows(&origins));
     let Logs { recent, all } = &mut *logs;
     for (i, episode) in write_rows(&mut episodes).iter_mut().enumerate() {
         if episode.done() && !episode.logged {
             episode.logged = true;
             let morphology = usize::from(tags[i].0);
-            recent[morphology].add(episode, &sums[i]);
-            all[morphology].add(episode, &sums[i]);
+            let level = ground.layout.as_ref().map(|_| origins[i].terrain_level);
+            recent[morphology].add(episode, &sums[i], level);
+            all[morphology].add(episode, &sums[i], level);
         }
     }
 }

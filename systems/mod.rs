@@ -3,6 +3,7 @@
 mod act;
 mod broken;
 mod command;
+mod curriculum;
 mod disturb;
 mod logs;
 mod observe;
@@ -23,10 +24,13 @@ use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleT
 use crate::app::SimError;
 
 pub use broken::{BrokenState, BrokenStates, Motion};
+pub use curriculum::{BlockSizes, EpisodeEnd, place_envs};
 pub use logs::{EpisodeStats, Logs, RobotLog};
 pub use physics::PhysicsEngine;
 pub(crate) use physics::{history_length, run_physics};
 pub use reset::NewState;
+pub use sense::ScanRays;
+pub(crate) use sense::scan_heights;
 pub use startup::{NewBody, randomise_at_startup};
 pub use terminate::{Quantity, StateLimits, Violation};
 pub use terms::{CompiledTask, EventBody, Registry, TermError};
@@ -57,7 +61,7 @@ pub enum PipelineSet {
     Terminate,
     /// Rewards of the step, of ended episodes too.
     Reward,
-    /// Final observations; then ended episodes begin anew.
+    /// Final observations; then curriculum, and ended episodes begin anew.
     Reset,
     /// Observations of all envs.
     Observe,
@@ -123,7 +127,7 @@ impl Plugin for PipelinePlugin {
             (physics::upload_bodies, physics::step_physics, broken::describe_broken_states)
                 .chain()
                 .in_set(PipelineSet::Physics),
-            (sense::read_contacts, sense::read_imus).chain().in_set(PipelineSet::Sense),
+            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights).chain().in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
             (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),
         ));

@@ -1,12 +1,14 @@
 //! Observations: the terms of the policy's observation, side by side, with their noise.
 
 use bevy_ecs::prelude::*;
+use serde::Deserialize;
 
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam, Views};
 use super::{Autoreset, ResetRequest};
 use crate::batch::Batch;
 use crate::components::{Env, EnvRng, Episode};
+use crate::config::TaskConfig;
 use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
 
 /// Observes all envs; after resets that the caller asked for only those that were reset, so that the others keep their
@@ -80,8 +82,18 @@ fn write_observation(
         let (mine, more) = rest.split_at_mut(term.size);
         (term.write)(&view, mine);
         if term.noise > 0.0 {
-            for x in mine {
+            for x in &mut *mine {
                 *x += rng.uniform([-term.noise, term.noise]);
+            }
+        }
+        if let Some([low, high]) = term.clip {
+            for x in &mut *mine {
+                *x = x.max(low).min(high);
+            }
+        }
+        if term.scale != 1.0 {
+            for x in mine {
+                *x *= term.scale;
             }
         }
         rest = more;
@@ -100,6 +112,33 @@ pub(super) fn register(registry: &mut Registry) {
     registry.observation("joint_vel_rel", 12, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
     registry.observation("last_action", 12, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
     registry.observation("morphology", MORPHOLOGY_SIZE, morphology);
+    registry.observation_of("height_scan", height_scan_size, height_scan);
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ScanOffset {
+    /// Height of the base above level ground that is observed as 0, m.
+    #[serde(default = "half")]
+    offset: f32,
+}
+
+fn half() -> f32 {
+    0.5
+}
+
+/// One number per ray.
+fn height_scan_size(task: &TaskConfig) -> Result<usize, (String, String)> {
+    let rays = task.sensors.height_scanner.as_ref().map(|scanner| scanner.counts().iter().product());
+    rays.ok_or_else(|| ("the task has no height scanner".into(), "add [sensors.height_scanner]".into()))
+}
+
+/// Height of the base above the ground below each ray, less the offset, m.
+fn height_scan(p: &ScanOffset, r: &RobotView, out: &mut [f32]) {
+    let base = r.pose.position[2] - p.offset;
+    for (x, hit) in out.iter_mut().zip(r.height_scan) {
+        *x = base - hit;
+    }
 }
 
 /// Numbers of the term `morphology`.

@@ -12,16 +12,16 @@ use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::avian::EngineError;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, Feet, JointEffort,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, Feet, JointEffort,
     JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
 use crate::dynamics::{
-    ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Workspace,
+    ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Terrain, Workspace,
 };
 use crate::morphology::Morphologies;
-use crate::rows::{SplitRows, Workers, write_rows};
+use crate::rows::{SplitRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
 /// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
@@ -45,6 +45,7 @@ pub(super) trait Engine: Send + Sync {
 
 /// The components that the engine reads and writes, row `i` belonging to env `i`.
 pub(super) struct PhysicsRows<'a> {
+    pub(super) origins: &'a [EnvOrigin],
     pub(super) poses: &'a mut [BasePose],
     pub(super) velocities: &'a mut [BaseVelocity],
     pub(super) joints: &'a mut [JointState],
@@ -58,6 +59,7 @@ pub(super) struct PhysicsRows<'a> {
 
 impl SplitRows for PhysicsRows<'_> {
     fn split_rows(self, n: usize) -> (Self, Self) {
+        let (origins, origins2) = self.origins.split_at(n);
         let (poses, poses2) = self.poses.split_at_mut(n);
         let (velocities, velocities2) = self.velocities.split_at_mut(n);
         let (joints, joints2) = self.joints.split_at_mut(n);
@@ -68,8 +70,9 @@ impl SplitRows for PhysicsRows<'_> {
         let (forces, forces2) = self.forces.split_at_mut(n);
         let (feet, feet2) = self.feet.split_at_mut(n);
         (
-            Self { poses, velocities, joints, targets, delays, efforts, impulses, forces, feet },
+            Self { origins, poses, velocities, joints, targets, delays, efforts, impulses, forces, feet },
             Self {
+                origins: origins2,
                 poses: poses2,
                 velocities: velocities2,
                 joints: joints2,
@@ -204,6 +207,7 @@ pub(super) fn step_physics(
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
     mut engine: ResMut<PhysicsEngine>,
+    origins: Query<&'static EnvOrigin>,
     mut poses: Query<&'static mut BasePose>,
     mut velocities: Query<&'static mut BaseVelocity>,
     mut joints: Query<&'static mut JointState>,
@@ -215,6 +219,7 @@ pub(super) fn step_physics(
     mut feet: Query<&'static mut Feet>,
 ) {
     let rows = PhysicsRows {
+        origins: read_rows(&origins),
         poses: write_rows(&mut poses),
         velocities: write_rows(&mut velocities),
         joints: write_rows(&mut joints),
@@ -241,6 +246,8 @@ struct Pack<L> {
     first_env: usize,
     count: usize,
     parameters: Parameters<L>,
+    /// Where the envs' origins are on the terrain, m.
+    origin: [L; 2],
     state: State<L>,
     drive: Drive<L>,
     report: Report<L>,
@@ -277,6 +284,7 @@ impl<L: Lanes> Packs<L> {
                     first_env,
                     count,
                     parameters: Parameters::from_scalars(topology, &model.nominal),
+                    origin: [L::zero(); 2],
                     state: State::zeros(topology),
                     drive: Drive::zeros(topology, ages),
                     report: Report::zeros(topology, settings.decimation),
@@ -337,7 +345,7 @@ impl<L: Lanes> Engine for Packs<L> {
                 L::vectorize(ControlStep {
                     topology,
                     settings,
-                    terrain,
+                    terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
                     parameters: &pack.parameters,
                     drive: &pack.drive,
                     state: &mut pack.state,
@@ -394,6 +402,7 @@ impl<L: Real> Pack<L> {
             let row = lane.min(self.count - 1);
             let (state, drive) = (&mut self.state, &mut self.drive);
             rows.read_motion(row, state, lane);
+            put(&mut self.origin, &rows.origins[row].position, lane);
             put_arrays(&mut state.impulse, &rows.impulses[row].contacts, lane);
             put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
             for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {

@@ -7,10 +7,11 @@ use super::broken::Evidence;
 use super::physics::{Engine, PhysicsRows, get, get_arrays, state_numbers};
 use super::terminate::StateLimits;
 use crate::avian::{self, EngineError, JointField};
-use crate::config::{ObstacleConfig, TaskConfig};
+use crate::config::TaskConfig;
 use crate::dynamics::step::report_sites;
 use crate::dynamics::{Parameters, Plane, Report, State, Topology, Workspace};
 use crate::morphology::{Morphologies, MorphologyModel};
+use crate::obstacles::{self, Part};
 use crate::rows::{SplitRows, Workers};
 use crate::world::Ground;
 
@@ -48,8 +49,10 @@ impl AvianRobots {
             dt: config.sim.dt,
             substeps: config.physics.solver_iterations as usize,
             gravity: ground.gravity,
-            ground: Some(Plane::level(ground.height)),
+            ground: ground.layout.is_none().then(|| Plane::level(ground.height)),
         };
+        let mut statics: Vec<Part> = config.scene.obstacles.iter().flat_map(obstacles::parts).collect();
+        statics.extend(config.scene.terrain.as_ref().and_then(obstacles::terrain));
         let decimation = config.sim.decimation as usize;
         let mut first_env = 0;
         let mut blocks = Vec::new();
@@ -57,7 +60,7 @@ impl AvianRobots {
             blocks.push(Block::new(
                 model,
                 &settings,
-                &config.scene.obstacles,
+                &statics,
                 first_env,
                 count,
                 decimation,
@@ -115,7 +118,7 @@ impl Block {
     fn new(
         model: &MorphologyModel,
         settings: &avian::Settings,
-        obstacles: &[ObstacleConfig],
+        statics: &[Part],
         first_env: usize,
         count: usize,
         decimation: usize,
@@ -132,7 +135,7 @@ impl Block {
                 &topology,
                 &nominal,
                 settings,
-                obstacles,
+                statics,
                 count,
                 chunks,
             )?,
@@ -156,8 +159,10 @@ impl Block {
                 && equal(&state.linear_velocity, &velocity.linear)
                 && equal(&state.angular_velocity, &velocity.angular)
                 && equal(&state.joint_position, &joints.position)
-                && equal(&state.joint_velocity, &joints.velocity);
+                && equal(&state.joint_velocity, &joints.velocity)
+                && self.engine.origin(row) == rows.origins[row].position;
             if !same {
+                self.engine.set_origin(row, rows.origins[row].position);
                 rows.read_motion(row, &mut self.state, 0);
                 self.engine.set_state(row, &self.state);
             }

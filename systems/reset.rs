@@ -4,17 +4,18 @@ use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
 use super::command::{draw_command, steer};
-use super::sense::measure;
+use super::curriculum::EpisodeEnd;
+use super::sense::{ScanRays, measure};
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::{Autoreset, ResetRequest};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    Env, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets, Morphology,
-    Robot,
+    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, HeightScan, Imu, JointEffort, JointState,
+    JointTargets, Morphology, Robot,
 };
 use crate::config::JointPositionMode;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{Workers, read_rows, write_rows};
+use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
 /// The state in which an episode begins, as reset events may change it.
@@ -48,12 +49,14 @@ type EnvRows<'w, 's> = (
     Query<'w, 's, &'static mut Command>,
     Query<'w, 's, &'static mut EventTimers>,
     Query<'w, 's, &'static mut EpisodeSums>,
+    Query<'w, 's, &'static mut EnvOrigin>,
 );
 
 type SensorRows<'w, 's> = (
     Query<'w, 's, &'static mut ContactForces>,
     Query<'w, 's, &'static mut ContactSensor>,
     Query<'w, 's, &'static mut Imu>,
+    Query<'w, 's, &'static mut HeightScan>,
 );
 
 /// Half the side of the square about the base's origin in which a robot begins above everything, m.
@@ -66,12 +69,12 @@ pub(super) fn reset_envs(
     task: Res<CompiledTask>,
     autoreset: Res<Autoreset>,
     request: Res<ResetRequest>,
-    ground: Res<Ground>,
+    (ground, rays): (Res<Ground>, Res<ScanRays>),
     tags: Query<&'static Morphology, With<Robot>>,
     bodies: Query<&'static Body>,
     (mut poses, mut velocities, mut joints, mut actions, mut targets, mut delays, mut efforts, mut impulses, mut feet): RobotRows,
-    (mut episodes, mut rngs, mut commands, mut timers, mut sums): EnvRows,
-    (mut forces, mut contacts, mut imus): SensorRows,
+    (mut episodes, mut rngs, mut commands, mut timers, mut sums, mut origins): EnvRows,
+    (mut forces, mut contacts, mut imus, mut scans): SensorRows,
 ) {
     let tags = read_rows(&tags);
     let due = |episode: &Episode| {
@@ -94,13 +97,15 @@ pub(super) fn reset_envs(
         write_rows(&mut commands),
         write_rows(&mut timers),
         write_rows(&mut sums),
+        write_rows(&mut origins),
     );
-    let sensor_rows = (write_rows(&mut forces), write_rows(&mut contacts), write_rows(&mut imus));
+    let scans = OptionalRows(write_rows(&mut scans));
+    let sensor_rows = (write_rows(&mut forces), write_rows(&mut contacts), write_rows(&mut imus), scans);
     let rows = (tags, read_rows(&bodies), robot_rows, env_rows, sensor_rows);
     workers.for_each_chunk(rows, tags.len(), |_, n, (tags, bodies, robots, envs, sensors)| {
         let ((poses, velocities, joints), (actions, targets, delays), (efforts, impulses, feet)) = robots;
-        let (episodes, rngs, commands, timers, sums) = envs;
-        let (forces, contacts, imus) = sensors;
+        let (episodes, rngs, commands, timers, sums, origins) = envs;
+        let (forces, contacts, imus, scans) = sensors;
         for i in 0..n {
             if !due(&episodes[i]) {
                 continue;
@@ -108,6 +113,20 @@ pub(super) fn reset_envs(
             let morphology = morphologies.get(tags[i]);
             let rng = &mut rngs[i];
             let (pose, velocity, joints) = (&mut poses[i], &mut velocities[i], &mut joints[i]);
+            let origin = &mut origins[i];
+            if episodes[i].length > 0 {
+                let mut end = EpisodeEnd {
+                    episode: &episodes[i],
+                    pose,
+                    command: &commands[i],
+                    episode_length_s: task.max_episode_length as f32 * task.step_dt,
+                    layout: ground.layout.as_ref(),
+                    origin,
+                };
+                for term in &task.curriculum {
+                    term(&mut end, rng);
+                }
+            }
             *pose = BasePose { position: [0.0, 0.0, morphology.spawn_height], rotation: [1.0, 0.0, 0.0, 0.0] };
             *velocity = BaseVelocity::default();
             joints.position.copy_from_slice(&morphology.default_position);
@@ -116,8 +135,8 @@ pub(super) fn reset_envs(
                 event(&mut NewState { morphology, pose, velocity, joints }, rng);
             }
             if let Some(terrain) = &ground.terrain {
-                let [x, y, z] = &mut pose.position;
-                *z += terrain.highest_near(*x, *y, FOOTPRINT) - ground.height as f32;
+                let ([x, y, z], [x0, y0]) = (&mut pose.position, origin.position);
+                *z += terrain.highest_near(x0 + *x, y0 + *y, FOOTPRINT) - ground.height as f32;
             }
 
             actions[i].current.fill(0.0);
@@ -138,11 +157,15 @@ pub(super) fn reset_envs(
             impulses[i].limits.fill(0.0);
             feet[i].velocity.fill([0.0; 3]);
             feet[i].position.fill([0.0; 3]);
+            feet[i].height.fill(0.0);
 
             forces[i].net.fill([0.0; 3]);
             forces[i].normal.fill(0.0);
             contacts[i].clear();
             imus[i] = measure(pose, velocity, &bodies[i].0.com[0]);
+            if let Some(scan) = scans.0.get_mut(i) {
+                rays.scan(&ground, origin, pose, scan);
+            }
 
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
                 *left = rng.uniform(event.range_s);

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use toml::Table;
 
 use super::view::RobotView;
-use super::{disturb, observe, reset, reward, startup, terminate};
+use super::{curriculum, disturb, observe, reset, reward, startup, terminate};
 use crate::components::{BaseVelocity, EnvRng, Episode};
 use crate::config::{ConfigError, ConfigErrorKind, EventMode, TaskConfig, did_you_mean, parse_params};
 use crate::morphology::Morphologies;
@@ -35,6 +35,8 @@ type ObservationFn = Box<dyn Fn(&RobotView, &mut [f32]) + Send + Sync>;
 type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + Send + Sync>;
 type StartupFn = Box<dyn Fn(&mut startup::NewBody, &mut EnvRng) + Send + Sync>;
 type ResetFn = Box<dyn Fn(&mut reset::NewState, &mut EnvRng) + Send + Sync>;
+type CurriculumFn = Box<dyn Fn(&mut curriculum::EpisodeEnd, &mut EnvRng) + Send + Sync>;
+type SizeFn = Box<dyn Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync>;
 type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
 /// What an interval event may change.
@@ -47,11 +49,12 @@ pub struct EventBody<'a> {
 #[derive(Default)]
 pub struct Registry {
     rewards: BTreeMap<&'static str, Builder<RewardFn>>,
-    observations: BTreeMap<&'static str, (usize, Builder<ObservationFn>)>,
+    observations: BTreeMap<&'static str, (SizeFn, Builder<ObservationFn>)>,
     terminations: BTreeMap<&'static str, (bool, Builder<TerminationFn>)>,
     startup: BTreeMap<&'static str, Builder<StartupFn>>,
     reset: BTreeMap<&'static str, Builder<ResetFn>>,
     interval: BTreeMap<&'static str, Builder<IntervalFn>>,
+    curriculum: BTreeMap<&'static str, Builder<CurriculumFn>>,
 }
 
 impl Registry {
@@ -64,6 +67,7 @@ impl Registry {
         startup::register(&mut registry);
         reset::register(&mut registry);
         disturb::register(&mut registry);
+        curriculum::register(&mut registry);
         registry
     }
 
@@ -84,11 +88,23 @@ impl Registry {
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
+        self.observation_of(name, move |_| Ok(size), f);
+    }
+
+    /// An observation term whose size depends on the task; `size` gives problem and remedy where the task does not fit.
+    pub fn observation_of<P>(
+        &mut self,
+        name: &'static str,
+        size: impl Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync + 'static,
+        f: fn(&P, &RobotView, &mut [f32]),
+    ) where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
         let build: Builder<ObservationFn> = Box::new(move |file, element, table| {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)))
         });
-        self.observations.insert(name, (size, build));
+        self.observations.insert(name, (Box::new(size), build));
     }
 
     /// A termination term; `time_out` ones truncate an episode, others end it as failed. The last argument is the
@@ -139,6 +155,18 @@ impl Registry {
         });
         self.interval.insert(name, build);
     }
+
+    /// A curriculum term: what changes for an env when its episode ends.
+    pub fn curriculum<P>(&mut self, name: &'static str, f: fn(&P, &mut curriculum::EpisodeEnd, &mut EnvRng))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<CurriculumFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |end: &mut curriculum::EpisodeEnd, rng: &mut EnvRng| f(&p, end, rng)))
+        });
+        self.curriculum.insert(name, build);
+    }
 }
 
 /// One term of a reward set.
@@ -158,6 +186,10 @@ pub struct ObservationTerm {
     pub size: usize,
     /// Half width of its uniform noise; 0 without.
     pub noise: f32,
+    /// Limits of the noisy numbers.
+    pub clip: Option<[f32; 2]>,
+    /// Factor of the limited numbers.
+    pub scale: f32,
     pub(super) write: ObservationFn,
 }
 
@@ -195,6 +227,7 @@ pub struct CompiledTask {
     pub(super) startup_events: Vec<StartupFn>,
     pub(super) reset_events: Vec<ResetFn>,
     pub(super) interval_events: Vec<IntervalEvent>,
+    pub(super) curriculum: Vec<CurriculumFn>,
 }
 
 /// Name under which the guard against broken states appears among the terminations.
@@ -212,10 +245,14 @@ impl CompiledTask {
         for (i, term) in config.observations.policy.iter().enumerate() {
             let element = format!("observations.policy[{i}]");
             let (size, build) = find(&registry.observations, &term.term, file, &element, "observation")?;
+            let size = size(config)
+                .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
             observations.push(ObservationTerm {
                 name: term.term.clone(),
-                size: *size,
+                size,
                 noise: if config.observations.enable_noise { term.noise as f32 } else { 0.0 },
+                clip: term.clip.map(|range| range.map(|x| x as f32)),
+                scale: term.scale as f32,
                 write: build(file, &element, &term.params)?,
             });
         }
@@ -256,6 +293,7 @@ impl CompiledTask {
             startup_events: Vec::new(),
             reset_events: Vec::new(),
             interval_events: Vec::new(),
+            curriculum: Vec::new(),
             config: config.clone(),
         };
         for (name, event) in config.events.iter().filter(|(_, event)| event.enabled) {
@@ -277,6 +315,11 @@ impl CompiledTask {
                     });
                 }
             }
+        }
+        for (name, term) in config.curriculum.iter().filter(|(_, term)| term.enabled) {
+            let element = format!("curriculum.{name}");
+            let build = find(&registry.curriculum, name, file, &element, "curriculum")?;
+            task.curriculum.push(build(file, &element, &term.params)?);
         }
         Ok(task)
     }

@@ -4,7 +4,8 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 
 use crate::components::{
-    Action, BasePose, BaseVelocity, Body, Command, ContactSensor, Feet, Imu, JointEffort, JointState, Morphology, Robot,
+    Action, BasePose, BaseVelocity, Body, Command, ContactSensor, Feet, HeightScan, Imu, JointEffort, JointState,
+    Morphology, Robot,
 };
 use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -31,8 +32,10 @@ pub struct RobotView<'a> {
     pub action: &'a Action,
     /// Contact forces and times.
     pub contacts: &'a ContactSensor,
-    /// Positions and velocities of the feet.
+    /// Positions, velocities and heights of the feet.
     pub feet: &'a Feet,
+    /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has none.
+    pub height_scan: &'a [f32],
     /// The robot's own numbers, as randomised.
     pub body: &'a Parameters<f32>,
     /// Length of a control step, s.
@@ -53,6 +56,7 @@ pub(super) struct ViewParam<'w, 's> {
     actions: Query<'w, 's, &'static Action>,
     contacts: Query<'w, 's, &'static ContactSensor>,
     feet: Query<'w, 's, &'static Feet>,
+    scans: Query<'w, 's, &'static HeightScan>,
     bodies: Query<'w, 's, &'static Body>,
 }
 
@@ -70,6 +74,7 @@ impl ViewParam<'_, '_> {
             actions: read_rows(&self.actions),
             contacts: read_rows(&self.contacts),
             feet: read_rows(&self.feet),
+            scans: read_rows(&self.scans),
             bodies: read_rows(&self.bodies),
             step_dt,
         }
@@ -90,6 +95,7 @@ pub(super) struct Views<'a> {
     actions: &'a [Action],
     contacts: &'a [ContactSensor],
     feet: &'a [Feet],
+    scans: &'a [HeightScan],
     bodies: &'a [Body],
     step_dt: f32,
 }
@@ -111,6 +117,7 @@ impl<'a> Views<'a> {
             action: &self.actions[env],
             contacts: &self.contacts[env],
             feet: &self.feet[env],
+            height_scan: self.scans.get(env).map_or(&[], |scan| &scan.hits),
             body: &self.bodies[env].0,
             step_dt: self.step_dt,
         }

@@ -20,10 +20,9 @@ use bevy_ecs::prelude::{Component, Entity, World};
 use bevy_math::{Mat3, Vec3};
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::config::ObstacleConfig;
 use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{JointMotion, Parameters, Plane, State, Topology, Workspace, kinematics};
-use crate::obstacles;
+use crate::obstacles::Part;
 use crate::robot::Model;
 use crate::rows::Workers;
 use joints::{Joint, JointNumbers, Joints};
@@ -99,6 +98,8 @@ struct Chunk {
 
 /// What is known of an env between steps.
 struct Env {
+    /// Where its origin is in the world, m.
+    origin: DVec3,
     state: State<f64>,
     parameters: Parameters<f64>,
     effort: Vec<f64>,
@@ -106,7 +107,7 @@ struct Env {
 }
 
 impl Engine {
-    /// `num_envs` robots in up to `num_chunks` worlds, each among the same `obstacles`; `align` turns the axes of the model's links
+    /// `num_envs` robots in up to `num_chunks` worlds, each among the same `statics`; `align` turns the axes of the model's links
     /// into the engine's.
     pub(crate) fn new(
         model: &Model,
@@ -114,7 +115,7 @@ impl Engine {
         topology: &Topology,
         nominal: &Parameters<f64>,
         settings: &Settings,
-        obstacles: &[ObstacleConfig],
+        statics: &[Part],
         num_envs: usize,
         num_chunks: usize,
     ) -> Result<Self, EngineError> {
@@ -133,7 +134,7 @@ impl Engine {
         let mut engine = Self { topology: topology.clone(), chunks: Vec::new(), per_chunk };
         for first in (0..num_envs).step_by(per_chunk) {
             let count = per_chunk.min(num_envs - first);
-            engine.chunks.push(Chunk::new(topology, nominal, settings, &colliders, obstacles, count, dt, h)?);
+            engine.chunks.push(Chunk::new(topology, nominal, settings, &colliders, statics, count, dt, h)?);
         }
         for env in 0..num_envs {
             engine.set_parameters(env, nominal);
@@ -159,6 +160,18 @@ impl Engine {
     pub(crate) fn set_state(&mut self, env: usize, state: &State<f64>) {
         let (chunk, i) = (&mut self.chunks[env / self.per_chunk], env % self.per_chunk);
         chunk.set_state(&self.topology, i, state);
+    }
+
+    /// Where an env's origin is, m. A state that is set afterwards is about it.
+    pub(crate) fn set_origin(&mut self, env: usize, [x, y]: [f32; 2]) {
+        let (chunk, i) = self.at_mut(env);
+        chunk.envs[i].origin = DVec3::new(f64::from(x), f64::from(y), 0.0);
+    }
+
+    /// See [`set_origin`](Self::set_origin).
+    pub(crate) fn origin(&self, env: usize) -> [f32; 2] {
+        let (chunk, i) = self.at(env);
+        chunk.envs[i].origin.truncate().as_vec2().to_array()
     }
 
     /// The numbers of an env.
@@ -221,7 +234,7 @@ impl Engine {
         let mut work = Workspace::new(&self.topology);
         let env = &chunk.envs[i];
         let rotation = forward(&self.topology, &env.parameters, &env.state, &mut work);
-        let origin = DVec3::from_array(env.state.position);
+        let origin = env.origin + DVec3::from_array(env.state.position);
         let distances = work.links.iter().zip(&chunk.bodies.links[i * links..]).filter_map(|(link, entity)| {
             let there = origin + rotation * DVec3::from_array(link.position);
             Some(chunk.world.get::<Position>(*entity)?.0.as_dvec3().distance(there))
@@ -243,15 +256,14 @@ impl Chunk {
         nominal: &Parameters<f64>,
         settings: &Settings,
         colliders: &[LinkCollider],
-        obstacles: &[ObstacleConfig],
+        statics: &[Part],
         num_envs: usize,
         dt: Duration,
         h: Duration,
     ) -> Result<Self, EngineError> {
         let (links, substeps) = (topology.num_links(), settings.substeps);
         let (floating, ground, gravity) = (topology.floating, settings.ground, settings.gravity);
-        let parts = obstacles.iter().flat_map(obstacles::parts).collect();
-        let (world, bodies) = world::build(num_envs, links, floating, colliders, ground, parts, gravity, substeps)
+        let (world, bodies) = world::build(num_envs, links, floating, colliders, ground, statics, gravity, substeps)
             .ok_or(EngineError::Order)?;
         let mut joints = Joints {
             floating,
@@ -263,6 +275,7 @@ impl Chunk {
         };
         joints.set_step(h, substeps);
         let env = || Env {
+            origin: DVec3::ZERO,
             state: State::zeros(topology),
             parameters: nominal.clone(),
             effort: vec![0.0; topology.num_joints()],
@@ -307,11 +320,12 @@ impl Chunk {
     fn place(&mut self, topology: &Topology, env: usize) {
         let Env { state, parameters, .. } = &self.envs[env];
         let rotation = forward(topology, parameters, state, &mut self.work);
+        let base = self.envs[env].origin + DVec3::from_array(state.position);
         let links = topology.num_links();
         for link in 0..links {
             let at = &self.work.links[link];
             let turn = rotation * matrix(&at.rotation);
-            let position = DVec3::from_array(self.envs[env].state.position) + rotation * DVec3::from_array(at.position);
+            let position = base + rotation * DVec3::from_array(at.position);
             // the velocity of the centre of mass
             let com = add(
                 at.position,
@@ -386,7 +400,7 @@ impl Chunk {
             {
                 let (q, spin) = (rotation.0.as_dquat(), angular.0.as_dvec3());
                 let com = DVec3::from_array(env.parameters.com[0]);
-                env.state.position = position.0.as_dvec3().to_array();
+                env.state.position = (position.0.as_dvec3() - env.origin).to_array();
                 env.state.rotation = [q.w, q.x, q.y, q.z];
                 env.state.linear_velocity = (linear.0.as_dvec3() - spin.cross(q * com)).to_array();
                 env.state.angular_velocity = (q.conjugate() * spin).to_array();

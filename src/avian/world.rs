@@ -74,7 +74,7 @@ pub(super) fn build(
     floating: bool,
     colliders: &[LinkCollider],
     ground: Option<Plane>,
-    obstacles: Vec<Part>,
+    statics: &[Part],
     gravity: [f64; 3],
     substeps: usize,
 ) -> Option<(World, Bodies)> {
@@ -145,7 +145,7 @@ pub(super) fn build(
     app.finish();
     app.cleanup();
     let mut world = std::mem::take(app.world_mut());
-    let bodies = spawn(&mut world, robots, links, floating, colliders, ground, obstacles);
+    let bodies = spawn(&mut world, robots, links, floating, colliders, ground, statics);
     let mut order = world.query_filtered::<Entity, With<SolverBody>>();
     order.iter(&world).eq(bodies.links.iter().copied()).then_some((world, bodies))
 }
@@ -157,14 +157,14 @@ fn spawn(
     floating: bool,
     colliders: &[LinkCollider],
     ground: Option<Plane>,
-    obstacles: Vec<Part>,
+    statics: &[Part],
 ) -> Bodies {
     let everywhere = || EnlargedAabb::new(ColliderAabb::new(Vec3::ZERO, Vec3::splat(EVERYWHERE)));
     let plane = ground.map(|plane| {
         let normal = Vec3::from_array(plane.normal.map(|x| x as f32));
         (Collider::half_space(normal), Position(normal * plane.offset as f32), Rotation::IDENTITY)
     });
-    let parts = obstacles.into_iter().map(|part| (part.collider, part.position, part.rotation));
+    let parts = statics.iter().map(|part| (part.collider.clone(), part.position, part.rotation));
     let statics: Vec<(Entity, Entity)> = plane
         .into_iter()
         .chain(parts)

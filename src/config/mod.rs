@@ -11,6 +11,7 @@ mod robot;
 mod scene;
 mod suggest;
 mod task;
+mod terrain;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
@@ -22,9 +23,13 @@ pub use robot::{
     ActuatorConfig, ActuatorModel, BaseComOffset, BodiesConfig, JointPositionMode, JointPositionReset,
     RandomizationConfig, RangeConfig, ResetConfig, RobotConfig,
 };
-pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, SceneConfig};
+pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
+pub use terrain::{
+    BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
+};
 pub use task::{
-    CommandsConfig, EngineKind, EventConfig, EventMode, MaterialConfig, ObservationTerm, ObservationsConfig,
-    PhysicsConfig, RewardConfig, SimConfig, TaskConfig, VelocityCommandConfig,
+    CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig, MaterialConfig,
+    ObservationTerm, ObservationsConfig, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig,
+    VelocityCommandConfig,
 };

@@ -2,24 +2,47 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::terrain::TerrainConfig;
 use super::values;
 
 /// What the robots stand on.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SceneConfig {
-    /// An infinite plane at z = 0.
+    /// An infinite plane at z = 0; with terrain only its surface counts.
     pub ground: GroundConfig,
-    /// What stands on it, the same in every env, with the ground's surface.
+    /// Generated ground, in place of the plane, with the ground's surface.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub terrain: Option<TerrainConfig>,
+    /// What stands on it, with the ground's surface.
     pub obstacles: Vec<ObstacleConfig>,
-    /// Distance of the points at which the articulated engine knows the height of the obstacles, m. Default: 0.02.
+    /// Where obstacles stand. Default: in every env.
+    pub placement: Placement,
+    /// Distance of the points at which the articulated engine knows the height of terrain and obstacles, m. Default: 0.02.
     #[serde(deserialize_with = "values::positive")]
     pub grid_cell: f64,
 }
 
+/// Where the obstacles of a scene stand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Placement {
+    /// Every env has each of them; positions are about the env's origin.
+    #[default]
+    PerEnv,
+    /// There is one of each; positions are in the world, where envs have their origins on a grid or on their tiles.
+    Global,
+}
+
 impl Default for SceneConfig {
     fn default() -> Self {
-        Self { ground: GroundConfig::default(), obstacles: Vec::new(), grid_cell: 0.02 }
+        Self {
+            ground: GroundConfig::default(),
+            terrain: None,
+            obstacles: Vec::new(),
+            placement: Placement::PerEnv,
+            grid_cell: 0.02,
+        }
     }
 }
 
@@ -65,7 +88,7 @@ pub enum FrictionCombine {
     Max,
 }
 
-/// Something that does not move. `position` is in the env's frame, m; `rpy` are roll, pitch and yaw about fixed axes as in a
+/// Something that does not move. `position` is about the env's origin or in the world (see [`Placement`]), m; `rpy` are roll, pitch and yaw about fixed axes as in a
 /// URDF, rad, zero by default.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields)]
@@ -150,6 +173,15 @@ pub enum ObstacleConfig {
 impl SceneConfig {
     /// What no single value can tell: element, problem and remedy.
     pub(super) fn problem(&self) -> Option<(String, &'static str, &'static str)> {
+        if let Some(terrain) = &self.terrain {
+            if let Some(problem) = terrain.problem() {
+                return Some(problem);
+            }
+            if !self.obstacles.is_empty() && self.placement == Placement::PerEnv {
+                let problem = "obstacles of every env cannot stand on terrain, of which there is one";
+                return Some(("scene.placement".into(), problem, "write scene.placement = \"global\""));
+            }
+        }
         self.obstacles.iter().enumerate().find_map(|(i, obstacle)| {
             let (problem, remedy) = obstacle.problem()?;
             Some((format!("scene.obstacles[{i}]"), problem, remedy))

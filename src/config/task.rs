@@ -37,6 +37,9 @@ pub struct TaskConfig {
     pub robot_material: MaterialConfig,
     /// What the policy is told to do.
     pub commands: CommandsConfig,
+    /// Sensors beyond those that every robot has.
+    #[serde(default)]
+    pub sensors: SensorsConfig,
     /// What the policy sees.
     pub observations: ObservationsConfig,
     /// Parameters of each termination term, by the term's name.
@@ -44,6 +47,9 @@ pub struct TaskConfig {
     /// Randomisation and disturbances, by the term's name.
     #[serde(default)]
     pub events: BTreeMap<String, EventConfig>,
+    /// What grows harder or easier from episode to episode, by the term's name.
+    #[serde(default)]
+    pub curriculum: BTreeMap<String, CurriculumConfig>,
     /// Reward sets: set name -> term name -> weight and parameters. A robot's `reward_set` picks one.
     pub rewards: BTreeMap<String, BTreeMap<String, RewardConfig>>,
 }
@@ -202,6 +208,44 @@ fn yes() -> bool {
     true
 }
 
+/// Sensors that a task gives to every robot.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SensorsConfig {
+    /// Looks at the heights around the base.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height_scanner: Option<HeightScannerConfig>,
+}
+
+/// Rays straight down on a grid that follows the base's position and heading.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeightScannerConfig {
+    /// Edge lengths of the grid along the base's x and y, m.
+    #[serde(deserialize_with = "values::non_negative_pair")]
+    pub size: [f64; 2],
+    /// Distance of two rays, m.
+    #[serde(deserialize_with = "values::positive")]
+    pub resolution: f64,
+}
+
+impl HeightScannerConfig {
+    /// Rays along x and y.
+    #[must_use]
+    pub fn counts(&self) -> [usize; 2] {
+        // the small number keeps 1.6 m / 0.1 m at 17 rays whatever the last bit of the quotient
+        self.size.map(|length| (length / self.resolution + 1e-9) as usize + 1)
+    }
+
+    /// Where the rays are about the base, m: from back to front and, row by row, from right to left.
+    #[must_use]
+    pub fn rays(&self) -> Vec<[f32; 2]> {
+        let [nx, ny] = self.counts();
+        let place = |i: usize, axis: usize| (i as f64 * self.resolution - 0.5 * self.size[axis]) as f32;
+        (0..nx * ny).map(|k| [place(k % nx, 0), place(k / nx, 1)]).collect()
+    }
+}
+
 /// What the policy sees.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -221,13 +265,19 @@ pub struct ObservationTerm {
     /// Half width of the uniform noise on each element, in the term's units. Default: 0.
     #[serde(default, deserialize_with = "values::non_negative")]
     pub noise: f64,
+    /// What the noisy numbers are limited to, in the term's units. Default: nothing.
+    #[serde(default, deserialize_with = "values::optional_range", skip_serializing_if = "Option::is_none")]
+    pub clip: Option<[f64; 2]>,
+    /// Factor of the limited numbers. Default: 1.
+    #[serde(default = "one")]
+    pub scale: f64,
     /// The remaining keys, for [`parse_params`](super::parse_params).
     #[serde(flatten, deserialize_with = "observation_params")]
     pub params: Table,
 }
 
 fn observation_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
-    params_beside(deserializer, &["term", "noise"])
+    params_beside(deserializer, &["term", "noise", "clip", "scale"])
 }
 
 /// One randomisation or disturbance.
@@ -264,6 +314,21 @@ pub enum EventMode {
     Reset,
     /// Again and again within an episode.
     Interval,
+}
+
+/// One curriculum term: what changes when an episode ends.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct CurriculumConfig {
+    /// Whether it changes anything. Default: yes.
+    #[serde(default = "yes")]
+    pub enabled: bool,
+    /// The remaining keys, for [`parse_params`](super::parse_params).
+    #[serde(flatten, deserialize_with = "curriculum_params")]
+    pub params: Table,
+}
+
+fn curriculum_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
+    params_beside(deserializer, &["enabled"])
 }
 
 /// One term of a reward set.
@@ -313,6 +378,13 @@ impl TaskConfig {
         if self.observations.policy.is_empty() {
             let element = "observations.policy".to_owned();
             return invalid(element, "the policy sees nothing", "add [[observations.policy]] terms");
+        }
+        const MOST_RAYS: usize = 10_000;
+        if let Some(scanner) = &self.sensors.height_scanner
+            && scanner.counts().iter().product::<usize>() > MOST_RAYS
+        {
+            let element = "sensors.height_scanner".to_owned();
+            return invalid(element, "it has more than 10 000 rays", "make it smaller, or raise its resolution in m");
         }
         if let Some((element, problem, remedy)) = self.scene.problem() {
             return invalid(element, problem, remedy);

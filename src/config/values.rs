@@ -40,6 +40,26 @@ pub fn optional_non_negative_range<'de, D: Deserializer<'de>>(deserializer: D) -
     non_negative_range(deserializer).map(Some)
 }
 
+/// A [`range`] that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`range`].
+pub fn optional_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
+    range(deserializer).map(Some)
+}
+
+/// Two lengths of 0 or above, and finite.
+///
+/// # Errors
+/// Not two numbers, or one that is negative or not finite.
+pub fn non_negative_pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    let pair = <[f64; 2]>::deserialize(deserializer)?;
+    match pair.iter().find(|x| !(x.is_finite() && **x >= 0.0)) {
+        None => Ok(pair),
+        Some(x) => Err(D::Error::custom(format!("{x} is not a length; write numbers of 0 or above"))),
+    }
+}
+
 /// A number above 0.
 ///
 /// # Errors

@@ -11,7 +11,7 @@ use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, quat_to_mat, scale, sub,
 };
 use super::state::{LinkState, State, Workspace};
-use super::terrain::HeightGrid;
+use super::terrain::Terrain;
 
 /// How contacts and joint bounds are solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -290,7 +290,7 @@ pub fn build_contacts<S: Real>(
     topology: &Topology,
     parameters: &Parameters<S>,
     settings: &ContactSettings,
-    terrain: Option<&HeightGrid>,
+    terrain: Option<&Terrain<S>>,
     dt: S,
     state: &mut State<S>,
     work: &mut Workspace<S>,
@@ -312,14 +312,18 @@ pub fn build_contacts<S: Real>(
     // normal and tangents in base axes
     let frame = world.map(|axis| mul_vec_transposed(base_rotation, &axis));
     let inverse_dt = S::one() / dt;
-    let highest =
-        terrain.map_or(margin, |grid| margin + S::splat(f64::from(grid.highest).max(plane.offset) - plane.offset));
     for (link, at) in links.iter().enumerate() {
         let candidates = topology.contacts_of(link);
         if candidates.is_empty() {
             continue;
         }
         let origin_height = ground + dot(&frame[0], &at.position);
+        let mut highest = margin;
+        if let Some(terrain) = terrain {
+            let [x, y] = [1, 2].map(|i| state.position[i - 1] + dot(&frame[i], &at.position));
+            let reach = parameters.contact_reach[link] + margin;
+            highest = margin + terrain.bound(x, y, reach) - S::splat(plane.offset);
+        }
         if !S::any((origin_height - parameters.contact_reach[link]).lt(highest)) {
             for c in candidates {
                 state.impulse[c] = [S::zero(); 3];
@@ -330,13 +334,13 @@ pub fn build_contacts<S: Real>(
         for c in candidates {
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
             let mut axes_here = frame;
-            if let Some(grid) = terrain {
+            if let Some(terrain) = terrain {
                 if !S::any(gap.lt(highest)) {
                     state.impulse[c] = [S::zero(); 3];
                     continue;
                 }
                 let centre = add(&at.position, &mul_vec(&at.rotation, &local));
-                (gap, axes_here) = on_terrain(grid, &frame, &state.position, &centre, parameters.contact_radius[c]);
+                (gap, axes_here) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
             }
             let near = gap.lt(margin);
             if !S::any(near) {
@@ -366,14 +370,14 @@ pub fn build_contacts<S: Real>(
 /// `centre` the sphere's place about the base's origin.
 #[inline(always)]
 fn on_terrain<S: Real>(
-    grid: &HeightGrid,
+    terrain: &Terrain<S>,
     level: &[Vec3<S>; 3],
     position: &Vec3<S>,
     centre: &Vec3<S>,
     radius: S,
 ) -> (S, [Vec3<S>; 3]) {
     let [z, x, y] = [0, 1, 2].map(|i| dot(&level[i], centre));
-    let (height, n) = grid.below(position[0] + x, position[1] + y);
+    let (height, n) = terrain.below(position[0] + x, position[1] + y);
     let gap = (position[2] + z - height).mul_add(n[2], -radius);
     // the x axis, laid onto the surface; slopes are bounded, so that it is never the normal
     let along = [n[0].neg_mul_add(n[0], S::one()), -(n[0] * n[1]), -(n[0] * n[2])];

@@ -23,4 +23,4 @@ pub use contact::{ContactSettings, Plane};
 pub use lanes::{Lanes, Real, Simd};
 pub use state::{Drive, Report, State, Workspace};
 pub use step::{ControlStep, StepSettings};
-pub use terrain::HeightGrid;
+pub use terrain::{HeightGrid, Terrain};

@@ -9,7 +9,7 @@ use super::math::{Spatial, add_scaled, integrate_quat, mul_vec, mul_vec_transpos
 use super::self_contact;
 use super::solver;
 use super::state::{Drive, Report, State, Workspace};
-use super::terrain::HeightGrid;
+use super::terrain::Terrain;
 
 /// What all packs of a simulation share.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,8 +30,8 @@ pub struct ControlStep<'a, S> {
     pub topology: &'a Topology,
     /// Step sizes and solver settings.
     pub settings: &'a StepSettings,
-    /// What stands on the plane, if anything does; the plane is then level.
-    pub terrain: Option<&'a HeightGrid>,
+    /// What the robots stand on where it is not the plane, which is then level.
+    pub terrain: Option<Terrain<'a, S>>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
     /// What is asked of the actuators.
@@ -52,7 +52,7 @@ impl<S: Real> Kernel<S> for ControlStep<'_, S> {
         let Self { topology, settings, terrain, parameters, drive, state, report, work } = self;
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
-            physics_step(topology, settings, terrain, parameters, drive, state, report, substep, work);
+            physics_step(topology, settings, terrain.as_ref(), parameters, drive, state, report, substep, work);
         }
         report_sites(topology, parameters, state, report, work);
     }
@@ -139,7 +139,7 @@ fn actuate<S: Real>(
 fn physics_step<S: Real>(
     topology: &Topology,
     settings: &StepSettings,
-    terrain: Option<&HeightGrid>,
+    terrain: Option<&Terrain<S>>,
     parameters: &Parameters<S>,
     drive: &Drive<S>,
     state: &mut State<S>,

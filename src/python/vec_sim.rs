@@ -307,7 +307,8 @@ impl VecSim {
             logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), clear)
         });
         let entry = |s: crate::systems::EpisodeStats| {
-            BTreeMap::from([
+            let level = s.terrain_level.map(|level| ("terrain_level", level));
+            let stats = [
                 ("episodes", s.episodes as f64),
                 ("falls", s.falls as f64),
                 ("fall_rate", s.falls as f64 / s.episodes.max(1) as f64),
@@ -317,7 +318,9 @@ impl VecSim {
                 ("command_xy", s.command_xy),
                 ("command_yaw", s.command_yaw),
                 ("reward_per_s", s.reward_per_s),
-            ])
+                ("distance", s.distance),
+            ];
+            stats.into_iter().chain(level).collect()
         };
         stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect()
     }

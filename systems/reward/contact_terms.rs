@@ -141,10 +141,10 @@ fn air_time_variance(p: &MaxTime, r: &RobotView) -> f32 {
 }
 
 fn foot_clearance(p: &Clearance, r: &RobotView) -> f32 {
-    let feet = r.feet.position.iter().zip(&r.feet.velocity);
+    let feet = r.feet.height.iter().zip(&r.feet.velocity);
     let error: f32 = feet
-        .map(|(position, velocity)| {
-            let height = position[2] - p.target_height;
+        .map(|(height, velocity)| {
+            let height = height - p.target_height;
             height * height * tanh_positive(p.tanh_mult * norm(&velocity[..2]))
         })
         .sum();

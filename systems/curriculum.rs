@@ -1,0 +1,101 @@
+//! Curriculum: what grows harder or easier from episode to episode. Each env begins on a tile of the terrain.
+
+use bevy_ecs::prelude::*;
+use serde::Deserialize;
+
+use super::terms::{CompiledTask, Registry};
+use crate::components::{BasePose, Command, Env, EnvOrigin, EnvRng, Episode};
+use crate::config::{Placement, values};
+use crate::terrain::TerrainLayout;
+use crate::world::Ground;
+
+/// An episode that is over, and what its end may change.
+pub struct EpisodeEnd<'a> {
+    /// How it ended.
+    pub episode: &'a Episode,
+    /// Where the robot was then.
+    pub pose: &'a BasePose,
+    /// What it was told to do then.
+    pub command: &'a Command,
+    /// Length of a full episode, s.
+    pub episode_length_s: f32,
+    /// The tiles, if the ground is generated terrain.
+    pub layout: Option<&'a TerrainLayout>,
+    /// Where the next episode begins.
+    pub origin: &'a mut EnvOrigin,
+}
+
+impl EnvOrigin {
+    /// Moves to a level of the same column.
+    fn move_to(&mut self, layout: &TerrainLayout, level: u32) {
+        self.terrain_level = level;
+        self.position = layout.origin(level, self.terrain_column);
+    }
+}
+
+/// How many envs each robot has, in the order of their blocks.
+#[derive(Resource, Clone, Debug)]
+pub struct BlockSizes(pub Vec<usize>);
+
+/// Gives every env its place: a tile whose type does not depend on the robot and whose level the env's stream draws, or its
+/// place on a square grid.
+pub fn place_envs(
+    ground: Res<Ground>,
+    task: Res<CompiledTask>,
+    blocks: Res<BlockSizes>,
+    mut envs: Query<(&mut EnvOrigin, &mut EnvRng), With<Env>>,
+) {
+    let scene = &task.config.scene;
+    let total: usize = blocks.0.iter().sum();
+    let places = blocks.0.iter().flat_map(|&count| (0..count).map(move |index| (index, count)));
+    for (env, ((mut origin, mut rng), (index, count))) in envs.iter_mut().zip(places).enumerate() {
+        *origin = EnvOrigin::default();
+        if let Some(layout) = &ground.layout {
+            origin.terrain_column = layout.column_of(index, count);
+            let level = rng.integer([0, layout.max_init_level]);
+            origin.move_to(layout, level);
+        } else if scene.placement == Placement::Global {
+            let side = (total as f64).sqrt().ceil().max(1.0) as usize;
+            let place = |i: usize| (i as f64 - 0.5 * (side - 1) as f64) * task.config.sim.env_spacing;
+            origin.position = [place(env / side) as f32, place(env % side) as f32];
+        }
+    }
+}
+
+/// All built-in curriculum terms, under Isaac Lab's names.
+pub(super) fn register(registry: &mut Registry) {
+    registry.curriculum("terrain_levels", terrain_levels);
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LevelRules {
+    /// Share of the commanded distance below which a robot moves to an easier level.
+    #[serde(default = "half", deserialize_with = "values::non_negative")]
+    required_share: f64,
+}
+
+fn half() -> f64 {
+    0.5
+}
+
+/// A robot that left its tile moves to a harder level, one that fell behind its command to an easier one; from beyond the
+/// hardest it moves to any.
+fn terrain_levels(p: &LevelRules, end: &mut EpisodeEnd, rng: &mut EnvRng) {
+    let Some(layout) = end.layout else {
+        return;
+    };
+    let length = |x: f32, y: f32| (x * x + y * y).sqrt();
+    let walked = length(end.pose.position[0], end.pose.position[1]);
+    let asked = length(end.command.velocity[0], end.command.velocity[1]) * end.episode_length_s;
+    let level = end.origin.terrain_level;
+    let next = if walked > 0.5 * layout.size[0] {
+        level + 1
+    } else if walked < asked * p.required_share as f32 {
+        level.saturating_sub(1)
+    } else {
+        return;
+    };
+    let next = if next < layout.num_rows { next } else { rng.integer([0, layout.num_rows - 1]) };
+    end.origin.move_to(layout, next);
+}
