@@ -210,6 +210,18 @@ const RAY_START: f32 = 100.0;
 /// Points that a grid may have.
 const MOST_POINTS: usize = 64_000_000;
 
+/// The ground of a task, without robots.
+///
+/// # Errors
+/// As [`bake_ground`].
+pub fn load(config: &TaskConfig) -> Result<Ground, WorldError> {
+    let mut app = App::empty();
+    app.add_plugins(WorldPlugin::new(config));
+    app.finish();
+    app.cleanup();
+    bake_ground(app.world_mut(), &config.scene)
+}
+
 /// Reads ground, obstacles and gravity from Avian's world, once the app's plugins are finished.
 ///
 /// # Errors
@@ -224,6 +236,8 @@ pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, Wor
     let tiles: Vec<(Mesh, [f32; 2])> = world
         .query::<(&TerrainCollider, &Collider, &Position)>()
         .iter(world)
+        // beyond the tiles the grid goes on as its edge: level, as the border is
+        .filter(|(tag, ..)| **tag != TerrainCollider::Border)
         .filter_map(|(_, collider, position)| Some((Mesh::of_collider(collider)?, position.0.truncate().to_array())))
         .collect();
     let layout = scene.terrain.as_ref().map(TerrainLayout::new);

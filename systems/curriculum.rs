@@ -47,11 +47,11 @@ pub fn place_envs(
 ) {
     let scene = &task.config.scene;
     let total: usize = blocks.0.iter().sum();
-    let places = blocks.0.iter().flat_map(|&count| (0..count).map(move |index| (index, count)));
-    for (env, ((mut origin, mut rng), (index, count))) in envs.iter_mut().zip(places).enumerate() {
+    let places = blocks.0.iter().flat_map(|&count| 0..count);
+    for (env, ((mut origin, mut rng), index)) in envs.iter_mut().zip(places).enumerate() {
         *origin = EnvOrigin::default();
         if let Some(layout) = &ground.layout {
-            origin.terrain_column = layout.column_of(index, count);
+            origin.terrain_column = layout.column_of(index);
             let level = rng.integer([0, layout.max_init_level]);
             origin.move_to(layout, level);
         } else if scene.placement == Placement::Global {

@@ -34,6 +34,24 @@ class RobotEntry(TypedDict):
     name: str
     title: str
 
+class TerrainEntry(TypedDict):
+    """The ground of a task, lengths in m."""
+
+    task: str
+    """Full name."""
+    origin: tuple[float, float]
+    """x and y of the first height, in the world, or about the origin of every env where obstacles stand in each."""
+    cell: float
+    """Distance of two heights."""
+    heights: npt.NDArray[np.float32]
+    """[x, y], as the articulated engine knows them."""
+    vertices: npt.NDArray[np.float32]
+    """[n, 3], of the generated terrain; none without."""
+    triangles: npt.NDArray[np.uint32]
+    """[m, 3], three vertices each."""
+    tiles: list[tuple[int, int, str, tuple[float, float]]]
+    """Level (row), column, type and middle of each tile."""
+
 class CoreInfo(TypedDict):
     version: str
     simd: str
@@ -474,6 +492,9 @@ def check(path: str | os.PathLike[str], package_dirs: Mapping[str, str | os.Path
 
     `package_dirs` names the folder of each ROS package in `package://` names. Raises RobotError.
     """
+
+def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
+    """The ground of a task. Raises ConfigError where it is a plane, UnknownNameError for an unknown task."""
 
 def info() -> CoreInfo:
     """The version, the instruction set in use and the number of threads."""

@@ -1,4 +1,4 @@
-"""The command line: `polypod train | eval | check | accuracy | list | info`."""
+"""The command line: `polypod train | eval | check | accuracy | terrain | list | info`."""
 
 import dataclasses
 import functools
@@ -104,6 +104,18 @@ class Accuracy:
 
 
 @dataclasses.dataclass(frozen=True)
+class Terrain:
+    """Save a picture or the mesh of a task's ground."""
+
+    out: Path
+    """A .png (shaded map), .stl (triangles) or .npz (heights)."""
+    task: str = "velocity_rough"
+    """Name or alias of the task."""
+    set: Overrides = ()
+    """Changes the task's configuration, e.g. --set scene.terrain.seed=1. May be repeated."""
+
+
+@dataclasses.dataclass(frozen=True)
 class List:
     """List the tasks and the robots."""
 
@@ -118,6 +130,7 @@ Command = (
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
+    | Annotated[Terrain, tyro.conf.subcommand("terrain")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
@@ -145,7 +158,7 @@ def main(arguments: Sequence[str]) -> int:
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
 
 
-def _run(command: Train | Eval | Check | Accuracy | List | Info) -> int:
+def _run(command: Train | Eval | Check | Accuracy | Terrain | List | Info) -> int:
     match command:
         case Train():
             return _train(command)
@@ -155,6 +168,10 @@ def _run(command: Train | Eval | Check | Accuracy | List | Info) -> int:
             print(_core.check(command.file, _package_dirs(command.package_dir)), end="")
         case Accuracy():
             return _accuracy(command)
+        case Terrain():
+            from polypod import terrain
+
+            print(terrain.save(command.task, command.out, command.set))
         case List():
             print("tasks")
             for task in _core.tasks():

@@ -2,6 +2,7 @@
 
 mod exceptions;
 mod simulation;
+mod terrain;
 mod vec_sim;
 
 use std::collections::BTreeMap;
@@ -79,5 +80,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
+    module.add_function(wrap_pyfunction!(terrain::terrain, module)?)?;
     Ok(())
 }

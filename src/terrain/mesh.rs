@@ -85,7 +85,9 @@ impl Mesh {
             let [a, b, c] = triangle.map(cells);
             let (ab, ac) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
             let area = ab[0] * ac[1] - ab[1] * ac[0];
-            if area.abs() < EDGE * EDGE {
+            // what is thinner than an edge is a vertical face
+            let longest = ab[0].hypot(ab[1]).max(ac[0].hypot(ac[1])).max((c[0] - b[0]).hypot(c[1] - b[1]));
+            if area.abs() <= EDGE * longest {
                 continue;
             }
             let span = |axis: usize| {
@@ -99,7 +101,7 @@ impl Mesh {
                 continue;
             }
             // how far outside a point may lie, as a share of the triangle
-            let slack = EDGE * (ab[0].hypot(ab[1]) + ac[0].hypot(ac[1])) / area.abs();
+            let slack = EDGE * longest / area.abs();
             for i in i0..=i1 as usize {
                 for j in j0..=j1 as usize {
                     let (x, y) = (i as f32 - a[0], j as f32 - a[1]);

@@ -48,9 +48,20 @@ impl TerrainLayout {
         [middle(level, self.num_rows, self.size[0]), middle(column, self.num_cols, self.size[1])]
     }
 
-    /// The column of the env at place `index` of `count` envs of one robot: every robot meets every column alike.
-    pub fn column_of(&self, index: usize, count: usize) -> u32 {
-        (index * self.num_cols as usize / count.max(1)) as u32
+    /// The column of the env at place `index` among those of its robot. Every robot meets every column alike: `num_cols` envs in
+    /// a row have all columns, a few have columns far apart.
+    pub fn column_of(&self, index: usize) -> u32 {
+        let columns = u64::from(self.num_cols);
+        let common = |a: u64, b: u64| {
+            let (mut a, mut b) = (a, b);
+            while b > 0 {
+                (a, b) = (b, a % b);
+            }
+            a
+        };
+        // the golden section spreads best
+        let stride = (columns * 618 / 1000..).find(|&stride| common(stride, columns) == 1).unwrap_or(1);
+        (index as u64 % columns * stride % columns) as u32
     }
 }
 

@@ -9,7 +9,7 @@ import polypod
 import polypod.rsl_rl
 from polypod.training.symmetry import Mirror
 
-TASKS = ["velocity_flat_play", "velocity_flat_universal_play"]
+TASKS = ["velocity_flat_play", "velocity_flat_universal_play", "velocity_rough_play"]
 
 
 def mirror_of(task: str) -> tuple[polypod.rsl_rl.VecEnv, Mirror]:

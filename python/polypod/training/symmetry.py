@@ -5,6 +5,7 @@ every sample is also seen mirrored.
 """
 
 import json
+import sys
 
 import torch
 from tensordict import TensorDict
@@ -12,6 +13,11 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.rsl_rl import VecEnv
 from polypod.training.config import OBSERVATION_GROUP
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 _VECTOR = [(0, 1.0), (1, -1.0), (2, 1.0)]
 _PSEUDOVECTOR = [(0, -1.0), (1, 1.0), (2, -1.0)]
@@ -43,7 +49,7 @@ class Mirror:
                     f"joints of {first} and {name} change sign differently in a mirror: set symmetry = false in [run]"
                 )
         self._actions = _tensors(joints, device)
-        self._observations = _tensors(_observation_mirror(sim.observation_layout, joints), device)
+        self._observations = _tensors(_observation_mirror(sim.observation_layout, joints, _scan_rows(sim)), device)
 
     def augment(
         self, env: VecEnv, obs: TensorDict | None, actions: torch.Tensor | None
@@ -67,7 +73,16 @@ class Mirror:
         return obs, actions
 
 
-def _observation_mirror(layout: list[tuple[str, int]], joints: list[tuple[int, float]]) -> list[tuple[int, float]]:
+def _scan_rows(sim: _core.VecSim) -> int:
+    """Rows of the height scanner's rays from right to left; 0 without one."""
+    scanner = tomllib.loads(sim.resolved_config())["task"].get("sensors", {}).get("height_scanner")
+    # as the simulator counts them
+    return int(scanner["size"][1] / scanner["resolution"] + 1e-9) + 1 if scanner else 0
+
+
+def _observation_mirror(
+    layout: list[tuple[str, int]], joints: list[tuple[int, float]], scan_rows: int
+) -> list[tuple[int, float]]:
     mirror: list[tuple[int, float]] = []
     for name, size in layout:
         if name in _JOINT_TERMS:
@@ -77,6 +92,11 @@ def _observation_mirror(layout: list[tuple[str, int]], joints: list[tuple[int, f
             term = [(i, 1.0) for i in range(size)]
             start = size - 1 - len(joints)
             term[start:-1] = [(start + slot, sign) for slot, sign in joints]
+        elif name == "height_scan":
+            # rows from right to left, each from back to front
+            length = size // scan_rows
+            rows = [range(row * length, (row + 1) * length) for row in reversed(range(scan_rows))]
+            term = [(index, 1.0) for row in rows for index in row]
         elif name in _FIXED_TERMS:
             term = _FIXED_TERMS[name]
         else:

@@ -1,0 +1,47 @@
+//! A task's ground, for pictures and viewers.
+
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use super::exceptions::to_python;
+use crate::app::SimError;
+use crate::config::Library;
+use crate::terrain::{Mesh, TerrainLayout, border, generate};
+use crate::world;
+
+#[pyfunction]
+#[pyo3(signature = (task, overrides=Vec::new()))]
+pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
+    let failed = |error: SimError| to_python(py, error);
+    let config = Library::new(Vec::new()).task(task, &overrides).map_err(|error| failed(error.into()))?.config;
+    let ground = py.detach(|| world::load(&config)).map_err(|error| failed(error.into()))?;
+    let Some(grid) = ground.terrain else {
+        return Err(failed(SimError::Argument {
+            element: "task",
+            problem: format!("the ground of {} is a plane", config.name),
+            remedy: "name a task with terrain or obstacles, such as velocity_rough".into(),
+        }));
+    };
+    let dict = PyDict::new(py);
+    dict.set_item("task", &config.name)?;
+    dict.set_item("origin", grid.origin)?;
+    dict.set_item("cell", grid.cell)?;
+    dict.set_item("heights", PyArray1::from_vec(py, grid.heights).reshape(grid.size)?)?;
+    let (mut mesh, mut tiles) = (Mesh::default(), Vec::new());
+    if let Some(config) = &config.scene.terrain {
+        let layout = TerrainLayout::new(config);
+        mesh = border(config);
+        for tile in generate(config) {
+            mesh.append(&tile.mesh, tile.origin);
+            let name = &layout.type_names[layout.column_types[tile.column as usize]];
+            tiles.push((tile.row, tile.column, name.clone(), tile.origin));
+        }
+    }
+    let rows = |count: usize| [count, 3];
+    let (vertices, triangles) = (mesh.vertices.as_flattened().to_vec(), mesh.triangles.as_flattened().to_vec());
+    dict.set_item("vertices", PyArray1::from_vec(py, vertices).reshape(rows(mesh.vertices.len()))?)?;
+    dict.set_item("triangles", PyArray1::from_vec(py, triangles).reshape(rows(mesh.triangles.len()))?)?;
+    dict.set_item("tiles", tiles)?;
+    Ok(dict)
+}
