@@ -128,7 +128,7 @@ fn tiles_have_the_figures_of_the_task() {
                 assert_eq!(counts[0], 0);
                 // 5625 draws of six values: 4.5 standard deviations are 126, and there are 240 such counts
                 assert!(counts[1..].iter().all(|&n| i32::abs(n - 937) < 126), "{counts:?}");
-                assert_eq!(vertex(38, 0), 0.0);
+                assert!(vertex(38, 0) < 1e-5, "the edge is flat");
             }
             SubTerrainShape::HfPyramidSlope(c) | SubTerrainShape::HfPyramidSlopeInv(c) => {
                 let sign = if at(o, 0.0, 0.0) < 0.0 { -1.0 } else { 1.0 };

@@ -1,4 +1,4 @@
-"""The command line: `polypod train | eval | check | accuracy | terrain | list | info`."""
+"""The command line: `polypod train | eval | check | accuracy | bench | terrain | list | info`."""
 
 import dataclasses
 import functools
@@ -104,6 +104,30 @@ class Accuracy:
 
 
 @dataclasses.dataclass(frozen=True)
+class Bench:
+    """Measure the speed, physics beside MuJoCo in the same run."""
+
+    quick: bool = False
+    """Only the main figures, in less than a minute."""
+    json: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the figures to this file."""
+    plot: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also plot how the speed scales (.png, .svg, .pdf)."""
+    robot: str = "unitree_a1"
+    """Whose physics is compared."""
+    num_envs: int = 4096
+    """Number of envs, but where it is varied."""
+    threads: int = 1
+    """Threads of the physics figures, polypod's and MuJoCo's."""
+    step_threads: Count = None
+    """Threads of the whole control steps. Default: one per core."""
+    largest: int = 65536
+    """Number of envs that the scaling goes up to."""
+    seed: int = 0
+    """Of every random stream."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Terrain:
     """Save a picture or the mesh of a task's ground."""
 
@@ -130,6 +154,7 @@ Command = (
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Terrain, tyro.conf.subcommand("terrain")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
@@ -158,7 +183,7 @@ def main(arguments: Sequence[str]) -> int:
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
 
 
-def _run(command: Train | Eval | Check | Accuracy | Terrain | List | Info) -> int:
+def _run(command: Train | Eval | Check | Accuracy | Bench | Terrain | List | Info) -> int:
     match command:
         case Train():
             return _train(command)
@@ -168,6 +193,8 @@ def _run(command: Train | Eval | Check | Accuracy | Terrain | List | Info) -> in
             print(_core.check(command.file, _package_dirs(command.package_dir)), end="")
         case Accuracy():
             return _accuracy(command)
+        case Bench():
+            return _bench(command)
         case Terrain():
             from polypod import terrain
 
@@ -259,6 +286,37 @@ def _accuracy(command: Accuracy) -> int:
     for document, text in ((command.out, tables), (command.readme, summary)):
         if document is not None:
             report.replace_block(document, text)
+    return 0
+
+
+def _bench(command: Bench) -> int:
+    from polypod import bench
+    from polypod.training.run_dir import write_text
+
+    for value, flag in (
+        (command.num_envs, "--num-envs"),
+        (command.threads, "--threads"),
+        (command.largest, "--largest"),
+    ):
+        _positive(value, flag)
+    options = bench.Options(
+        robot=command.robot,
+        num_envs=command.num_envs,
+        threads=command.threads,
+        step_threads=_positive(command.step_threads, "--step-threads"),
+        seed=command.seed,
+        quick=command.quick,
+        largest=command.largest,
+    )
+    result = bench.measure(options, functools.partial(print, file=sys.stderr, flush=True))
+    print(bench.table(result))
+    if command.json is not None:
+        try:
+            write_text(command.json, json.dumps(result, indent=2) + "\n")
+        except OSError as error:
+            raise _core.ConfigError(f"cannot write {command.json}: {error.strerror}; choose another --json") from error
+    if command.plot is not None:
+        bench.picture(result, command.plot)
     return 0
 
 

@@ -26,7 +26,7 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
         What was written, in words.
 
     Raises:
-        ConfigError: the task's ground is a plane, or has no triangles, or `out` cannot be written or has another suffix.
+        ConfigError: the ground is a plane or has no triangles; `out` cannot be written or has another suffix.
     """
     suffix = out.suffix.lower()
     if suffix not in (".png", ".stl", ".npz"):

@@ -1,0 +1,128 @@
+"""Physics alone: `polypod.Simulation` and `mujoco.rollout` on the same robot and the same targets.
+
+Both have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
+settings of solver and contacts, which are its fastest. Targets are drawn every 20 ms about the default pose, so that
+the robots tread on the spot.
+"""
+
+import importlib
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from polypod import _core
+from polypod.accuracy import robot as robots
+from polypod.accuracy.reference import Ground, Reference, mujoco
+from polypod.bench.sampling import Sample
+
+DT = 0.005
+"""Physics step, s."""
+HOLD = 4
+"""Physics steps between two draws of the targets."""
+SPREAD = 0.15
+"""Half width of the targets about the default pose, rad."""
+FRICTION = 0.8
+SETTLE = 25
+"""Draws before anything is timed."""
+
+
+def _targets(robot: robots.Robot, num_envs: int, rng: np.random.Generator) -> Callable[[], robots.Array]:
+    def draw() -> robots.Array:
+        return robot.default_position + rng.uniform(-SPREAD, SPREAD, (num_envs, robot.num_joints))
+
+    return draw
+
+
+def polypod(name: str, num_envs: int, threads: int, seed: int, engine: str = "articulated") -> Sample:
+    """20 ms of every env, all shapes touching the ground, without contact among the robot's links, as in MuJoCo."""
+    robot = robots.load(name)
+    sim = _core.Simulation(
+        name, num_envs, dt=DT, threads=threads, friction=FRICTION, engine=engine, self_collision=False
+    )
+    draw = _targets(robot, num_envs, np.random.default_rng(seed))
+
+    def sample() -> int:
+        sim.step(targets=draw(), n=HOLD)
+        return num_envs * HOLD
+
+    for _ in range(SETTLE):
+        sample()
+    return sample
+
+
+def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int | None = None) -> Sample:
+    """The same in MuJoCo, with contacts of the feet only.
+
+    Args:
+        name: of the robot.
+        num_envs: number of envs.
+        threads: number of threads.
+        seed: of the targets.
+        iterations: of MuJoCo's solver; None: its standard, until it has converged.
+    """
+    mj = mujoco()
+    mj_rollout = importlib.import_module("mujoco.rollout")
+    robot = robots.load(name)
+    reference = Reference.of(robot, dt=DT, integrator="implicitfast", ground=Ground(FRICTION))
+    model = reference.model
+    _standard_solver(mj, model, name, iterations)
+    data = [mj.MjData(model) for _ in range(threads)]
+    full = mj.mjtState.mjSTATE_FULLPHYSICS
+    size = mj.mj_stateSize(model, full)
+    start = np.zeros(size)
+    reference.set_state(np.concatenate([[0.0, 0.0, robot.base_height, 1.0, 0.0, 0.0, 0.0], robot.default_position]))
+    mj.mj_getState(model, reference.data, start, full)
+    state = np.tile(start, (num_envs, 1))
+    draw = _targets(robot, num_envs, np.random.default_rng(seed))
+    runner = mj_rollout.Rollout(nthread=threads)
+    order = _actuator_order(model, robot.joint_names)
+    out = np.zeros((num_envs, HOLD, size))
+
+    def sample() -> int:
+        control = np.repeat(draw()[:, None, order], HOLD, axis=1)
+        runner.rollout(model, data, state, control, nstep=HOLD, state=out, skip_checks=False)
+        np.copyto(state, out[:, -1])
+        return num_envs * HOLD
+
+    for _ in range(SETTLE):
+        sample()
+    if not np.isfinite(state).all():
+        raise _core.ConfigError(f"MuJoCo diverged on {name}: the comparison would mean nothing")
+    return sample
+
+
+def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> None:
+    """Takes back what makes MuJoCo's contacts stiff for comparisons of accuracy, and leaves contacts to the feet."""
+    model.opt.cone = mj.mjtCone.mjCONE_PYRAMIDAL
+    model.opt.impratio = 1.0
+    model.geom_solref[:] = [0.02, 1.0]
+    model.geom_solimp[:] = [0.9, 0.95, 0.001, 0.5, 2.0]
+    model.dof_solref[:] = [0.02, 1.0]
+    model.dof_solimp[:] = [0.9, 0.95, 0.001, 0.5, 2.0]
+    if iterations is not None:
+        model.opt.iterations = iterations
+    feet = _feet(name)
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if body != 0 and not _belongs(model, body, feet):
+            model.geom_contype[geom] = 0
+
+
+def _feet(name: str) -> list[str]:
+    sim = _core.VecSim("velocity_flat_play", 1, robots=[name], threads=1)
+    return list(json.loads(sim.robot_info())[name]["feet"])
+
+
+def _belongs(model: Any, body: int, names: list[str]) -> bool:
+    while body != 0:
+        if model.body(body).name in names:
+            return True
+        body = int(model.body_parentid[body])
+    return False
+
+
+def _actuator_order(model: Any, joint_names: tuple[str, ...]) -> list[int]:
+    """For each of MuJoCo's actuators the joint's place in polypod's order."""
+    return [joint_names.index(model.actuator(index).name) for index in range(model.nu)]

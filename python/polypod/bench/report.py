@@ -1,0 +1,195 @@
+"""What is measured, and how it is shown."""
+
+import dataclasses
+import importlib
+import os
+import platform
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from polypod import _core
+from polypod.accuracy import reference
+from polypod.bench import physics, sampling
+from polypod.bench.steps import control_steps
+
+Progress = Callable[[str], None]
+"""Is told what comes next."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to measure."""
+
+    robot: str = "unitree_a1"
+    """Of the physics figures."""
+    num_envs: int = 4096
+    threads: int = 1
+    """Of the physics figures; whole control steps use `step_threads`."""
+    step_threads: int | None = None
+    """None: all cores."""
+    seed: int = 0
+    quick: bool = False
+    """Only the figures that `--json` promises, in less than a minute."""
+    largest: int = 65536
+    """Envs that the scaling goes up to."""
+
+
+def measure(options: Options, progress: Progress) -> dict[str, Any]:
+    """Runs all benchmarks. Raises ConfigError without MuJoCo, UnknownNameError for an unknown robot."""
+    seconds, rounds = (0.4, 3) if options.quick else (1.0, 5)
+    step_threads = options.step_threads or os.cpu_count() or 1
+    info = _core.info()
+    result: dict[str, Any] = {
+        "polypod": info["version"],
+        "mujoco": reference.version(),
+        "simd": info["simd"],
+        "threads": options.threads,
+        "step_threads": step_threads,
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "num_envs": options.num_envs,
+        "robot": options.robot,
+        "seed": options.seed,
+    }
+    progress(f"physics of {options.robot}, {options.threads} threads, beside MuJoCo {result['mujoco']}")
+    result["physics"] = _physics(options, seconds, rounds)
+    progress(f"whole control steps, {step_threads} threads")
+    steps = sampling.medians(
+        sampling.rates(
+            {
+                "env_step": control_steps("velocity_flat", options.num_envs, step_threads, options.seed),
+                "rough": control_steps("velocity_rough", options.num_envs, step_threads, options.seed),
+            },
+            seconds,
+            rounds,
+        )
+    )
+    for name, rate in steps.items():
+        result[name] = {"env_steps_per_s": rate}
+    if not options.quick:
+        _scaling(options, step_threads, seconds, result, progress)
+    return result
+
+
+def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float]:
+    robot, threads, seed = options.robot, options.threads, options.seed
+    # MuJoCo's rate does not depend on the number of envs; its samples are to be short
+    few = min(options.num_envs, 256 * threads)
+    samples = {
+        "env_steps_per_s": physics.polypod(robot, options.num_envs, threads, seed),
+        "mujoco_steps_per_s": physics.rollout(robot, few, threads, seed),
+    }
+    if not options.quick:
+        samples["mujoco_one_iteration_steps_per_s"] = physics.rollout(robot, few, threads, seed, iterations=1)
+    measured = sampling.rates(samples, seconds, rounds)
+    figures = sampling.medians(measured)
+    # of each round's two neighbours: what slows the machine slows both
+    ratios = [a / b for a, b in zip(measured["env_steps_per_s"], measured["mujoco_steps_per_s"], strict=True)]
+    return {**figures, "ratio": sorted(ratios)[len(ratios) // 2]}
+
+
+def _scaling(options: Options, step_threads: int, seconds: float, result: dict[str, Any], progress: Progress) -> None:
+    """Every figure in env-steps per second of whole control steps, but for physics."""
+    seed = options.seed
+
+    def rate(**arguments: Any) -> float:
+        sample = control_steps(**{"task": "velocity_flat", "seed": seed, **arguments})
+        return sampling.medians(sampling.rates({"rate": sample}, seconds, 3))["rate"]
+
+    sizes, size = [], 1
+    while size <= options.largest:
+        sizes.append(size)
+        size *= 4
+    result["scaling_num_envs"] = {}
+    for size in sizes:
+        progress(f"{size} envs of {options.robot}")
+        result["scaling_num_envs"][size] = rate(num_envs=size, threads=step_threads, robots=[options.robot])
+    threads, result["scaling_threads"] = 1, {}
+    while threads <= (os.cpu_count() or 1):
+        progress(f"{threads} threads")
+        result["scaling_threads"][threads] = rate(num_envs=options.num_envs, threads=threads)
+        threads *= 2
+    result["scaling_robots"] = {}
+    names = [entry["name"] for entry in _core.robots()]
+    for count in (1, 2, 4, 8):
+        progress(f"{count} different robots")
+        result["scaling_robots"][count] = rate(num_envs=options.num_envs, threads=step_threads, robots=names[:count])
+    progress("each robot alone; robots that fall again and again")
+    result["by_robot"] = {n: rate(num_envs=options.num_envs, threads=step_threads, robots=[n]) for n in names}
+    result["reset_heavy"] = {
+        "env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, overrides=["sim.episode_length_s=0.1"])
+    }
+    result["random_actions"] = {"env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, scale=1.0)}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The figures as Markdown."""
+    p = result["physics"]
+    rows = [
+        (f"physics, {result['robot']}, {result['threads']} threads", p["env_steps_per_s"], "env-physics-steps/s"),
+        (f"mujoco.rollout, MuJoCo {result['mujoco']}, feet only", p["mujoco_steps_per_s"], "env-physics-steps/s"),
+    ]
+    if "mujoco_one_iteration_steps_per_s" in p:
+        rows.append(("the same, one solver iteration", p["mujoco_one_iteration_steps_per_s"], "env-physics-steps/s"))
+    rows.append(
+        (f"flat control step, {result['step_threads']} threads", result["env_step"]["env_steps_per_s"], "env-steps/s")
+    )
+    rows.append(
+        (f"rough control step, {result['step_threads']} threads", result["rough"]["env_steps_per_s"], "env-steps/s")
+    )
+    for key, words in (("reset_heavy", "flat, episodes of 0.1 s"), ("random_actions", "flat, actions of deviation 1")):
+        if key in result:
+            rows.append((words, result[key]["env_steps_per_s"], "env-steps/s"))
+    for key, words in (
+        ("scaling_num_envs", "{} envs of one robot"),
+        ("scaling_threads", "{} threads"),
+        ("scaling_robots", "{} different robots"),
+        ("by_robot", "{}"),
+    ):
+        rows += [(words.format(value), rate, "env-steps/s") for value, rate in result.get(key, {}).items()]
+    head = [
+        f"{result['cpu']}, {result['cores']} cores, {result['simd']}, polypod {result['polypod']}, "
+        f"{result['num_envs']} envs, seed {result['seed']}; physics {p['ratio']:.1f} times mujoco.rollout (medians)",
+        "",
+        "| what | rate | unit |",
+        "|---|---|---|",
+    ]
+    return "\n".join(head + [f"| {what} | {rate:,.0f} | {unit} |" for what, rate, unit in rows])
+
+
+def picture(result: Mapping[str, Any], out: Path) -> None:
+    """Plots the scaling. Raises ConfigError without matplotlib, after --quick, or where it cannot be written."""
+    if "scaling_num_envs" not in result:
+        raise _core.ConfigError("--plot shows the scaling, which --quick leaves out; run without --quick")
+    try:
+        matplotlib = importlib.import_module("matplotlib")
+    except ModuleNotFoundError as error:
+        raise _core.ConfigError("--plot needs matplotlib; install it: pip install 'polypod[bench]'") from error
+    matplotlib.use("Agg")
+    pyplot = importlib.import_module("matplotlib.pyplot")
+    figure, axes = pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")
+    for axis, (key, label) in zip(
+        axes,
+        (("scaling_num_envs", "envs"), ("scaling_threads", "threads"), ("scaling_robots", "different robots")),
+        strict=True,
+    ):
+        values = result[key]
+        axis.plot([int(x) for x in values], list(values.values()), marker="o")
+        axis.set(xlabel=label, ylabel="env-steps/s", xscale="log", ylim=(0, None))
+        axis.set_xscale("log", base=2)
+        axis.grid(alpha=0.3)
+    figure.suptitle(f"polypod {result['polypod']}, {result['cpu']}, {result['simd']}")
+    try:
+        figure.savefig(out, dpi=120)
+    except (OSError, ValueError) as error:
+        raise _core.ConfigError(f"cannot write {out}: {error}; choose another --plot") from error
+    pyplot.close(figure)
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()

@@ -1,0 +1,77 @@
+"""`polypod bench` measures what it says, on the same robot and targets in both simulators."""
+
+import json
+
+import numpy as np
+import pytest
+
+from polypod import cli
+from polypod.accuracy import robot as robots
+from polypod.bench import physics, sampling
+
+
+def test_rates_are_work_per_second_in_turn() -> None:
+    order = []
+
+    def sample(name: str, work: int):
+        def run() -> int:
+            order.append(name)
+            return work
+
+        return run
+
+    measured = sampling.rates({"a": sample("a", 3), "b": sample("b", 6)}, seconds=0.0, rounds=3)
+    assert order == ["a", "b"] * 4
+    assert {name: len(rates) for name, rates in measured.items()} == {"a": 3, "b": 3}
+    assert sampling.medians({"a": [1.0, 9.0, 2.0]}) == {"a": 2.0}
+
+
+@pytest.mark.parametrize("name", ["unitree_a1", "unitree_go2"])
+def test_both_simulators_tread_on_the_spot(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the settling that precedes every timing, robots of both simulators are up, on their feet.
+
+    With MuJoCo's standard softness of contacts, its fastest, the feet of heavy robots creep apart: they are left out.
+    """
+    states = {}
+    simulation = physics._core.Simulation
+
+    def kept(*args, **kwargs):
+        states["polypod"] = simulation(*args, **kwargs)
+        return states["polypod"]
+
+    monkeypatch.setattr(physics._core, "Simulation", kept)
+    assert physics.polypod(name, 16, 1, 0)() == 16 * physics.HOLD
+    mine = states["polypod"].qpos
+    sample = physics.rollout(name, 16, 1, 0)
+    assert sample() == 16 * physics.HOLD
+    closure = dict(zip(sample.__code__.co_freevars, (cell.cell_contents for cell in sample.__closure__), strict=True))
+    # full physics state: time, then qpos
+    theirs = closure["state"][:, 1:8]
+    height = robots.load(name).base_height
+    for where in (mine[:, 2], theirs[:, 2]):
+        assert np.all(np.abs(where - height) < 0.25 * height)
+    for quaternion in (mine[:, 3:7], theirs[:, 3:7]):
+        upright = 1.0 - 2.0 * (quaternion[:, 1] ** 2 + quaternion[:, 2] ** 2)
+        assert np.all(upright > 0.8)
+
+
+def test_json_has_the_promised_figures(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "bench.json"
+    assert cli.main(["bench", "--quick", "--num-envs", "64", "--json", str(out)]) == 0
+    result = json.loads(out.read_text())
+    physics_figures = result["physics"]
+    assert physics_figures["env_steps_per_s"] > 0
+    assert physics_figures["mujoco_steps_per_s"] > 0
+    assert physics_figures["ratio"] > 1.0
+    assert result["env_step"]["env_steps_per_s"] > 0
+    assert result["rough"]["env_steps_per_s"] > 0
+    assert result["simd"] in ("avx512", "avx2", "neon", "portable")
+    assert result["threads"] == 1
+    assert "mujoco.rollout" in capsys.readouterr().out
+
+
+def test_bad_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "--quick", "--robot", "unitree_a2"]) == 2
+    assert "unitree_a" in capsys.readouterr().err
+    assert cli.main(["bench", "--threads", "0"]) == 2
+    assert "--threads" in capsys.readouterr().err
