@@ -44,8 +44,8 @@ test: build ## Run the tests of Rust and of Python
 	cargo test --release --locked
 	$(BIN)/pytest
 
-bench: build ## Run the benchmarks
-	cargo bench --locked
+bench: build ## Measure the speed, beside MuJoCo in the same run (ARGS="--quick" takes a minute)
+	$(BIN)/polypod bench $(ARGS)
 
 accuracy: build ## Compare the physics with MuJoCo and write the tables
 	$(BIN)/polypod accuracy --out docs/physics.md --readme README.md $(ARGS)
