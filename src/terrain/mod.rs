@@ -70,7 +70,7 @@ pub struct Tile {
 pub fn generate(config: &TerrainConfig) -> Vec<Tile> {
     let layout = TerrainLayout::new(config);
     let tile = |row: u32, column: u32| {
-        let mut rng = EnvRng::new(config.seed, row * config.num_cols + column);
+        let mut rng = EnvRng::new(config.seed, u64::from(row * config.num_cols + column));
         let [low, high] = config.difficulty_range;
         let share = (f64::from(row) + f64::from(rng.unit())) / f64::from(config.num_rows);
         let shape = &config.sub_terrains[layout.column_types[column as usize]].shape;
