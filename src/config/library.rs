@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 use super::document::{Document, Kind, documents, is_toml, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
-use super::layer::{EXTENDS, Layer, Layers, parse, string_key};
+use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key};
 use super::names::{RobotEntry, TaskEntry, entry, single_robot_name, unknown_name};
 use super::robot::RobotConfig;
 use super::suggest::did_you_mean;
@@ -87,9 +87,16 @@ impl Library {
         let top = self.find(Kind::Robot, name_or_path, None, &[])?;
         let mut document = top.clone();
         let mut layers = self.layers(Kind::Robot, top)?;
-        if let Some((task, table)) = task.and_then(|task| Some((task, task.robot_overrides.get(&document.stem)?))) {
+        if let Some((task, changes)) = task.and_then(|task| Some((task, task.robot_overrides.get(&document.stem)?))) {
+            // what tells one robot from another is never inherited, and a task does not make another robot
+            let own = layers.0.last().into_iter().flat_map(|layer| &layer.table);
+            let mut table: Table = own
+                .filter(|(key, _)| IDENTITY.contains(&key.as_str()))
+                .map(|(key, value)| (key.clone(), value.clone()))
+                .collect();
+            table.extend(changes.clone());
             document.file = format!("{}: robot_overrides.{}", task.name, document.stem);
-            layers.0.push(Layer { document, table: table.clone() });
+            layers.0.push(Layer { document, table });
         }
         layers.0.iter_mut().for_each(make_package_dirs_absolute);
         let (config, resolved) = layers.typed(&[], RobotConfig::validate)?;
