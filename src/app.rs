@@ -9,8 +9,8 @@ use smallvec::smallvec;
 use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, HeightScan, Imu, JointEffort, JointState,
-    JointTargets, Morphology, MountedOn, PerJoint, Robot,
+    Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
+    JointEffort, JointState, JointTargets, Morphology, MountedOn, PerJoint, Robot, SpawnHeight, StartupBody,
 };
 use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
@@ -61,7 +61,7 @@ pub enum SimError {
     Dump(#[from] DumpError),
 }
 
-fn argument(element: &'static str, problem: impl Into<String>, remedy: impl Into<String>) -> SimError {
+pub(crate) fn argument(element: &'static str, problem: impl Into<String>, remedy: impl Into<String>) -> SimError {
     SimError::Argument { element, problem: problem.into(), remedy: remedy.into() }
 }
 
@@ -144,7 +144,7 @@ impl Sim {
         let task = library.task(&options.task, &options.overrides)?;
         let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
         check_arguments(&names, options.num_envs, options.threads)?;
-        let robots = names.iter().map(|name| library.robot(name)).collect::<Result<Vec<_>, _>>()?;
+        let robots = names.iter().map(|name| library.robot_in(name, &task.config)).collect::<Result<Vec<_>, _>>()?;
         check_distinct(&robots)?;
         Self::assemble(options, task, robots, registry)
     }
@@ -160,8 +160,11 @@ impl Sim {
         for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
             tracing::warn!("{warning}");
         }
-        let morphologies = Morphologies(morphologies);
+        let mut morphologies = Morphologies(morphologies);
         let compiled = CompiledTask::new(&task.config, &morphologies, registry)?;
+        for morphology in &mut morphologies.0 {
+            morphology.allow_action_delay(compiled.max_action_delay(morphology));
+        }
         let counts = distribute(options.num_envs, robots.len());
         let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
         let simd = Simd::choose(options.simd)?;
@@ -262,9 +265,12 @@ impl Sim {
     }
 
     fn start_anew(&mut self) {
-        let seed = self.seed;
-        for (env, mut rng) in self.world.query::<(&EnvId, &mut EnvRng)>().iter_mut(&mut self.world) {
-            *rng = EnvRng::new(seed, env.0);
+        let names: Vec<String> = self.morphologies().iter().map(|m| m.name().to_string()).collect();
+        let mut query = self.world.query::<(&EnvId, &Morphology, &mut EnvRng)>();
+        let firsts: Vec<usize> = (0..names.len()).map(|index| self.env_ids(index).start).collect();
+        for (env, tag, mut rng) in query.iter_mut(&mut self.world) {
+            let robot = usize::from(tag.0);
+            *rng = EnvRng::of_env(self.seed, &names[robot], env.0 as usize - firsts[robot]);
         }
         let nominal: Vec<_> = self.world.resource::<Morphologies>().0.iter().map(|m| m.nominal.clone()).collect();
         for (tag, mut body) in self.world.query::<(&Morphology, &mut Body)>().iter_mut(&mut self.world) {
@@ -392,45 +398,6 @@ impl Sim {
         self.world.resource_mut::<BrokenStates>().watch(dump_dir.is_some());
         self.dump_dir = dump_dir;
     }
-
-    /// Changes episode lengths, control steps, `[num_envs]`: a learner spreads the resets that way.
-    ///
-    /// # Errors
-    /// The wrong number of entries, or one beyond a full episode.
-    pub fn set_episode_lengths(&mut self, lengths: &[i64]) -> Result<(), SimError> {
-        let most = i64::from(self.task().max_episode_length);
-        if lengths.len() != self.num_envs() || lengths.iter().any(|l| !(0..=most).contains(l)) {
-            let problem = format!("not {} numbers between 0 and {most}", self.num_envs());
-            return Err(argument("episode_length", problem, "pass one length per env, in control steps"));
-        }
-        for (env, mut episode) in self.world.query::<(&EnvId, &mut Episode)>().iter_mut(&mut self.world) {
-            episode.length = lengths[env.0 as usize] as u32;
-        }
-        Ok(())
-    }
-
-    /// Pins the commands to these, row-major `[num_envs, 3]`, or releases them.
-    ///
-    /// # Errors
-    /// The wrong number of numbers, or a non-finite one.
-    pub fn set_commands(&mut self, commands: Option<&[f32]>) -> Result<(), SimError> {
-        if let Some(c) = commands
-            && (c.len() != 3 * self.num_envs() || c.iter().any(|x| !x.is_finite()))
-        {
-            let problem = format!("not {} finite rows of vx, vy, yaw rate", self.num_envs());
-            return Err(argument("command", problem, "pass one row per env"));
-        }
-        for (env, mut command) in self.world.query::<(&EnvId, &mut Command)>().iter_mut(&mut self.world) {
-            command.pinned = commands.is_some();
-            if let Some(c) = commands {
-                let at = 3 * env.0 as usize;
-                command.velocity = [c[at], c[at + 1], c[at + 2]];
-                command.standing = command.velocity == [0.0; 3];
-                command.holds_heading = false;
-            }
-        }
-        Ok(())
-    }
 }
 
 fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -> Result<(), SimError> {
@@ -467,7 +434,15 @@ fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, co
     let tags: Vec<_> = ids.map(|(env, m)| (EnvId(env as u32), Morphology(m as u16))).collect();
     world.spawn_batch(tags.iter().map(|&(id, tag)| {
         (
-            (id, tag, Env, EnvRng::new(0, id.0), Episode::default(), Command::default(), EnvOrigin::default()),
+            (
+                id,
+                tag,
+                Env,
+                EnvRng::new(0, u64::from(id.0)),
+                Episode::default(),
+                Command::default(),
+                EnvOrigin::default(),
+            ),
             EventTimers(smallvec![0.0; task.num_interval_events()]),
             EpisodeSums { terms: smallvec![0.0; task.rewards[usize::from(tag.0)].len()], ..EpisodeSums::default() },
         )
@@ -517,6 +492,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
             velocity: smallvec![[0.0; 3]; model.feet.len()],
             height: smallvec![0.0; model.feet.len()],
         },
+        (ExternalWrench::default(), SpawnHeight(model.spawn_height), StartupBody::default()),
         Body(Box::new(model.nominal.clone())),
     )
 }

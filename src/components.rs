@@ -11,6 +11,7 @@ use rand_pcg::rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 
+use crate::config::fnv1a;
 use crate::dynamics::Parameters;
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
@@ -36,21 +37,21 @@ pub struct Robot;
 
 // ---------------------------------------------------------------------------------------------------------------- envs
 
-/// The env's only source of randomness. Its draws depend on the seed and the env id alone.
+/// The env's only source of randomness. Its draws depend on the seed, the robot's name and the env's place among the
+/// envs of that robot: envs or robots that are added, before it or after it, change none of them.
 #[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct EnvRng(Pcg32);
 
 impl EnvRng {
-    /// The stream of env `env` under `seed`.
-    pub fn new(seed: u64, env: u32) -> Self {
-        // splitmix64's finaliser spreads neighbouring seeds and ids
-        let mix = |mut x: u64| {
-            x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            x ^ (x >> 31)
-        };
-        let state = mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
-        Self(Pcg32::new(mix(state ^ u64::from(env)), u64::from(env)))
+    /// The stream under `seed` of the env at `place` among those of the robot called `robot`.
+    pub fn of_env(seed: u64, robot: &str, place: usize) -> Self {
+        Self::new(seed, spread(fnv1a(robot.as_bytes())).wrapping_add(place as u64))
+    }
+
+    /// Stream `stream` under `seed`.
+    pub fn new(seed: u64, stream: u64) -> Self {
+        let state = spread(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
+        Self(Pcg32::new(spread(state ^ stream), stream))
     }
 
     /// Uniform in `[0, 1)`.
@@ -68,6 +69,13 @@ impl EnvRng {
         let span = u64::from(high - low) + 1;
         low + ((u64::from(self.0.next_u32()) * span) >> 32) as u32
     }
+}
+
+/// splitmix64's finaliser: spreads neighbouring seeds and streams.
+fn spread(mut x: u64) -> u64 {
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
 }
 
 /// How far the episode is and how the last one ended.
@@ -202,6 +210,15 @@ pub struct JointTargets {
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ActuatorDelay(pub PerJoint);
 
+/// A force and a torque from outside that hold until the next reset or event, base axes.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ExternalWrench {
+    /// At the base's centre of mass, N.
+    pub force: [f32; 3],
+    /// N m.
+    pub torque: [f32; 3],
+}
+
 /// What the joints did in the last physics step, physical order.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct JointEffort {
@@ -244,6 +261,16 @@ pub struct Feet {
 /// The robot's own numbers: masses, lengths, gains, friction. They start as its morphology's and may be randomised.
 #[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct Body(pub Box<Parameters<f32>>);
+
+/// The robot as the startup events left it, from which events of its body at a reset start; none where the task has no
+/// such events.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct StartupBody(pub Option<Box<(Parameters<f32>, SpawnHeight)>>);
+
+/// Height of the base above the ground at which an episode begins: that of the default pose on this body's own legs, the
+/// reset's margin included, m.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SpawnHeight(pub f32);
 
 // ------------------------------------------------------------------------------------------------------------- sensors
 

@@ -15,12 +15,12 @@ use crate::config::{LoadedRobot, LoadedTask, TaskConfig, fnv1a};
 use crate::dynamics::Simd;
 use crate::morphology::MorphologyModel;
 use crate::snapshot::{seal, unseal};
-use crate::systems::{BrokenState, BrokenStates, Motion, Registry, Violation, run_physics};
+use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Motion, Registry, Violation, run_physics};
 
 /// First field of every dump.
 const MAGIC: &str = "polypod broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// A dump could not be written, read or replayed.
 #[derive(Debug, thiserror::Error)]
@@ -141,6 +141,7 @@ impl Dump {
         set(&mut sim, state.before.joints.clone());
         set(&mut sim, state.before.impulses.clone());
         set(&mut sim, state.delay.clone());
+        set(&mut sim, state.wrench);
         let mut steps = Vec::with_capacity(decimation);
         for substep in 0..decimation {
             let targets = self.targets_in(substep, decimation, get::<JointTargets>(&mut sim)?.history.len());
@@ -174,7 +175,8 @@ impl Dump {
         // physics knows no terms; those of the task may not even be registered here
         config.observations.policy.clear();
         config.terminations.clear();
-        config.events.clear();
+        // but for the one that makes room for late targets
+        config.events.retain(|name, _| name == ACTION_DELAY);
         config.rewards = [(robot.config.reward_set.clone(), Default::default())].into();
         let resolved = toml::from_str(&self.task).map_err(unreadable)?;
         let task = LoadedTask { config, resolved, hash: fnv1a(self.task.as_bytes()) };

@@ -2,6 +2,7 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+mod access;
 pub mod app;
 mod avian;
 pub mod batch;
@@ -20,6 +21,7 @@ pub mod snapshot;
 #[path = "../systems/mod.rs"]
 pub mod systems;
 pub mod terrain;
+pub mod variation;
 pub mod world;
 
 pub use app::{Sim, SimError, SimOptions};

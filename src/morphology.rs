@@ -39,14 +39,14 @@ pub struct MorphologyModel {
     pub joint_of_slot: [usize; 12],
     /// Default joint positions, rad, physical order.
     pub default_position: Vec<f32>,
-    /// Lower and upper joint positions that resets stay within, rad, physical order.
-    pub soft_limits: Vec<[f32; 2]>,
     /// Group of each contact body.
     pub body_groups: Vec<BodyGroup>,
     /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
     pub feet: [usize; 4],
     /// Fewest and most physics steps of delay of each actuator group, with its joints (physical).
     pub delays: Vec<([u32; 2], Vec<usize>)>,
+    /// The most physics steps by which events of the task delay targets on top of that.
+    pub max_action_delay: u32,
     /// Height of the base above the ground in the default pose, the reset's margin included, m.
     pub spawn_height: f32,
     /// Radians per unit of action.
@@ -95,22 +95,13 @@ impl MorphologyModel {
             }
         }
         let delays = delays.into_values().collect();
-        let soft_limits = model
-            .joints
-            .iter()
-            .map(|joint| {
-                let (lower, upper) = (joint.lower.max(-UNLIMITED), joint.upper.min(UNLIMITED));
-                let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * config.reset.soft_limit_factor);
-                [(middle - half) as f32, (middle + half) as f32]
-            })
-            .collect();
         Ok(Self {
             joint_of_slot: roles.joint_of_slot,
             default_position: default_position.iter().map(|&q| q as f32).collect(),
-            soft_limits,
             body_groups,
             feet: roles.foot_body,
             delays,
+            max_action_delay: 0,
             spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
             action_scale: config.action_scale as f32,
             topology,
@@ -127,9 +118,15 @@ impl MorphologyModel {
         &self.config.name
     }
 
-    /// Largest delay of any actuator, physics steps.
+    /// Largest delay of any target, physics steps.
     pub fn max_delay(&self) -> u32 {
-        self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0)
+        self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0) + self.max_action_delay
+    }
+
+    /// Lets events of the task delay targets by up to this many physics steps on top of the actuators' own delays.
+    pub(crate) fn allow_action_delay(&mut self, most: u32) {
+        self.max_action_delay = most;
+        self.topology.has_delay |= most > 0;
     }
 
     /// Names of the canonical slots' joints in the URDF.

@@ -7,13 +7,14 @@ use crate::app::{Sim, SimError};
 use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
+    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, Imu, JointEffort, JointState,
+    JointTargets, SpawnHeight, StartupBody,
 };
 use crate::config::fnv1a;
 use crate::systems::{Logs, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 /// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 
@@ -71,7 +72,8 @@ snapshot! {
     rngs: EnvRng, episodes: Episode, commands: Command, timers: EventTimers, sums: EpisodeSums,
     poses: BasePose, velocities: BaseVelocity, joints: JointState, actions: Action, targets: JointTargets,
     delays: ActuatorDelay, efforts: JointEffort, impulses: ConstraintImpulses, forces: ContactForces, feet: Feet,
-    bodies: Body, contacts: ContactSensor, imus: Imu, origins: EnvOrigin,
+    bodies: Body, startup_bodies: StartupBody, heights: SpawnHeight, wrenches: ExternalWrench, contacts: ContactSensor,
+    imus: Imu, origins: EnvOrigin,
 }
 
 /// A value as bytes, with a checksum at the end.

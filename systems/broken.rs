@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::terminate::{StateLimits, Violation};
 use super::terms::CompiledTask;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, EnvId, Episode, JointEffort, JointState,
-    JointTargets,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, EnvId, Episode, ExternalWrench, JointEffort,
+    JointState, JointTargets,
 };
 use crate::rows::read_rows;
 
@@ -49,6 +49,7 @@ pub(super) struct Evidence {
     pub(super) before: Motion,
     pub(super) targets: JointTargets,
     pub(super) delay: ActuatorDelay,
+    pub(super) wrench: ExternalWrench,
     pub(super) after: Motion,
 }
 
@@ -69,6 +70,8 @@ pub struct BrokenState {
     pub targets: JointTargets,
     /// How late they were asked for it.
     pub delay: ActuatorDelay,
+    /// Force and torque from outside.
+    pub wrench: ExternalWrench,
     /// The robot's own numbers.
     pub body: Body,
     /// The robot after it: broken.
@@ -127,20 +130,22 @@ pub(super) fn describe_broken_states(
     let broken = &mut *broken;
     if !broken.evidence.is_empty() {
         let (bodies, episodes) = (read_rows(&bodies), read_rows(&episodes));
-        let described = broken.evidence.drain(..).map(|Evidence { morphology, env, before, targets, delay, after }| {
-            let state = BrokenState {
-                env: EnvId(env as u32),
-                step: broken.step,
-                episode_step: episodes[env].length,
-                limits: task.limits,
-                before,
-                targets,
-                delay,
-                body: bodies[env].clone(),
-                after,
-            };
-            (morphology, state)
-        });
+        let described =
+            broken.evidence.drain(..).map(|Evidence { morphology, env, before, targets, delay, wrench, after }| {
+                let state = BrokenState {
+                    env: EnvId(env as u32),
+                    step: broken.step,
+                    episode_step: episodes[env].length,
+                    limits: task.limits,
+                    before,
+                    targets,
+                    delay,
+                    wrench,
+                    body: bodies[env].clone(),
+                    after,
+                };
+                (morphology, state)
+            });
         broken.found.extend(described);
     }
     broken.step += 1;

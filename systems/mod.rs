@@ -5,6 +5,8 @@ mod broken;
 mod command;
 mod curriculum;
 mod disturb;
+mod draw;
+mod gather;
 mod logs;
 mod observe;
 mod physics;
@@ -25,9 +27,12 @@ use crate::app::SimError;
 
 pub use broken::{BrokenState, BrokenStates, Motion};
 pub use curriculum::{BlockSizes, EpisodeEnd, place_envs};
+pub use gather::StateField;
+pub(crate) use gather::gather_state;
 pub use logs::{EpisodeStats, Logs, RobotLog};
 pub use physics::PhysicsEngine;
 pub(crate) use physics::{history_length, run_physics};
+pub(crate) use reset::ACTION_DELAY;
 pub use reset::NewState;
 pub use sense::ScanRays;
 pub(crate) use sense::scan_heights;
@@ -127,7 +132,9 @@ impl Plugin for PipelinePlugin {
             (physics::upload_bodies, physics::step_physics, broken::describe_broken_states)
                 .chain()
                 .in_set(PipelineSet::Physics),
-            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights).chain().in_set(PipelineSet::Sense),
+            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights)
+                .chain()
+                .in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
             (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),
         ));
@@ -135,7 +142,9 @@ impl Plugin for PipelinePlugin {
         reset.configure_sets((PipelineSet::Reset, PipelineSet::Observe).chain());
         for schedule in [&mut step, &mut reset] {
             schedule.add_systems((
-                (observe::observe_final, logs::collect_episodes, reset::reset_envs).chain().in_set(PipelineSet::Reset),
+                (observe::observe_final, logs::collect_episodes, startup::reset_bodies, reset::reset_envs)
+                    .chain()
+                    .in_set(PipelineSet::Reset),
                 observe::observe.in_set(PipelineSet::Observe),
             ));
         }

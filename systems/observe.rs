@@ -180,7 +180,7 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
         ]);
     }
     by_slot(r, &mut out[22..34], |j| model.default_position[j]);
-    out[34] = model.spawn_height;
+    out[34] = r.spawn_height;
 }
 
 /// Physical joints in canonical order.

@@ -12,8 +12,8 @@ use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::avian::EngineError;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, Feet, JointEffort,
-    JointState, JointTargets, Robot,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, ExternalWrench,
+    Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
@@ -51,6 +51,7 @@ pub(super) struct PhysicsRows<'a> {
     pub(super) joints: &'a mut [JointState],
     pub(super) targets: &'a mut [JointTargets],
     pub(super) delays: &'a mut [ActuatorDelay],
+    pub(super) wrenches: &'a mut [ExternalWrench],
     pub(super) efforts: &'a mut [JointEffort],
     impulses: &'a mut [ConstraintImpulses],
     pub(super) forces: &'a mut [ContactForces],
@@ -65,12 +66,13 @@ impl SplitRows for PhysicsRows<'_> {
         let (joints, joints2) = self.joints.split_at_mut(n);
         let (targets, targets2) = self.targets.split_at_mut(n);
         let (delays, delays2) = self.delays.split_at_mut(n);
+        let (wrenches, wrenches2) = self.wrenches.split_at_mut(n);
         let (efforts, efforts2) = self.efforts.split_at_mut(n);
         let (impulses, impulses2) = self.impulses.split_at_mut(n);
         let (forces, forces2) = self.forces.split_at_mut(n);
         let (feet, feet2) = self.feet.split_at_mut(n);
         (
-            Self { origins, poses, velocities, joints, targets, delays, efforts, impulses, forces, feet },
+            Self { origins, poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet },
             Self {
                 origins: origins2,
                 poses: poses2,
@@ -78,6 +80,7 @@ impl SplitRows for PhysicsRows<'_> {
                 joints: joints2,
                 targets: targets2,
                 delays: delays2,
+                wrenches: wrenches2,
                 efforts: efforts2,
                 impulses: impulses2,
                 forces: forces2,
@@ -143,6 +146,7 @@ impl Evidence {
             before,
             targets: rows.targets[row].clone(),
             delay: rows.delays[row].clone(),
+            wrench: rows.wrenches[row],
         }
     }
 }
@@ -213,6 +217,7 @@ pub(super) fn step_physics(
     mut joints: Query<&'static mut JointState>,
     mut targets: Query<&'static mut JointTargets>,
     mut delays: Query<&'static mut ActuatorDelay>,
+    mut wrenches: Query<&'static mut ExternalWrench>,
     mut efforts: Query<&'static mut JointEffort>,
     mut impulses: Query<&'static mut ConstraintImpulses>,
     mut forces: Query<&'static mut ContactForces>,
@@ -225,6 +230,7 @@ pub(super) fn step_physics(
         joints: write_rows(&mut joints),
         targets: write_rows(&mut targets),
         delays: write_rows(&mut delays),
+        wrenches: write_rows(&mut wrenches),
         efforts: write_rows(&mut efforts),
         impulses: write_rows(&mut impulses),
         forces: write_rows(&mut forces),
@@ -409,6 +415,8 @@ impl<L: Real> Pack<L> {
                 put(targets, from, lane);
             }
             put(&mut drive.delay, &rows.delays[row].0, lane);
+            put(&mut drive.base_force, &rows.wrenches[row].force, lane);
+            put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
         }
     }
 

@@ -5,15 +5,17 @@ use serde::Deserialize;
 
 use super::command::{draw_command, steer};
 use super::curriculum::EpisodeEnd;
+use super::disturb::{EXTERNAL_WRENCH, WrenchRanges};
 use super::sense::{ScanRays, measure};
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::{Autoreset, ResetRequest};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, HeightScan, Imu, JointEffort, JointState,
-    JointTargets, Morphology, Robot,
+    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu, JointEffort,
+    JointState, JointTargets, Morphology, Robot, SpawnHeight,
 };
 use crate::config::JointPositionMode;
+use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
@@ -29,6 +31,12 @@ pub struct NewState<'a> {
     pub velocity: &'a mut BaseVelocity,
     /// Joints; start at rest in the default pose.
     pub joints: &'a mut JointState,
+    /// How late each joint's targets come; starts as the actuators' own delays.
+    pub delay: &'a mut ActuatorDelay,
+    /// Force and torque from outside; start at zero.
+    pub wrench: &'a mut ExternalWrench,
+    /// The robot's own numbers.
+    pub body: &'a Parameters<f32>,
 }
 
 type RobotRows<'w, 's> = (
@@ -41,6 +49,7 @@ type RobotRows<'w, 's> = (
     Query<'w, 's, &'static mut JointEffort>,
     Query<'w, 's, &'static mut ConstraintImpulses>,
     Query<'w, 's, &'static mut Feet>,
+    Query<'w, 's, &'static mut ExternalWrench>,
 );
 
 type EnvRows<'w, 's> = (
@@ -62,6 +71,17 @@ type SensorRows<'w, 's> = (
 /// Half the side of the square about the base's origin in which a robot begins above everything, m.
 const FOOTPRINT: f32 = 0.5;
 
+/// Whether an env is reset now: in the schedule that `request` tells of.
+pub(super) fn is_due(episode: &Episode, autoreset: Autoreset, request: ResetRequest) -> bool {
+    episode.needs_reset
+        && (request.0
+            || match autoreset {
+                Autoreset::SameStep => true,
+                Autoreset::NextStep => !episode.done(),
+                Autoreset::Disabled => false,
+            })
+}
+
 /// Resets what is due: state, targets, delays, timers, sums, sensors and command, each from the env's own stream.
 pub(super) fn reset_envs(
     workers: Res<Workers>,
@@ -72,24 +92,27 @@ pub(super) fn reset_envs(
     (ground, rays): (Res<Ground>, Res<ScanRays>),
     tags: Query<&'static Morphology, With<Robot>>,
     bodies: Query<&'static Body>,
-    (mut poses, mut velocities, mut joints, mut actions, mut targets, mut delays, mut efforts, mut impulses, mut feet): RobotRows,
+    heights: Query<&'static SpawnHeight>,
+    (
+        mut poses,
+        mut velocities,
+        mut joints,
+        mut actions,
+        mut targets,
+        mut delays,
+        mut efforts,
+        mut impulses,
+        mut feet,
+        mut wrenches,
+    ): RobotRows,
     (mut episodes, mut rngs, mut commands, mut timers, mut sums, mut origins): EnvRows,
     (mut forces, mut contacts, mut imus, mut scans): SensorRows,
 ) {
     let tags = read_rows(&tags);
-    let due = |episode: &Episode| {
-        episode.needs_reset
-            && (request.0
-                || match *autoreset {
-                    Autoreset::SameStep => true,
-                    Autoreset::NextStep => !episode.done(),
-                    Autoreset::Disabled => false,
-                })
-    };
     let robot_rows = (
         (write_rows(&mut poses), write_rows(&mut velocities), write_rows(&mut joints)),
         (write_rows(&mut actions), write_rows(&mut targets), write_rows(&mut delays)),
-        (write_rows(&mut efforts), write_rows(&mut impulses), write_rows(&mut feet)),
+        (write_rows(&mut efforts), write_rows(&mut impulses), write_rows(&mut feet), write_rows(&mut wrenches)),
     );
     let env_rows = (
         write_rows(&mut episodes),
@@ -101,13 +124,13 @@ pub(super) fn reset_envs(
     );
     let scans = OptionalRows(write_rows(&mut scans));
     let sensor_rows = (write_rows(&mut forces), write_rows(&mut contacts), write_rows(&mut imus), scans);
-    let rows = (tags, read_rows(&bodies), robot_rows, env_rows, sensor_rows);
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, bodies, robots, envs, sensors)| {
-        let ((poses, velocities, joints), (actions, targets, delays), (efforts, impulses, feet)) = robots;
+    let rows = (tags, (read_rows(&bodies), read_rows(&heights)), robot_rows, env_rows, sensor_rows);
+    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, (bodies, heights), robots, envs, sensors)| {
+        let ((poses, velocities, joints), (actions, targets, delays), (efforts, impulses, feet, wrenches)) = robots;
         let (episodes, rngs, commands, timers, sums, origins) = envs;
         let (forces, contacts, imus, scans) = sensors;
         for i in 0..n {
-            if !due(&episodes[i]) {
+            if !is_due(&episodes[i], *autoreset, *request) {
                 continue;
             }
             let morphology = morphologies.get(tags[i]);
@@ -127,12 +150,22 @@ pub(super) fn reset_envs(
                     term(&mut end, rng);
                 }
             }
-            *pose = BasePose { position: [0.0, 0.0, morphology.spawn_height], rotation: [1.0, 0.0, 0.0, 0.0] };
+            *pose = BasePose { position: [0.0, 0.0, heights[i].0], rotation: [1.0, 0.0, 0.0, 0.0] };
             *velocity = BaseVelocity::default();
             joints.position.copy_from_slice(&morphology.default_position);
             joints.velocity.fill(0.0);
+            let (delay, wrench) = (&mut delays[i], &mut wrenches[i]);
+            delay.0.fill(0.0);
+            for (range, group) in &morphology.delays {
+                let steps = rng.integer(*range) as f32;
+                for &joint in group {
+                    delay.0[joint] = steps;
+                }
+            }
+            *wrench = ExternalWrench::default();
+            let body = &*bodies[i].0;
             for event in &task.reset_events {
-                event(&mut NewState { morphology, pose, velocity, joints }, rng);
+                event(&mut NewState { morphology, pose, velocity, joints, delay, wrench, body }, rng);
             }
             if let Some(terrain) = &ground.terrain {
                 let ([x, y, z], [x0, y0]) = (&mut pose.position, origin.position);
@@ -145,12 +178,6 @@ pub(super) fn reset_envs(
                 past.copy_from_slice(&morphology.default_position);
             }
             targets[i].fresh = true;
-            for (range, group) in &morphology.delays {
-                let delay = rng.integer(*range) as f32;
-                for &joint in group {
-                    delays[i].0[joint] = delay;
-                }
-            }
             efforts[i].applied.fill(0.0);
             efforts[i].acceleration.fill(0.0);
             impulses[i].contacts.fill([0.0; 3]);
@@ -214,6 +241,31 @@ struct BaseRange {
 pub(super) fn register(registry: &mut Registry) {
     registry.reset_event("reset_base", reset_base);
     registry.reset_event("reset_joints", reset_joints);
+    registry.reset_event(EXTERNAL_WRENCH, |p: &WrenchRanges, state, rng| {
+        *state.wrench = p.draw(state.morphology, rng);
+    });
+    registry.reset_event(ACTION_DELAY, |p: &ActionDelay, state, rng| {
+        let steps = rng.integer(p.range(state.morphology)) as f32;
+        state.delay.0.iter_mut().for_each(|delay| *delay += steps);
+    });
+}
+
+/// The event that delays all targets of a robot.
+pub(crate) const ACTION_DELAY: &str = "action_delay";
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ActionDelay {
+    /// Fewest and most physics steps, both included. Default: each robot's own range.
+    #[serde(default, deserialize_with = "crate::config::values::optional_step_range")]
+    delay_range: Option<[u32; 2]>,
+}
+
+impl ActionDelay {
+    /// Fewest and most physics steps for a robot.
+    pub(super) fn range(&self, morphology: &MorphologyModel) -> [u32; 2] {
+        self.delay_range.unwrap_or(morphology.config.randomization.action_delay)
+    }
 }
 
 /// Position and heading from the task's ranges, velocity from the robot's.
@@ -234,14 +286,16 @@ fn reset_joints(_: &NoParams, state: &mut NewState, rng: &mut EnvRng) {
     let config = &state.morphology.config.reset;
     let position = config.joint_position.range.map(|x| x as f32);
     let velocity = config.joint_velocity.range.map(|x| x as f32);
-    let limits = &state.morphology.soft_limits;
+    let share = config.soft_limit_factor as f32;
     for (j, q) in state.joints.position.iter_mut().enumerate() {
         let drawn = rng.uniform(position);
         let moved = match config.joint_position.mode {
             JointPositionMode::Scale => *q * drawn,
             JointPositionMode::Offset => *q + drawn,
         };
-        *q = moved.max(limits[j][0]).min(limits[j][1]);
+        let (lower, upper) = (state.body.lower[j], state.body.upper[j]);
+        let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * share);
+        *q = moved.max(middle - half).min(middle + half);
     }
     for v in &mut state.joints.velocity {
         *v = rng.uniform(velocity);

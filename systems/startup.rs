@@ -1,22 +1,30 @@
-//! Startup events: what is randomised once, when the envs are made.
+//! Events of a robot's body: what is randomised once, when the envs are made, or anew at each reset.
 
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
+use super::draw::{self, Source};
+use super::reset::is_due;
 use super::terms::{CompiledTask, NoParams, Registry};
-use crate::components::{Body, Env, EnvRng, Morphology, Robot};
+use super::{Autoreset, ResetRequest};
+use crate::components::{Body, Env, EnvRng, Episode, Morphology, Robot, SpawnHeight, StartupBody};
+use crate::config::{Distribution, Draw, Operation};
 use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::{read_rows, write_rows};
+use crate::variation::{BodyScales, spawn_height};
 use crate::world::Ground;
 
-/// A new robot's numbers, as startup events may change them.
+/// A robot's numbers, as events of its body may change them.
 pub struct NewBody<'a> {
     /// What kind of robot it is.
     pub morphology: &'a MorphologyModel,
     /// What it will stand on.
     pub ground: &'a Ground,
-    /// Masses, lengths, gains and friction; start as the morphology's.
+    /// Masses, lengths, gains and friction: at startup those of the morphology, at a reset what startup made of them.
     pub parameters: &'a mut Parameters<f32>,
+    /// Height at which its episodes begin.
+    pub spawn_height: &'a mut SpawnHeight,
 }
 
 /// Gives every robot its material and applies the task's startup events, each env from its own stream.
@@ -24,17 +32,50 @@ pub fn randomise_at_startup(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     ground: Res<Ground>,
-    mut robots: Query<(&Morphology, &mut Body), With<Robot>>,
+    mut robots: Query<(&Morphology, &mut Body, &mut SpawnHeight, &mut StartupBody), With<Robot>>,
     mut rngs: Query<&mut EnvRng, With<Env>>,
 ) {
-    for ((tag, mut body), mut rng) in robots.iter_mut().zip(rngs.iter_mut()) {
+    for ((tag, mut body, mut height, mut startup), mut rng) in robots.iter_mut().zip(rngs.iter_mut()) {
         let morphology = morphologies.get(*tag);
-        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0 };
+        *height = SpawnHeight(morphology.spawn_height);
+        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, spawn_height: &mut height };
         let material = &task.config.robot_material;
         new.set_material(material.static_friction as f32, material.dynamic_friction as f32);
         new.parameters.restitution = ground.restitution_with(material.restitution as f32);
         for event in &task.startup_events {
             event(&mut new, &mut rng);
+        }
+        startup.0 = (!task.reset_body_events.is_empty()).then(|| Box::new((body.0.as_ref().clone(), *height)));
+    }
+}
+
+/// Bodies of the envs that are about to be reset are drawn anew, from what startup made of them.
+pub(super) fn reset_bodies(
+    morphologies: Res<Morphologies>,
+    task: Res<CompiledTask>,
+    autoreset: Res<Autoreset>,
+    request: Res<ResetRequest>,
+    ground: Res<Ground>,
+    episodes: Query<&'static Episode>,
+    mut robots: Query<(&Morphology, &mut Body, &mut SpawnHeight, &StartupBody), With<Robot>>,
+    mut rngs: Query<&'static mut EnvRng, With<Env>>,
+) {
+    if task.reset_body_events.is_empty() {
+        return;
+    }
+    let rows = read_rows(&episodes).iter().zip(write_rows(&mut rngs));
+    for ((tag, mut body, mut height, startup), (episode, rng)) in robots.iter_mut().zip(rows) {
+        if !is_due(episode, *autoreset, *request) {
+            continue;
+        }
+        if let Some(startup) = &startup.0 {
+            body.0.zip_with(&startup.0, |x, y| *x = *y);
+            *height = startup.1;
+        }
+        let morphology = morphologies.get(*tag);
+        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, spawn_height: &mut height };
+        for event in &task.reset_body_events {
+            event(&mut new, rng);
         }
     }
 }
@@ -55,11 +96,106 @@ struct Buckets {
     num_buckets: u32,
 }
 
-/// All built-in startup events, under Isaac Lab's names.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BaseMass {
+    /// Whether the inertia is scaled with the mass. Default: yes.
+    #[serde(default = "yes")]
+    recompute_inertia: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// Draws for stiffness and damping of each joint: the robots' own, or the task's.
+#[derive(Deserialize)]
+#[serde(try_from = "UncheckedGains")]
+struct ActuatorGains(Source<[Option<Draw>; 2]>);
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct UncheckedGains {
+    stiffness_distribution_params: Option<[f64; 2]>,
+    damping_distribution_params: Option<[f64; 2]>,
+    operation: Option<Operation>,
+    distribution: Option<Distribution>,
+}
+
+impl TryFrom<UncheckedGains> for ActuatorGains {
+    type Error = String;
+
+    fn try_from(p: UncheckedGains) -> Result<Self, String> {
+        let params = [p.stiffness_distribution_params, p.damping_distribution_params];
+        draw::of_task(params, p.operation, p.distribution).map(Self)
+    }
+}
+
+/// Draws for armature and dry friction of each joint: the robots' own, or the task's.
+#[derive(Deserialize)]
+#[serde(try_from = "UncheckedJoints")]
+struct JointParameters(Source<[Option<Draw>; 2]>);
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct UncheckedJoints {
+    armature_distribution_params: Option<[f64; 2]>,
+    friction_distribution_params: Option<[f64; 2]>,
+    operation: Option<Operation>,
+    distribution: Option<Distribution>,
+}
+
+impl TryFrom<UncheckedJoints> for JointParameters {
+    type Error = String;
+
+    fn try_from(p: UncheckedJoints) -> Result<Self, String> {
+        let params = [p.armature_distribution_params, p.friction_distribution_params];
+        draw::of_task(params, p.operation, p.distribution).map(Self)
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MotorStrength {
+    /// Share of its torque that each motor gives. Default: each robot's own range.
+    #[serde(default, deserialize_with = "crate::config::values::optional_non_negative_range")]
+    strength_range: Option<[f64; 2]>,
+}
+
+/// All built-in events of a robot's body, under Isaac Lab's names where it has them; they happen in this order.
 pub(super) fn register(registry: &mut Registry) {
-    registry.startup_event("physics_material", physics_material);
-    registry.startup_event("add_base_mass", add_base_mass);
-    registry.startup_event("base_com", base_com);
+    registry.body_event(BODY_VARIATION, body_variation);
+    registry.body_event("physics_material", physics_material);
+    registry.body_event("add_base_mass", add_base_mass);
+    registry.body_event("base_com", base_com);
+    registry.body_event("randomize_actuator_gains", randomize_actuator_gains);
+    registry.body_event("randomize_joint_parameters", randomize_joint_parameters);
+    registry.body_event("randomize_motor_strength", randomize_motor_strength);
+}
+
+/// The event that changes the shapes of links.
+pub(super) const BODY_VARIATION: &str = "body_variation";
+
+/// Another body of the same kind, from the ranges of the robot's `[variation]`.
+fn body_variation(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
+    let ranges = &body.morphology.config.variation;
+    let mut draw = |range: [f64; 2]| f64::from(rng.uniform(range.map(|x| x as f32)));
+    let scales = BodyScales {
+        base_length: draw(ranges.base_length),
+        base_width: draw(ranges.base_width),
+        hip_offset: draw(ranges.hip_offset),
+        thigh_length: draw(ranges.thigh_length),
+        shank_length: draw(ranges.shank_length),
+        base_mass: draw(ranges.base_mass),
+        hip_mass: draw(ranges.hip_mass),
+        thigh_mass: draw(ranges.thigh_mass),
+        shank_mass: draw(ranges.shank_mass),
+        joint_range: draw(ranges.joint_range),
+        stiffness: draw(ranges.stiffness),
+        damping: draw(ranges.damping),
+    };
+    scales.apply(body.morphology, body.parameters);
+    body.spawn_height.0 = spawn_height(body.morphology, body.parameters);
 }
 
 /// One of `num_buckets` values of static and of dynamic friction, the dynamic one at most the static one.
@@ -75,15 +211,17 @@ fn physics_material(p: &Buckets, body: &mut NewBody, rng: &mut EnvRng) {
     body.set_material(static_friction, dynamic_friction);
 }
 
-/// Adds mass to the base and scales its inertia with it.
-fn add_base_mass(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
+/// Adds mass to the base and, unless told otherwise, scales its inertia with it.
+fn add_base_mass(p: &BaseMass, body: &mut NewBody, rng: &mut EnvRng) {
     const LIGHTEST: f32 = 0.01;
     let range = body.morphology.config.randomization.base_mass_offset.map(|x| x as f32);
     let old = body.parameters.mass[0];
     let new = (old + rng.uniform(range)).max(LIGHTEST);
     body.parameters.mass[0] = new;
-    for x in &mut body.parameters.inertia[0] {
-        *x *= new / old;
+    if p.recompute_inertia {
+        for x in &mut body.parameters.inertia[0] {
+            *x *= new / old;
+        }
     }
 }
 
@@ -92,5 +230,48 @@ fn base_com(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
     let offset = &body.morphology.config.randomization.base_com_offset;
     for (x, range) in body.parameters.com[0].iter_mut().zip([offset.x, offset.y, offset.z]) {
         *x += rng.uniform(range.map(|x| x as f32));
+    }
+}
+
+/// Stiffness and damping of each actuator for itself.
+fn randomize_actuator_gains(p: &ActuatorGains, body: &mut NewBody, rng: &mut EnvRng) {
+    let own = &body.morphology.config.randomization;
+    let [stiffness, damping] = match &p.0 {
+        Source::Robot => [Some(own.stiffness), Some(own.damping)],
+        Source::Task(draws) => *draws,
+    };
+    each_joint(stiffness, &mut body.parameters.stiffness, rng);
+    each_joint(damping, &mut body.parameters.damping, rng);
+}
+
+/// Armature and dry friction of each joint for itself.
+fn randomize_joint_parameters(p: &JointParameters, body: &mut NewBody, rng: &mut EnvRng) {
+    let own = &body.morphology.config.randomization;
+    let [armature, friction] = match &p.0 {
+        Source::Robot => [Some(own.armature), Some(own.joint_friction)],
+        Source::Task(draws) => *draws,
+    };
+    each_joint(armature, &mut body.parameters.armature, rng);
+    each_joint(friction, &mut body.parameters.joint_friction, rng);
+}
+
+fn each_joint(draw: Option<Draw>, values: &mut [f32], rng: &mut EnvRng) {
+    if let Some(draw) = draw {
+        for value in values {
+            *value = draw::apply(&draw, *value, rng);
+        }
+    }
+}
+
+/// Scales what each motor gives: its torque at any target and its limits, so that the same targets give a share of the
+/// torque. The speed without load stays.
+fn randomize_motor_strength(p: &MotorStrength, body: &mut NewBody, rng: &mut EnvRng) {
+    let range = p.strength_range.unwrap_or(body.morphology.config.randomization.motor_strength).map(|x| x as f32);
+    let b = &mut *body.parameters;
+    for j in 0..b.stiffness.len() {
+        let share = rng.uniform(range);
+        for x in [&mut b.stiffness[j], &mut b.damping[j], &mut b.effort_limit[j], &mut b.saturation_effort[j]] {
+            *x *= share;
+        }
     }
 }

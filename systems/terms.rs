@@ -12,9 +12,9 @@ use toml::Table;
 
 use super::view::RobotView;
 use super::{curriculum, disturb, observe, reset, reward, startup, terminate};
-use crate::components::{BaseVelocity, EnvRng, Episode};
-use crate::config::{ConfigError, ConfigErrorKind, EventMode, TaskConfig, did_you_mean, parse_params};
-use crate::morphology::Morphologies;
+use crate::components::{BaseVelocity, EnvRng, Episode, ExternalWrench};
+use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
+use crate::morphology::{Morphologies, MorphologyModel};
 
 /// A term of a task cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -33,7 +33,7 @@ type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Sen
 type RewardFn = Box<dyn Fn(&RobotView) -> f32 + Send + Sync>;
 type ObservationFn = Box<dyn Fn(&RobotView, &mut [f32]) + Send + Sync>;
 type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + Send + Sync>;
-type StartupFn = Box<dyn Fn(&mut startup::NewBody, &mut EnvRng) + Send + Sync>;
+type BodyFn = Box<dyn Fn(&mut startup::NewBody, &mut EnvRng) + Send + Sync>;
 type ResetFn = Box<dyn Fn(&mut reset::NewState, &mut EnvRng) + Send + Sync>;
 type CurriculumFn = Box<dyn Fn(&mut curriculum::EpisodeEnd, &mut EnvRng) + Send + Sync>;
 type SizeFn = Box<dyn Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync>;
@@ -41,6 +41,10 @@ type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
 /// What an interval event may change.
 pub struct EventBody<'a> {
+    /// What kind of robot it is.
+    pub morphology: &'a MorphologyModel,
+    /// Force and torque from outside; hold until the next reset or event.
+    pub wrench: &'a mut ExternalWrench,
     /// Velocity of the base.
     pub velocity: &'a mut BaseVelocity,
 }
@@ -51,11 +55,14 @@ pub struct Registry {
     rewards: BTreeMap<&'static str, Builder<RewardFn>>,
     observations: BTreeMap<&'static str, (SizeFn, Builder<ObservationFn>)>,
     terminations: BTreeMap<&'static str, (bool, Builder<TerminationFn>)>,
-    startup: BTreeMap<&'static str, Builder<StartupFn>>,
-    reset: BTreeMap<&'static str, Builder<ResetFn>>,
-    interval: BTreeMap<&'static str, Builder<IntervalFn>>,
+    body: Events<BodyFn>,
+    reset: Events<ResetFn>,
+    interval: Events<IntervalFn>,
     curriculum: BTreeMap<&'static str, Builder<CurriculumFn>>,
 }
+
+/// Events by name, each with its place in the order of registration.
+type Events<T> = BTreeMap<&'static str, (usize, Builder<T>)>;
 
 impl Registry {
     /// The built-in terms.
@@ -120,16 +127,17 @@ impl Registry {
         self.terminations.insert(name, (time_out, build));
     }
 
-    /// An event that changes a new robot's body once.
-    pub fn startup_event<P>(&mut self, name: &'static str, f: fn(&P, &mut startup::NewBody, &mut EnvRng))
+    /// An event that changes a robot's body: once with `mode = "startup"`, at each reset with `mode = "reset"`. Events
+    /// happen in the order in which they are registered.
+    pub fn body_event<P>(&mut self, name: &'static str, f: fn(&P, &mut startup::NewBody, &mut EnvRng))
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        let build: Builder<StartupFn> = Box::new(move |file, element, table| {
+        let build: Builder<BodyFn> = Box::new(move |file, element, table| {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |body: &mut startup::NewBody, rng: &mut EnvRng| f(&p, body, rng)))
         });
-        self.startup.insert(name, build);
+        self.body.insert(name, (self.body.len(), build));
     }
 
     /// An event that changes the state in which an episode begins.
@@ -141,7 +149,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |state: &mut reset::NewState, rng: &mut EnvRng| f(&p, state, rng)))
         });
-        self.reset.insert(name, build);
+        self.reset.insert(name, (self.reset.len(), build));
     }
 
     /// An event that happens again and again within an episode.
@@ -153,7 +161,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |body: &mut EventBody, rng: &mut EnvRng| f(&p, body, rng)))
         });
-        self.interval.insert(name, build);
+        self.interval.insert(name, (self.interval.len(), build));
     }
 
     /// A curriculum term: what changes for an env when its episode ends.
@@ -176,6 +184,13 @@ pub struct RewardTerm {
     /// Factor of its value.
     pub weight: f32,
     pub(super) value: RewardFn,
+}
+
+impl RewardTerm {
+    /// Its unweighted value per second for a robot.
+    pub fn value(&self, robot: &RobotView) -> f32 {
+        (self.value)(robot)
+    }
 }
 
 /// One term of the observation.
@@ -224,8 +239,10 @@ pub struct CompiledTask {
     pub terminations: Vec<TerminationTerm>,
     /// States beyond these end an episode whatever the task says.
     pub limits: terminate::StateLimits,
-    pub(super) startup_events: Vec<StartupFn>,
+    pub(super) startup_events: Vec<BodyFn>,
+    pub(super) reset_body_events: Vec<BodyFn>,
     pub(super) reset_events: Vec<ResetFn>,
+    action_delay: Option<reset::ActionDelay>,
     pub(super) interval_events: Vec<IntervalEvent>,
     pub(super) curriculum: Vec<CurriculumFn>,
 }
@@ -291,37 +308,69 @@ impl CompiledTask {
             terminations,
             limits,
             startup_events: Vec::new(),
+            reset_body_events: Vec::new(),
             reset_events: Vec::new(),
+            action_delay: None,
             interval_events: Vec::new(),
             curriculum: Vec::new(),
             config: config.clone(),
         };
-        for (name, event) in config.events.iter().filter(|(_, event)| event.enabled) {
-            let element = format!("events.{name}");
-            match event.mode {
-                EventMode::Startup => {
-                    let build = find(&registry.startup, name, file, &element, "startup event")?;
-                    task.startup_events.push(build(file, &element, &event.params)?);
-                }
-                EventMode::Reset => {
-                    let build = find(&registry.reset, name, file, &element, "reset event")?;
-                    task.reset_events.push(build(file, &element, &event.params)?);
-                }
-                EventMode::Interval => {
-                    let build = find(&registry.interval, name, file, &element, "interval event")?;
-                    task.interval_events.push(IntervalEvent {
-                        range_s: event.interval_range_s.unwrap_or_default().map(|x| x as f32),
-                        apply: build(file, &element, &event.params)?,
-                    });
-                }
-            }
-        }
         for (name, term) in config.curriculum.iter().filter(|(_, term)| term.enabled) {
             let element = format!("curriculum.{name}");
             let build = find(&registry.curriculum, name, file, &element, "curriculum")?;
             task.curriculum.push(build(file, &element, &term.params)?);
         }
+        task.add_events(registry)?;
         Ok(task)
+    }
+
+    /// Makes the events that are switched on, those of a kind in the order of their registration.
+    fn add_events(&mut self, registry: &Registry) -> Result<(), TermError> {
+        let file = self.config.name.as_str();
+        let (mut at_startup, mut on_body, mut at_reset, mut at_intervals) = (vec![], vec![], vec![], vec![]);
+        for (name, event) in self.config.events.iter().filter(|(_, event)| event.enabled) {
+            let element = format!("events.{name}");
+            if name == startup::BODY_VARIATION && self.config.physics.engine == EngineKind::Avian {
+                let problem = "the engine avian cannot change the shapes of links";
+                let remedy = "set physics.engine = \"articulated\", or enabled = false";
+                return Err(ConfigError::invalid(file, element, problem, remedy).into());
+            }
+            match event.mode {
+                EventMode::Startup => {
+                    let (place, build) = find(&registry.body, name, file, &element, "startup event")?;
+                    at_startup.push((*place, build(file, &element, &event.params)?));
+                }
+                EventMode::Reset => {
+                    if let Some((place, build)) = registry.body.get(name.as_str()) {
+                        on_body.push((*place, build(file, &element, &event.params)?));
+                    } else {
+                        if name == reset::ACTION_DELAY {
+                            self.action_delay = Some(parse_params(file, &element, &event.params)?);
+                        }
+                        let (place, build) = find(&registry.reset, name, file, &element, "reset event")?;
+                        at_reset.push((*place, build(file, &element, &event.params)?));
+                    }
+                }
+                EventMode::Interval => {
+                    let (place, build) = find(&registry.interval, name, file, &element, "interval event")?;
+                    let event = IntervalEvent {
+                        range_s: event.interval_range_s.unwrap_or_default().map(|x| x as f32),
+                        apply: build(file, &element, &event.params)?,
+                    };
+                    at_intervals.push((*place, event));
+                }
+            }
+        }
+        self.startup_events = in_order(at_startup);
+        self.reset_body_events = in_order(on_body);
+        self.reset_events = in_order(at_reset);
+        self.interval_events = in_order(at_intervals);
+        Ok(())
+    }
+
+    /// The most physics steps by which the task's events delay the targets of a robot, on top of its actuators' delays.
+    pub fn max_action_delay(&self, morphology: &MorphologyModel) -> u32 {
+        self.action_delay.as_ref().map_or(0, |event| event.range(morphology)[1])
     }
 
     /// Numbers in an observation.
@@ -338,6 +387,11 @@ impl CompiledTask {
     pub fn cause_names(&self) -> impl Iterator<Item = &str> {
         std::iter::once(ILLEGAL_STATE).chain(self.terminations.iter().map(|term| term.name.as_str()))
     }
+}
+
+fn in_order<T>(mut events: Vec<(usize, T)>) -> Vec<T> {
+    events.sort_by_key(|(place, _)| *place);
+    events.into_iter().map(|(_, event)| event).collect()
 }
 
 fn find<'a, T>(

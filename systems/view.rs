@@ -5,7 +5,7 @@ use bevy_ecs::system::SystemParam;
 
 use crate::components::{
     Action, BasePose, BaseVelocity, Body, Command, ContactSensor, Feet, HeightScan, Imu, JointEffort, JointState,
-    Morphology, Robot,
+    Morphology, Robot, SpawnHeight,
 };
 use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -38,6 +38,8 @@ pub struct RobotView<'a> {
     pub height_scan: &'a [f32],
     /// The robot's own numbers, as randomised.
     pub body: &'a Parameters<f32>,
+    /// Height of the base at which its episodes begin, m.
+    pub spawn_height: f32,
     /// Length of a control step, s.
     pub step_dt: f32,
 }
@@ -58,6 +60,7 @@ pub(super) struct ViewParam<'w, 's> {
     feet: Query<'w, 's, &'static Feet>,
     scans: Query<'w, 's, &'static HeightScan>,
     bodies: Query<'w, 's, &'static Body>,
+    heights: Query<'w, 's, &'static SpawnHeight>,
 }
 
 impl ViewParam<'_, '_> {
@@ -76,6 +79,7 @@ impl ViewParam<'_, '_> {
             feet: read_rows(&self.feet),
             scans: read_rows(&self.scans),
             bodies: read_rows(&self.bodies),
+            heights: read_rows(&self.heights),
             step_dt,
         }
     }
@@ -97,6 +101,7 @@ pub(super) struct Views<'a> {
     feet: &'a [Feet],
     scans: &'a [HeightScan],
     bodies: &'a [Body],
+    heights: &'a [SpawnHeight],
     step_dt: f32,
 }
 
@@ -119,6 +124,7 @@ impl<'a> Views<'a> {
             feet: &self.feet[env],
             height_scan: self.scans.get(env).map_or(&[], |scan| &scan.hits),
             body: &self.bodies[env].0,
+            spawn_height: self.heights[env].0,
             step_dt: self.step_dt,
         }
     }

@@ -1,9 +1,12 @@
-//! What happens in an env depends on the seed, the env's number, its robot and its actions, and on no other env.
+//! What happens in an env depends on the seed, its robot, its place among that robot's envs and its actions, and on no
+//! other env or robot.
 
 mod common;
 
+use bevy_ecs::component::{Component, Mutable};
 use common::{assert_same, busy, step, step_with};
 use polypod::Sim;
+use polypod::components::{Body, EnvId, EnvRng};
 
 const STEPS: usize = 120;
 
@@ -59,33 +62,68 @@ fn other_robots_in_the_batch_change_nothing() {
 }
 
 #[test]
-fn the_place_in_the_pack_changes_nothing() {
-    // env 20 is the sixth of its robot in one simulation and the first in the other
-    let (mut a, mut b) = (sim(&["unitree_a1", "spot"], 30), sim(&["unitree_a1", "anymal_d", "spot"], 30));
-    assert_eq!((a.index_in_block(20), b.index_in_block(20)), (5, 0));
+fn robots_before_it_change_nothing() {
+    // the same robot is first in one simulation and last in the other
+    let (mut a, mut b) = (sim(&["spot", "unitree_a1"], 30), sim(&["unitree_a1", "anymal_d", "spot"], 45));
+    assert_eq!((a.env_ids(0), b.env_ids(2)), (0..15, 30..45));
     for t in 0..STEPS {
-        step(&mut a, t);
-        step(&mut b, t);
-        assert_same(&mut a, 20..30, &mut b, 20..30, &format!("step {t}"));
+        step_rows(&mut a, t, 0..15);
+        step_rows(&mut b, t, 30..45);
+        assert_same(&mut a, 0..15, &mut b, 30..45, &format!("step {t}"));
     }
+}
+
+/// One control step in which the envs of `block` act by their place in it.
+fn step_rows(sim: &mut Sim, t: usize, block: std::ops::Range<usize>) {
+    let width = sim.batch().num_actions;
+    let actions: Vec<f32> = (0..sim.batch().actions.len())
+        .map(|i| {
+            let env = i / width;
+            let place = if block.contains(&env) { env - block.start } else { 1000 + env };
+            common::noise(0, place, t, i % width)
+        })
+        .collect();
+    sim.step(&actions).unwrap();
+}
+
+/// Gives env `to` the body and the random stream of env `from`, and begins new episodes.
+fn transplant(sim: &mut Sim, from: usize, to: usize) {
+    fn copy<C: Component<Mutability = Mutable> + Clone>(sim: &mut Sim, from: usize, to: usize) {
+        let world = sim.world_mut();
+        let mut query = world.query::<(&EnvId, &mut C)>();
+        let found = query.iter(world).find(|(id, _)| id.0 as usize == from).map(|(_, c)| c.clone()).unwrap();
+        let (_, mut target) = query.iter_mut(world).find(|(id, _)| id.0 as usize == to).unwrap();
+        *target = found;
+    }
+    copy::<Body>(sim, from, to);
+    copy::<EnvRng>(sim, from, to);
+    sim.reset(None, None).unwrap();
 }
 
 #[test]
 fn every_lane_gives_the_same_bits() {
-    const ENV: usize = 39;
     const MOST_LANES: usize = 16;
-    // the fewer envs there are, the later in its robot's block is this one
-    let mut sims: Vec<Sim> = (0..MOST_LANES).map(|place| sim(&["unitree_a1", "spot"], 2 * (ENV - place))).collect();
-    for (place, sim) in sims.iter().enumerate() {
-        assert!(sim.env_ids(1).contains(&ENV) && sim.simd().lanes() <= MOST_LANES);
-        assert_eq!(sim.index_in_block(ENV), place);
-    }
+    // the first env's twin stands in each lane of the first pack, and in the second pack
+    let mut sims: Vec<Sim> = (0..=MOST_LANES)
+        .map(|place| {
+            let mut sim = sim(&["spot"], MOST_LANES + 2);
+            assert!(sim.simd().lanes() <= MOST_LANES);
+            transplant(&mut sim, 0, place);
+            sim
+        })
+        .collect();
     for t in 0..60 {
+        for (place, sim) in sims.iter_mut().enumerate() {
+            // both act alike, the others as ever
+            let width = sim.batch().num_actions;
+            let actions: Vec<f32> = (0..sim.batch().actions.len())
+                .map(|i| common::noise(0, if i / width == place { 0 } else { i / width }, t, i % width))
+                .collect();
+            sim.step(&actions).unwrap();
+        }
         let (first, others) = sims.split_first_mut().unwrap();
-        step(first, t);
         for (place, other) in (1..).zip(others) {
-            step(other, t);
-            assert_same(first, ENV..ENV + 1, other, ENV..ENV + 1, &format!("place {place}, step {t}"));
+            assert_same(first, 0..1, other, place..place + 1, &format!("place {place}, step {t}"));
         }
     }
 }

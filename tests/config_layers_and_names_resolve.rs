@@ -144,3 +144,27 @@ fn a_robot_given_by_path_finds_the_urdf_beside_it() {
     assert_eq!(cub.urdf_text, "<robot name=\"cub\"/>");
     assert_eq!(cub.urdf_path, root.join("cub.urdf"));
 }
+
+#[test]
+fn a_task_may_change_its_robots() {
+    let library = Library::new(Vec::new());
+    let reference = task("reference_flat", &["robot_overrides.unitree_b2.action_scale=0.4"]).config;
+    let b2 = library.robot_in("unitree_b2", &reference).unwrap();
+    assert_eq!((b2.config.action_scale, b2.config.actuators["legs"].stiffness), (0.4, 160.0));
+    // what is not overridden stays, and so does the robot outside the task
+    assert_eq!(b2.config.actuators["legs"].effort_limit, Some(200.0));
+    assert_eq!(library.robot("unitree_b2").unwrap().config.actuators["legs"].stiffness, 250.0);
+    assert!(b2.resolved.to_string().contains("160"));
+
+    let mut wrong = reference.clone();
+    let table = wrong.robot_overrides.remove("unitree_b2").unwrap();
+    wrong.robot_overrides.insert("unitree_b3".into(), table);
+    let error = library.robot_in("spot", &wrong).unwrap_err().to_string();
+    assert!(error.contains("robot_overrides.unitree_b3") && error.contains("unitree_b2"), "{error}");
+
+    let mut wrong = reference;
+    let table = "[actuators.legs]\nstifness = 1.0".parse().unwrap();
+    wrong.robot_overrides.insert("unitree_a1".into(), table);
+    let error = library.robot_in("unitree_a1", &wrong).unwrap_err().to_string();
+    assert!(error.contains("robot_overrides.unitree_a1") && error.contains("did you mean `stiffness`"), "{error}");
+}

@@ -1,4 +1,4 @@
-//! The seed and the number of an env decide what is drawn for it.
+//! The seed, the robot and the env's place among that robot's envs decide what is drawn for it.
 
 mod common;
 
@@ -88,5 +88,24 @@ fn a_further_env_or_robot_leaves_the_draws_of_the_others() {
         for sim in [&mut eight, &mut nine, &mut seven_robots, &mut eight_robots] {
             step(sim, t);
         }
+    }
+}
+
+#[test]
+fn a_robot_added_in_front_leaves_the_draws_of_the_others() {
+    // a ninth robot: a copy of another under its own name, first in the list
+    let folder = std::env::temp_dir().join(format!("polypod-ninth-robot-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("configs/robots")).unwrap();
+    let config = "extends = \"unitree_go2\"\nname = \"ninth\"\ntitle = \"Ninth\"\n";
+    std::fs::write(folder.join("configs/robots/ninth.toml"), config).unwrap();
+    let nine: Vec<&str> = std::iter::once("ninth").chain(ROBOTS).collect();
+    let mut before = Sim::new(&busy(&ROBOTS, 24)).unwrap();
+    let mut after = Sim::new(&SimOptions { roots: vec![folder.clone()], ..busy(&nine, 27) }).unwrap();
+    std::fs::remove_dir_all(folder).unwrap();
+    assert_same(&mut before, 0..24, &mut after, 3..27, "made");
+    for t in 0..3 {
+        before.reset(None, None).unwrap();
+        after.reset(None, None).unwrap();
+        assert_same(&mut before, 0..24, &mut after, 3..27, &format!("reset {t}"));
     }
 }

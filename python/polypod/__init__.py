@@ -27,6 +27,7 @@ from polypod._core import (
     tasks,
 )
 from polypod.registration import register_tasks
+from polypod.state import State
 from polypod.vector_env import VectorEnv, make
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "PolypodError",
     "RobotError",
     "Simulation",
+    "State",
     "UnknownNameError",
     "VecSim",
     "VectorEnv",

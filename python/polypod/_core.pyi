@@ -61,7 +61,8 @@ class VecSim:
     """Many independent envs, one robot each, stepped together on the CPU.
 
     Envs of one robot are contiguous: robot r of R gets floor(num_envs / R) envs, the first (num_envs mod R) robots one
-    more. Env i's trajectory depends on the seed, i, its configuration and its actions alone.
+    more. An env's trajectory depends on the seed, its robot, its place in that robot's block, its configuration and its
+    actions alone.
     """
 
     def __init__(
@@ -169,6 +170,25 @@ class VecSim:
     @property
     def final_mask(self) -> npt.NDArray[np.bool_]:
         """[num_envs], the envs whose episode ended in the last step and that have been reset in it."""
+
+    def state(self, field: str) -> npt.NDArray[np.float32]:
+        """One quantity of every robot, float32 [num_envs, n], gathered now: a copy, yours to keep.
+
+        The fields are the properties of `polypod.State`, which says what they hold. A broken state is gathered as
+        zeros.
+
+        Raises:
+            ValueError: for a field that does not exist.
+        """
+
+    def terminate(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Ends the episodes of the envs in the mask, bool [num_envs], as failed in the last step.
+
+        `terminated`, `truncated` and the log count them as if a termination of the task had; `reset` them next.
+
+        Raises:
+            ConfigError: with any autoreset but "disabled".
+        """
 
     @property
     def episode_length(self) -> npt.NDArray[np.int64]:

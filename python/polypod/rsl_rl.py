@@ -14,7 +14,8 @@ import torch
 from gymnasium.vector import AutoresetMode
 from tensordict import TensorDict
 
-from polypod._core import ConfigError
+from polypod._core import ConfigError, VecSim
+from polypod.terms import CustomTerms
 from polypod.vector_env import VectorEnv
 
 
@@ -25,11 +26,13 @@ class VecEnv(rsl_rl.env.VecEnv):
     further step: on the CPU they are views of the simulator's two alternating buffers, on a GPU they are fresh.
     """
 
-    def __init__(self, env: VectorEnv, device: str | torch.device = "cpu", log_extras: bool = True) -> None:
+    def __init__(
+        self, env: VectorEnv | CustomTerms, device: str | torch.device = "cpu", log_extras: bool = True
+    ) -> None:
         """Wraps `env`.
 
         Args:
-            env: with same-step autoreset.
+            env: with same-step autoreset; `polypod.terms.CustomTerms` has it.
             device: where the learner lives.
             log_extras: put the simulator's log into `extras["log"]` at each step that ends an episode. A learner which
                 reads `unwrapped.sim.log()` by itself switches it off.
@@ -46,6 +49,7 @@ class VecEnv(rsl_rl.env.VecEnv):
             raise ConfigError("device='cuda', but torch finds no CUDA device; use device='cpu'")
         self.unwrapped = env
         self._sim = env.sim
+        self._source: VecSim | CustomTerms = env if isinstance(env, CustomTerms) else env.sim
         self._log_extras = log_extras
         self.num_envs = env.num_envs
         self.num_actions = self._sim.num_actions
@@ -73,12 +77,12 @@ class VecEnv(rsl_rl.env.VecEnv):
 
     def get_observations(self) -> TensorDict:
         """The current observations: `policy`, float32 [num_envs, num_obs]."""
-        policy = self._tensor("policy", self._sim.observation)
+        policy = self._tensor("policy", self._source.observation)
         return TensorDict({"policy": policy}, batch_size=[self.num_envs], device=self.device)
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
         """Begins new episodes in every env."""
-        self._sim.reset()
+        self._source.reset()
         return self.get_observations(), {}
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
@@ -96,7 +100,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         """
         if actions.shape != self._actions.shape:
             raise ValueError(f"actions have shape {tuple(actions.shape)}, expected {tuple(self._actions.shape)}")
-        sim = self._sim
+        sim = self._source
         self._actions.copy_(actions)
         sim.step(self._actions.numpy())
         time_outs = sim.truncated & ~sim.terminated

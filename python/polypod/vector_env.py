@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from polypod import _core
 from polypod.registration import task_of
+from polypod.state import State
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
@@ -108,6 +109,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         if self._sim is None:
             raise ClosedEnvironmentError("this env is closed; build a new one with polypod.make")
         return self._sim
+
+    @property
+    def state(self) -> State:
+        """The robots' state as dense arrays, gathered when they are asked for."""
+        return State(lambda: self.sim)
 
     @property
     def robots(self) -> list[str]:

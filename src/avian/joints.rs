@@ -175,6 +175,15 @@ pub(super) struct LinkPose {
     pub(super) rotation: Quat,
 }
 
+/// What acts on a base from outside, base axes.
+#[derive(Clone, Copy, Default, PartialEq)]
+pub(super) struct Wrench {
+    /// At the centre of mass, N.
+    pub(super) force: Vec3,
+    /// N m.
+    pub(super) torque: Vec3,
+}
+
 /// The joints of all robots of a world.
 #[derive(Resource, Default)]
 pub(super) struct Joints {
@@ -193,6 +202,9 @@ pub(super) struct Joints {
     pub(super) substeps: usize,
     /// `[robots * joints]`.
     pub(super) all: Vec<Joint>,
+    /// `[robots]`, and the rotations of the bases at the beginning of the physics step.
+    pub(super) wrenches: Vec<Wrench>,
+    pub(super) rotations: Vec<Quat>,
     /// `[robots * links]`.
     pub(super) masses: Vec<LinkMass>,
     /// Inverse articulated inertia of each base, `[robots]`.
@@ -257,6 +269,8 @@ impl Joints {
     /// Takes up the poses at the beginning of a physics step.
     pub(super) fn prepare(&mut self, poses: &[LinkPose]) {
         let (joints, links) = (self.num_joints(), self.num_joints() + 1);
+        self.rotations.clear();
+        self.rotations.extend(poses.iter().step_by(links).map(|pose| pose.rotation));
         self.bases.resize(poses.len() / links, Inertia::default());
         self.inertias.resize(links, Inertia::default());
         self.twists.resize(links, Twist::default());
@@ -271,6 +285,18 @@ impl Joints {
                 joint.angle = joint.position as f32;
                 joint.effort = 0.0;
             }
+        }
+    }
+
+    /// One substep of what acts on the bases from outside; the joints hand it on to the other links.
+    pub(super) fn push(&self, bodies: &mut [SolverBody]) {
+        let links = self.num_joints() + 1;
+        let at_rest = Wrench::default();
+        for (robot, wrench) in self.wrenches.iter().enumerate().filter(|(_, w)| self.floating && **w != at_rest) {
+            let base = &mut bodies[robot * links];
+            let (own, turn) = (&self.masses[robot * links], base.delta_rotation * self.rotations[robot]);
+            base.linear_velocity += turn * wrench.force * (self.h / own.mass);
+            base.angular_velocity += own.inertia.inverse() * (turn * wrench.torque) * self.h;
         }
     }
 

@@ -25,7 +25,7 @@ use crate::dynamics::{JointMotion, Parameters, Plane, State, Topology, Workspace
 use crate::obstacles::Part;
 use crate::robot::Model;
 use crate::rows::Workers;
-use joints::{Joint, JointNumbers, Joints};
+use joints::{Joint, JointNumbers, Joints, Wrench};
 use shapes::LinkCollider;
 pub(crate) use shapes::hull;
 use world::Bodies;
@@ -203,6 +203,12 @@ impl Engine {
         }
     }
 
+    /// Sets force (at the centre of mass, N) and torque (N m) on a base, base axes.
+    pub(crate) fn set_wrench(&mut self, env: usize, force: [f32; 3], torque: [f32; 3]) {
+        let (chunk, i) = self.at_mut(env);
+        chunk.joints.wrenches[i] = Wrench { force: Vec3::from_array(force), torque: Vec3::from_array(torque) };
+    }
+
     /// Sets the feed-forward effort of every joint to zero.
     pub(crate) fn clear_efforts(&mut self) {
         self.chunks.iter_mut().flat_map(|chunk| &mut chunk.joints.all).for_each(|joint| joint.feedforward = 0.0);
@@ -271,6 +277,7 @@ impl Chunk {
             axes: topology.joints.iter().map(|joint| vector(joint.axis.direction())).collect(),
             tables: topology.joints.iter().map(|joint| joint.effort_table.clone()).collect(),
             all: vec![Joint::default(); num_envs * topology.num_joints()],
+            wrenches: vec![Wrench::default(); num_envs],
             ..Joints::default()
         };
         joints.set_step(h, substeps);

@@ -396,8 +396,14 @@ fn prepare_joints(
     joints.prepare(&poses);
 }
 
-fn begin_joints(mut joints: ResMut<Joints>, mut first: ResMut<FirstSubstep>, bodies: Query<&'static SolverBody>) {
-    joints.begin(read_rows(&bodies), first.0);
+fn begin_joints(
+    mut joints: ResMut<Joints>,
+    mut first: ResMut<FirstSubstep>,
+    mut bodies: Query<&'static mut SolverBody>,
+) {
+    let bodies = write_rows(&mut bodies);
+    joints.begin(bodies, first.0);
+    joints.push(bodies);
     first.0 = false;
 }
 

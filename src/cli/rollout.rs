@@ -85,7 +85,7 @@ impl Rollout {
         } else {
             ProgressBar::hidden()
         };
-        let mut rng = EnvRng::new(self.seed, u32::MAX);
+        let mut rng = EnvRng::new(self.seed, 0);
         let mut actions = vec![0.0; sim.batch().actions.len()];
         let mut seconds = 0.0;
         for _ in 0..self.steps {

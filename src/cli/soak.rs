@@ -145,7 +145,7 @@ impl Soak {
         let joints = sim.num_joints();
         let range: Vec<[f32; 2]> =
             sim.joint_range().iter().map(|r| [r[0].max(-UNLIMITED) as f32, r[1].min(UNLIMITED) as f32]).collect();
-        let mut rngs: Vec<EnvRng> = (0..envs).map(|env| EnvRng::new(self.seed, env as u32)).collect();
+        let mut rngs: Vec<EnvRng> = (0..envs).map(|env| EnvRng::new(self.seed, env as u64)).collect();
         let mut targets = vec![0.0; envs * joints];
         let mut worst = Worst::default();
         let progress = if std::io::stderr().is_terminal() {

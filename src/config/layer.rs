@@ -13,7 +13,7 @@ use super::parse::{parse_params, segments};
 pub(super) const EXTENDS: &str = "extends";
 
 /// Keys that tell one config from another and are therefore never inherited.
-const IDENTITY: [&str; 3] = ["name", "aliases", "title"];
+pub(super) const IDENTITY: [&str; 3] = ["name", "aliases", "title"];
 
 /// A config's files, the one that extends no other first.
 pub(super) struct Layers(pub Vec<Layer>);

@@ -7,9 +7,10 @@ use toml::{Table, Value};
 
 use super::document::{Document, Kind, documents, is_toml, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
-use super::layer::{EXTENDS, Layer, Layers, parse, string_key};
+use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key};
 use super::names::{RobotEntry, TaskEntry, entry, single_robot_name, unknown_name};
 use super::robot::RobotConfig;
+use super::suggest::did_you_mean;
 use super::task::TaskConfig;
 
 /// Environment variable with further roots, separated as in `PATH`.
@@ -62,8 +63,41 @@ impl Library {
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config, no URDF.
     pub fn robot(&self, name_or_path: &str) -> Result<LoadedRobot, ConfigError> {
+        self.robot_with(name_or_path, None)
+    }
+
+    /// A robot as a task has it: with the task's `[robot_overrides]` on top.
+    ///
+    /// # Errors
+    /// As [`Library::robot`]; overrides of a robot that does not exist.
+    pub fn robot_in(&self, name_or_path: &str, task: &TaskConfig) -> Result<LoadedRobot, ConfigError> {
+        let known: Vec<String> = self.robots()?.into_iter().map(|robot| robot.name).collect();
+        let is_known = |name: &String| known.contains(name) || task.robots.contains(name) || name == name_or_path;
+        if let Some(stranger) = task.robot_overrides.keys().find(|name| !is_known(name)) {
+            let element = format!("robot_overrides.{stranger}");
+            let remedy = did_you_mean(stranger, known.iter().map(String::as_str), "robots");
+            let error =
+                ConfigError::invalid(task.name.clone(), element, format!("there is no robot `{stranger}`"), remedy);
+            return Err(error.of_kind(ConfigErrorKind::UnknownName));
+        }
+        self.robot_with(name_or_path, Some(task))
+    }
+
+    fn robot_with(&self, name_or_path: &str, task: Option<&TaskConfig>) -> Result<LoadedRobot, ConfigError> {
         let top = self.find(Kind::Robot, name_or_path, None, &[])?;
+        let mut document = top.clone();
         let mut layers = self.layers(Kind::Robot, top)?;
+        if let Some((task, changes)) = task.and_then(|task| Some((task, task.robot_overrides.get(&document.stem)?))) {
+            // what tells one robot from another is never inherited, and a task does not make another robot
+            let own = layers.0.last().into_iter().flat_map(|layer| &layer.table);
+            let mut table: Table = own
+                .filter(|(key, _)| IDENTITY.contains(&key.as_str()))
+                .map(|(key, value)| (key.clone(), value.clone()))
+                .collect();
+            table.extend(changes.clone());
+            document.file = format!("{}: robot_overrides.{}", task.name, document.stem);
+            layers.0.push(Layer { document, table });
+        }
         layers.0.iter_mut().for_each(make_package_dirs_absolute);
         let (config, resolved) = layers.typed(&[], RobotConfig::validate)?;
         let stem = layers.0.last().map_or("", |layer| layer.document.stem.as_str());

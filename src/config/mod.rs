@@ -7,6 +7,7 @@ mod library;
 mod names;
 mod overrides;
 mod parse;
+mod randomization;
 mod robot;
 mod scene;
 mod suggest;
@@ -19,17 +20,18 @@ pub(crate) use library::fnv1a;
 pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE};
 pub use names::{RobotEntry, TaskEntry};
 pub use parse::parse_params;
+pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
 pub use robot::{
-    ActuatorConfig, ActuatorModel, BaseComOffset, BodiesConfig, JointPositionMode, JointPositionReset,
-    RandomizationConfig, RangeConfig, ResetConfig, RobotConfig,
+    ActuatorConfig, ActuatorModel, BodiesConfig, JointPositionMode, JointPositionReset, RangeConfig, ResetConfig,
+    RobotConfig,
 };
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
-pub use terrain::{
-    BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
-};
 pub use task::{
     CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig, MaterialConfig,
     ObservationTerm, ObservationsConfig, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig,
     VelocityCommandConfig,
+};
+pub use terrain::{
+    BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
 };

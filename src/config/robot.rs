@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::robot::{CANONICAL_JOINT_NAMES, LEGS};
 
 use super::error::{ConfigError, ConfigErrorKind};
+use super::randomization::{RandomizationConfig, VariationConfig};
 use super::suggest::did_you_mean;
 use super::values;
 
@@ -37,9 +38,12 @@ pub struct RobotConfig {
     /// How an episode begins.
     #[serde(default)]
     pub reset: ResetConfig,
-    /// Ranges that a task's startup events draw from.
+    /// Ranges that a task's events draw from.
     #[serde(default)]
     pub randomization: RandomizationConfig,
+    /// Ranges that the event `body_variation` draws bodies from.
+    #[serde(default)]
+    pub variation: VariationConfig,
     /// Canonical joint -> joint of the URDF, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub joint_roles: BTreeMap<String, String>,
@@ -197,49 +201,6 @@ pub struct RangeConfig {
     /// Lower and upper end.
     #[serde(deserialize_with = "values::range")]
     pub range: [f64; 2],
-}
-
-/// Ranges of the startup randomisation; a task's `[events]` switches it on.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomizationConfig {
-    /// Coefficient of friction at rest. Default: 0.5 to 1.25.
-    #[serde(deserialize_with = "values::non_negative_range")]
-    pub static_friction: [f64; 2],
-    /// Coefficient of friction when sliding. Default: 0.4 to 1.
-    #[serde(deserialize_with = "values::non_negative_range")]
-    pub dynamic_friction: [f64; 2],
-    /// Mass added to the base, kg. Default: 0.
-    #[serde(deserialize_with = "values::range")]
-    pub base_mass_offset: [f64; 2],
-    /// Shift of the base's centre of mass, base frame. Default: 0.
-    pub base_com_offset: BaseComOffset,
-}
-
-impl Default for RandomizationConfig {
-    fn default() -> Self {
-        Self {
-            static_friction: [0.5, 1.25],
-            dynamic_friction: [0.4, 1.0],
-            base_mass_offset: [0.0, 0.0],
-            base_com_offset: BaseComOffset::default(),
-        }
-    }
-}
-
-/// Shift of a centre of mass, m.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BaseComOffset {
-    /// Forward.
-    #[serde(deserialize_with = "values::range")]
-    pub x: [f64; 2],
-    /// To the left.
-    #[serde(deserialize_with = "values::range")]
-    pub y: [f64; 2],
-    /// Up.
-    #[serde(deserialize_with = "values::range")]
-    pub z: [f64; 2],
 }
 
 impl RobotConfig {

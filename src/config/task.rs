@@ -25,6 +25,9 @@ pub struct TaskConfig {
     pub experiment_name: String,
     /// Names of the robots, in the order of their blocks of envs.
     pub robots: Vec<String>,
+    /// What this task changes in robots' configs, by the robot's name: tables laid out like `configs/robots/*.toml`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub robot_overrides: BTreeMap<String, Table>,
     /// Time and space.
     pub sim: SimConfig,
     /// Engine and its settings.

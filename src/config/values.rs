@@ -40,6 +40,40 @@ pub fn optional_non_negative_range<'de, D: Deserializer<'de>>(deserializer: D) -
     non_negative_range(deserializer).map(Some)
 }
 
+/// A [`range`] whose lower end is above 0.
+///
+/// # Errors
+/// As [`range`], or an end of 0 or below.
+pub fn positive_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    let [lower, upper] = range(deserializer)?;
+    if lower > 0.0 {
+        Ok([lower, upper])
+    } else {
+        Err(D::Error::custom(format!("the lower end {lower} is not positive; write a range above 0")))
+    }
+}
+
+/// `[fewest, most]` steps, both included.
+///
+/// # Errors
+/// Not two whole numbers, negative ones, or in the wrong order.
+pub fn step_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[u32; 2], D::Error> {
+    let [fewest, most] = <[u32; 2]>::deserialize(deserializer)?;
+    if fewest <= most {
+        Ok([fewest, most])
+    } else {
+        Err(D::Error::custom(format!("the lower end {fewest} is above the upper end {most}; write [fewest, most]")))
+    }
+}
+
+/// A [`step_range`] that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`step_range`].
+pub fn optional_step_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[u32; 2]>, D::Error> {
+    step_range(deserializer).map(Some)
+}
+
 /// A [`range`] that may be left out (with `#[serde(default)]`).
 ///
 /// # Errors

@@ -38,6 +38,10 @@ pub struct Drive<S> {
     pub delay: Vec<S>,
     /// Effort on top of what the targets ask for, before the actuators' limits, N m, `[joints]`.
     pub feedforward: Vec<S>,
+    /// Force on the base at its centre of mass, base axes, N.
+    pub base_force: Vec3<S>,
+    /// Torque on the base, base axes, N m.
+    pub base_torque: Vec3<S>,
 }
 
 /// What one control step reports.
@@ -75,11 +79,17 @@ impl<S: Real> State<S> {
 }
 
 impl<S: Real> Drive<S> {
-    /// Targets and feed-forward zero, no delay, `ages` control steps remembered.
+    /// Targets, feed-forward and wrench zero, no delay, `ages` control steps remembered.
     pub fn zeros(topology: &Topology, ages: usize) -> Self {
         let joints = topology.num_joints();
         let zeros = vec![S::zero(); joints];
-        Self { targets: vec![zeros.clone(); ages], delay: zeros.clone(), feedforward: zeros }
+        Self {
+            targets: vec![zeros.clone(); ages],
+            delay: zeros.clone(),
+            feedforward: zeros,
+            base_force: [S::zero(); 3],
+            base_torque: [S::zero(); 3],
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use super::contact::{self, ContactSettings};
 use super::factor;
 use super::kinematics;
 use super::lanes::{Kernel, Real};
-use super::math::{Spatial, add_scaled, integrate_quat, mul_vec, mul_vec_transposed, quat_to_mat};
+use super::math::{Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, quat_to_mat};
 use super::self_contact;
 use super::solver;
 use super::state::{Drive, Report, State, Workspace};
@@ -174,7 +174,12 @@ fn physics_step<S: Real>(
     let linear = mul_vec_transposed(&work.base_rotation, &state.linear_velocity);
     let w = state.angular_velocity;
     work.velocity_base = [w[0], w[1], w[2], linear[0], linear[1], linear[2]];
-    let mut impulse = work.bias_base.map(|f| -(f * dt));
+    let [tx, ty, tz] = add(&drive.base_torque, &cross(&parameters.com[0], &drive.base_force));
+    let [fx, fy, fz] = drive.base_force;
+    let mut impulse = [tx, ty, tz, fx, fy, fz];
+    for r in 0..6 {
+        impulse[r] = (impulse[r] - work.bias_base[r]) * dt;
+    }
     work.factor.half_solve(topology, &mut impulse, &mut work.rhs_joint);
     work.factor.divide(topology, &mut impulse, &mut work.rhs_joint);
     work.contact.base = if topology.floating { work.velocity_base } else { [z; 6] };
@@ -255,7 +260,7 @@ pub(crate) fn report_sites<S: Real>(
     kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &base, work);
     for (s, &link) in topology.sites.iter().enumerate() {
         let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position[s]);
-        report.site_position[s] = super::math::add(&state.position, &mul_vec(&rotation, &at));
+        report.site_position[s] = add(&state.position, &mul_vec(&rotation, &at));
         report.site_velocity[s] = mul_vec(&rotation, &velocity);
     }
 }

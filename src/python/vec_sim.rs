@@ -14,7 +14,7 @@ use crate::app::{Sim, SimOptions};
 use crate::components::{Command, EnvId, Episode};
 use crate::morphology::Morphologies;
 use crate::robot::CANONICAL_JOINT_NAMES;
-use crate::systems::{Autoreset, CompiledTask, Logs};
+use crate::systems::{Autoreset, CompiledTask, Logs, StateField};
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {
@@ -267,6 +267,25 @@ impl VecSim {
     #[getter]
     fn command<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
         self.arrays.command.bind(py).clone()
+    }
+
+    fn state<'py>(&mut self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let Some(known) = StateField::ALL.into_iter().find(|known| known.name() == field) else {
+            let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
+            return Err(value_error(format!("field: there is no `{field}`; use one of {}", names.join(", "))));
+        };
+        let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), known.width()], false);
+        self.sim.state(known, rows.try_readwrite()?.as_slice_mut()?).map_err(|error| to_python(py, error))?;
+        Ok(rows)
+    }
+
+    fn terminate(&mut self, py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
+        self.sim.terminate(mask.as_slice()?).map_err(|error| to_python(py, error))?;
+        let batch = self.sim.batch();
+        fill(py, &self.arrays.terminated, &batch.terminated)?;
+        fill(py, &self.arrays.truncated, &batch.truncated)
     }
 
     #[getter]

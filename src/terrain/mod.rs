@@ -81,14 +81,17 @@ pub struct Tile {
 pub fn generate(config: &TerrainConfig) -> Vec<Tile> {
     let layout = TerrainLayout::new(config);
     let tile = |row: u32, column: u32| {
-        let mut rng = EnvRng::new(config.seed, row * config.num_cols + column);
+        let mut rng = EnvRng::new(config.seed, u64::from(row * config.num_cols + column));
         let [low, high] = config.difficulty_range;
         let share = (f64::from(row) + f64::from(rng.unit())) / f64::from(config.num_rows);
         let shape = &config.sub_terrains[layout.column_types[column as usize]].shape;
         let mesh = tiles::mesh(shape, config, low + (high - low) * share, &mut rng);
         Tile { row, column, mesh, origin: layout.origin(row, column) }
     };
-    (0..config.num_rows).flat_map(|row| (0..config.num_cols).map(move |column| (row, column))).map(|(r, c)| tile(r, c)).collect()
+    (0..config.num_rows)
+        .flat_map(|row| (0..config.num_cols).map(move |column| (row, column)))
+        .map(|(r, c)| tile(r, c))
+        .collect()
 }
 
 /// The flat border around all tiles, m, world axes.

@@ -1,0 +1,128 @@
+"""The state of every robot as dense arrays."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class State:
+    """What the robots are doing now, as terms of your own read it.
+
+    Each property is a float32 array [num_envs, n], gathered when it is asked for: a copy, yours to keep, of the state
+    after the last step or reset. Under same-step autoreset that is the new episode's state where one has ended; build
+    the env with `autoreset="disabled"` to see the last state of an episode, as `polypod.terms.CustomTerms` does.
+
+    Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order LF, LH, RF, RH with x, y, z
+    side by side. Base axes: x forward, y left, z up. Rows whose state broke (`valid` is False) are zeros.
+    """
+
+    def __init__(self, sim: Callable[[], _core.VecSim]) -> None:
+        """Reads from the simulator that `sim` gives."""
+        self._sim = sim
+
+    @property
+    def base_pos(self) -> FloatArray:
+        """[num_envs, 3], position of the base relative to the env's origin, m."""
+        return self._sim().state("base_pos")
+
+    @property
+    def base_quat(self) -> FloatArray:
+        """[num_envs, 4], orientation of the base: w, x, y, z."""
+        return self._sim().state("base_quat")
+
+    @property
+    def base_lin_vel(self) -> FloatArray:
+        """[num_envs, 3], velocity of the base's centre of mass, base axes, m/s."""
+        return self._sim().state("base_lin_vel")
+
+    @property
+    def base_ang_vel(self) -> FloatArray:
+        """[num_envs, 3], base axes, rad/s."""
+        return self._sim().state("base_ang_vel")
+
+    @property
+    def projected_gravity(self) -> FloatArray:
+        """[num_envs, 3], unit vector of gravity, base axes."""
+        return self._sim().state("projected_gravity")
+
+    @property
+    def joint_pos(self) -> FloatArray:
+        """[num_envs, 12], rad."""
+        return self._sim().state("joint_pos")
+
+    @property
+    def joint_vel(self) -> FloatArray:
+        """[num_envs, 12], rad/s."""
+        return self._sim().state("joint_vel")
+
+    @property
+    def joint_acc(self) -> FloatArray:
+        """[num_envs, 12], over the last physics step, rad/s^2."""
+        return self._sim().state("joint_acc")
+
+    @property
+    def joint_effort(self) -> FloatArray:
+        """[num_envs, 12], applied by the actuators in the last physics step, N m."""
+        return self._sim().state("joint_effort")
+
+    @property
+    def default_joint_pos(self) -> FloatArray:
+        """[num_envs, 12], the default pose, rad."""
+        return self._sim().state("default_joint_pos")
+
+    @property
+    def contact_forces(self) -> FloatArray:
+        """[num_envs, 12], net contact force on each foot in the last physics step, world axes, N."""
+        return self._sim().state("contact_forces")
+
+    @property
+    def feet_pos(self) -> FloatArray:
+        """[num_envs, 12], centre of each foot relative to the env's origin, m."""
+        return self._sim().state("feet_pos")
+
+    @property
+    def feet_vel(self) -> FloatArray:
+        """[num_envs, 12], world axes, m/s."""
+        return self._sim().state("feet_vel")
+
+    @property
+    def feet_air_time(self) -> FloatArray:
+        """[num_envs, 4], how long each foot has been in the air, s; 0 in contact."""
+        return self._sim().state("feet_air_time")
+
+    @property
+    def feet_contact_time(self) -> FloatArray:
+        """[num_envs, 4], how long each foot has been in contact, s; 0 in the air."""
+        return self._sim().state("feet_contact_time")
+
+    @property
+    def command(self) -> FloatArray:
+        """[num_envs, 3], commanded velocity, base axes: x, y (m/s), yaw rate (rad/s)."""
+        return self._sim().state("command")
+
+    @property
+    def last_action(self) -> FloatArray:
+        """[num_envs, 12], as the policy gave it."""
+        return self._sim().state("last_action")
+
+    @property
+    def previous_action(self) -> FloatArray:
+        """[num_envs, 12], the action before the last one."""
+        return self._sim().state("previous_action")
+
+    @property
+    def valid(self) -> npt.NDArray[np.bool_]:
+        """Bool [num_envs], False where the state broke in the last step."""
+        valid: npt.NDArray[Any] = self._sim().state("valid")[:, 0] > 0.0
+        return valid
+
+    @property
+    def episode_length(self) -> npt.NDArray[np.int64]:
+        """int64 [num_envs], control steps of the episodes so far."""
+        return self._sim().episode_length

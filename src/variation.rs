@@ -1,0 +1,192 @@
+//! Bodies that differ from their URDF: links stretched and weighed otherwise, with all that follows from it.
+//!
+//! Every number of a body is its own ([`Parameters`]), so a varied body steps as fast as any other. A link is stretched by
+//! a linear map of its points: joint origins, centres of mass, collision shapes and feet go along, spheres, capsules and
+//! cylinders keep their radius, and the second moments of its mass follow the same map. Left and right legs are stretched alike
+//! and stay mirror images.
+
+use crate::dynamics::kinematics::forward_kinematics;
+use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
+use crate::dynamics::{Parameters, Topology, Workspace};
+use crate::morphology::MorphologyModel;
+use crate::robot::UNLIMITED;
+
+/// Factors between a body and that of its URDF; lengths and masses by part of the body, the same for all four legs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyScales {
+    /// Length of the base, along x.
+    pub base_length: f64,
+    /// Width of the base, along y.
+    pub base_width: f64,
+    /// Distance between abduction and flexion joint of the hip.
+    pub hip_offset: f64,
+    /// Distance between hip and knee.
+    pub thigh_length: f64,
+    /// Distance between knee and foot.
+    pub shank_length: f64,
+    /// Mass of the base.
+    pub base_mass: f64,
+    /// Mass of each link between the joints of a hip.
+    pub hip_mass: f64,
+    /// Mass of each thigh.
+    pub thigh_mass: f64,
+    /// Mass of each shank with its foot.
+    pub shank_mass: f64,
+    /// Range of each joint about its middle, as far as the default pose stays within.
+    pub joint_range: f64,
+    /// Stiffness of all actuators.
+    pub stiffness: f64,
+    /// Damping of all actuators.
+    pub damping: f64,
+}
+
+impl BodyScales {
+    /// The body of the URDF.
+    pub const NOMINAL: Self = Self {
+        base_length: 1.0,
+        base_width: 1.0,
+        hip_offset: 1.0,
+        thigh_length: 1.0,
+        shank_length: 1.0,
+        base_mass: 1.0,
+        hip_mass: 1.0,
+        thigh_mass: 1.0,
+        shank_mass: 1.0,
+        joint_range: 1.0,
+        stiffness: 1.0,
+        damping: 1.0,
+    };
+
+    /// Scales a body of this kind.
+    pub fn apply(&self, model: &MorphologyModel, body: &mut Parameters<f32>) {
+        let topology = &model.topology;
+        let mut p = Parameters::<f64>::from_scalars(topology, body);
+        // the maps come from the lengths as they are, so all of them first
+        let maps = self.maps(model, &p);
+        for (link, (map, mass)) in maps.iter().enumerate() {
+            p.com[link] = mul_vec(map, &p.com[link]);
+            p.mass[link] *= mass;
+            p.inertia[link] = stretched(map, *mass, &p.inertia[link]);
+        }
+        for (j, joint) in topology.joints.iter().enumerate() {
+            p.joint_offset[j] = mul_vec(&maps[joint.parent].0, &p.joint_offset[j]);
+        }
+        for (s, &link) in topology.sites.iter().enumerate() {
+            p.site_position[s] = mul_vec(&maps[link].0, &p.site_position[s]);
+        }
+        stretch_shapes(topology, &maps, &mut p);
+        for j in 0..topology.num_joints() {
+            p.stiffness[j] *= self.stiffness;
+            p.damping[j] *= self.damping;
+            let default = f64::from(model.default_position[j]);
+            let (lower, upper) = (p.lower[j], p.upper[j]);
+            if -lower < UNLIMITED && upper < UNLIMITED {
+                let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * self.joint_range);
+                p.lower[j] = (middle - half).min(default);
+                p.upper[j] = (middle + half).max(default);
+            }
+        }
+        body.zip_with(&p, |x, y| *x = *y as f32);
+    }
+
+    /// How each link is stretched, and the factor of its mass, `[links]`.
+    fn maps(&self, model: &MorphologyModel, p: &Parameters<f64>) -> Vec<(Mat3<f64>, f64)> {
+        let topology = &model.topology;
+        let mut maps = vec![(stretch(&[0.0; 3], 1.0), 1.0); topology.num_links()];
+        let mut base = stretch(&[0.0; 3], 1.0);
+        (base[0][0], base[1][1]) = (self.base_length, self.base_width);
+        maps[0] = (base, self.base_mass);
+        for leg in 0..4 {
+            let joint = |role: usize| model.joint_of_slot[4 * role + leg];
+            let end = foot_in(topology, p, joint(2) + 1, leg);
+            for (role, (end, length, mass)) in [
+                (p.joint_offset[joint(1)], self.hip_offset, self.hip_mass),
+                (p.joint_offset[joint(2)], self.thigh_length, self.thigh_mass),
+                (end, self.shank_length, self.shank_mass),
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                maps[joint(role) + 1] = (stretch(&end, length), mass);
+            }
+        }
+        maps
+    }
+}
+
+/// The foot of a leg in its shank, or where the part of the leg hangs that carries it, m.
+fn foot_in(topology: &Topology, p: &Parameters<f64>, shank: usize, leg: usize) -> Vec3<f64> {
+    let below = topology.path(topology.sites[leg]).iter().find(|&&joint| topology.joints[joint].parent == shank);
+    match below {
+        Some(&joint) => p.joint_offset[joint],
+        None => p.site_position[leg],
+    }
+}
+
+/// The map that stretches by a factor along a direction and leaves what is across it.
+fn stretch(along: &Vec3<f64>, factor: f64) -> Mat3<f64> {
+    let square = dot(along, along);
+    let more = if square > 0.0 { (factor - 1.0) / square } else { 0.0 };
+    std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j)) + more * along[i] * along[j]))
+}
+
+/// Inertia of a link whose mass is spread by a map and weighed by a factor: the second moments follow the map.
+fn stretched(map: &Mat3<f64>, mass: f64, inertia: &Sym3<f64>) -> Sym3<f64> {
+    let moments = complement(inertia, 0.5);
+    // `rotate_sym` is a congruence: any map will do
+    complement(&rotate_sym(map, &moments), 1.0).map(|x| x * mass)
+}
+
+/// `share tr(s) 1 - s`: from inertia to second moments with a share of 1/2, and back with 1.
+fn complement(&[xx, yy, zz, xy, xz, yz]: &Sym3<f64>, share: f64) -> Sym3<f64> {
+    let trace = share * (xx + yy + zz);
+    [trace - xx, trace - yy, trace - zz, -xy, -xz, -yz]
+}
+
+fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], p: &mut Parameters<f64>) {
+    p.contact_reach.fill(0.0);
+    for (i, contact) in topology.contacts.iter().enumerate() {
+        let at = mul_vec(&maps[contact.link].0, &p.contact_position[i]);
+        p.contact_position[i] = at;
+        let reach = dot(&at, &at).sqrt() + p.contact_radius[i] + p.contact_rim[i];
+        p.contact_reach[contact.link] = p.contact_reach[contact.link].max(reach);
+    }
+    for (i, collider) in topology.colliders.iter().enumerate() {
+        let map = &maps[collider.link].0;
+        p.collider_centre[i] = mul_vec(map, &p.collider_centre[i]);
+        match &collider.box_rotation {
+            // from tip to tip a capsule is as long as what it stands for
+            None => {
+                let (half, radius) = (p.collider_half[i], p.collider_radius[i]);
+                let (before, image) = (dot(&half, &half).sqrt(), mul_vec(map, &half));
+                let after = dot(&image, &image).sqrt();
+                if before > 0.0 && after > 0.0 {
+                    let tip = (before + radius) * after / before;
+                    p.collider_half[i] = image.map(|x| x * (tip - radius).max(0.0) / after);
+                }
+            }
+            // a box stays one: its edges take the lengths of their images
+            Some(rows) => {
+                for k in 0..3 {
+                    let edge = mul_vec(map, &[rows[0][k], rows[1][k], rows[2][k]]);
+                    p.collider_half[i][k] *= dot(&edge, &edge).sqrt();
+                }
+            }
+        }
+    }
+}
+
+/// Height of the base above level ground in the default pose, with the lowest foot at the reset's margin above it, m.
+pub fn spawn_height(model: &MorphologyModel, body: &Parameters<f32>) -> f32 {
+    let topology = &model.topology;
+    let p = Parameters::<f64>::from_scalars(topology, body);
+    let q: Vec<f64> = model.default_position.iter().map(|&q| f64::from(q)).collect();
+    let mut work = Workspace::new(topology);
+    forward_kinematics(topology, &p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
+    let lowest = (0..4).map(|leg| {
+        let link = &work.links[topology.sites[leg]];
+        let foot = mul_vec(&link.rotation, &p.site_position[leg]);
+        link.position[2] + foot[2] - model.roles.foot_radius[leg]
+    });
+    (model.config.reset.spawn_margin - lowest.fold(f64::INFINITY, f64::min)) as f32
+}

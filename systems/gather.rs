@@ -1,0 +1,173 @@
+//! The robots' state as dense rows, for those who look at it from outside: gathered when it is asked for.
+
+use bevy_ecs::prelude::*;
+
+use super::terms::CompiledTask;
+use super::view::{RobotView, ViewParam};
+use crate::components::{ContactForces, Episode};
+use crate::rows::{MatrixRows, Workers, read_rows};
+
+/// One quantity of every robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StateField {
+    /// Base position relative to the env's origin, m.
+    BasePos,
+    /// Base orientation w, x, y, z.
+    BaseQuat,
+    /// Velocity of the base's centre of mass, base axes, m/s.
+    BaseLinVel,
+    /// Base axes, rad/s.
+    BaseAngVel,
+    /// Unit vector of gravity, base axes.
+    ProjectedGravity,
+    /// Joint positions, canonical order, rad.
+    JointPos,
+    /// Joint velocities, canonical order, rad/s.
+    JointVel,
+    /// Joint accelerations over the last physics step, canonical order, rad/s^2.
+    JointAcc,
+    /// Efforts of the actuators in the last physics step, canonical order, N m.
+    JointEffort,
+    /// Joint positions of the default pose, canonical order, rad.
+    DefaultJointPos,
+    /// Net contact force on each foot in the last physics step, world axes, N.
+    ContactForces,
+    /// Centres of the feet relative to the env's origin, m.
+    FeetPos,
+    /// World axes, m/s.
+    FeetVel,
+    /// How long each foot has been in the air, s.
+    FeetAirTime,
+    /// How long each foot has been in contact, s.
+    FeetContactTime,
+    /// Commanded forward and left velocity (m/s) and yaw rate (rad/s), base axes.
+    Command,
+    /// Last action, canonical order.
+    LastAction,
+    /// The action before that.
+    PreviousAction,
+    /// 1, or 0 where the state broke; all else of such a robot is gathered as zeros.
+    Valid,
+}
+
+impl StateField {
+    /// All of them.
+    pub const ALL: [Self; 19] = [
+        Self::BasePos,
+        Self::BaseQuat,
+        Self::BaseLinVel,
+        Self::BaseAngVel,
+        Self::ProjectedGravity,
+        Self::JointPos,
+        Self::JointVel,
+        Self::JointAcc,
+        Self::JointEffort,
+        Self::DefaultJointPos,
+        Self::ContactForces,
+        Self::FeetPos,
+        Self::FeetVel,
+        Self::FeetAirTime,
+        Self::FeetContactTime,
+        Self::Command,
+        Self::LastAction,
+        Self::PreviousAction,
+        Self::Valid,
+    ];
+
+    /// Its name in Python.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BasePos => "base_pos",
+            Self::BaseQuat => "base_quat",
+            Self::BaseLinVel => "base_lin_vel",
+            Self::BaseAngVel => "base_ang_vel",
+            Self::ProjectedGravity => "projected_gravity",
+            Self::JointPos => "joint_pos",
+            Self::JointVel => "joint_vel",
+            Self::JointAcc => "joint_acc",
+            Self::JointEffort => "joint_effort",
+            Self::DefaultJointPos => "default_joint_pos",
+            Self::ContactForces => "contact_forces",
+            Self::FeetPos => "feet_pos",
+            Self::FeetVel => "feet_vel",
+            Self::FeetAirTime => "feet_air_time",
+            Self::FeetContactTime => "feet_contact_time",
+            Self::Command => "command",
+            Self::LastAction => "last_action",
+            Self::PreviousAction => "previous_action",
+            Self::Valid => "valid",
+        }
+    }
+
+    /// Numbers per robot.
+    pub fn width(self) -> usize {
+        match self {
+            Self::Valid => 1,
+            Self::BasePos | Self::BaseLinVel | Self::BaseAngVel | Self::ProjectedGravity | Self::Command => 3,
+            Self::BaseQuat | Self::FeetAirTime | Self::FeetContactTime => 4,
+            _ => 12,
+        }
+    }
+
+    fn write(self, r: &RobotView, forces: &ContactForces, out: &mut [f32]) {
+        let joints = |out: &mut [f32], values: &[f32]| {
+            for (x, &joint) in out.iter_mut().zip(&r.morphology.joint_of_slot) {
+                *x = values[joint];
+            }
+        };
+        match self {
+            Self::BasePos => out.copy_from_slice(&r.pose.position),
+            Self::BaseQuat => out.copy_from_slice(&r.pose.rotation),
+            Self::BaseLinVel => out.copy_from_slice(&r.imu.linear_velocity),
+            Self::BaseAngVel => out.copy_from_slice(&r.imu.angular_velocity),
+            Self::ProjectedGravity => out.copy_from_slice(&r.imu.projected_gravity),
+            Self::JointPos => joints(out, &r.joints.position),
+            Self::JointVel => joints(out, &r.joints.velocity),
+            Self::JointAcc => joints(out, &r.effort.acceleration),
+            Self::JointEffort => joints(out, &r.effort.applied),
+            Self::DefaultJointPos => joints(out, &r.morphology.default_position),
+            Self::ContactForces => {
+                for (foot, &body) in out.chunks_exact_mut(3).zip(&r.morphology.feet) {
+                    foot.copy_from_slice(&forces.net[body]);
+                }
+            }
+            Self::FeetPos => out.copy_from_slice(r.feet.position.as_flattened()),
+            Self::FeetVel => out.copy_from_slice(r.feet.velocity.as_flattened()),
+            Self::FeetAirTime => out.copy_from_slice(&r.contacts.air_time),
+            Self::FeetContactTime => out.copy_from_slice(&r.contacts.contact_time),
+            Self::Command => out.copy_from_slice(r.command),
+            Self::LastAction => out.copy_from_slice(&r.action.current),
+            Self::PreviousAction => out.copy_from_slice(&r.action.previous),
+            Self::Valid => out.fill(1.0),
+        }
+    }
+}
+
+/// Writes one quantity of all robots, row-major `[num_envs, width]`. A broken state is written as zeros.
+pub(crate) fn gather_state(world: &mut World, field: StateField, out: &mut [f32]) {
+    // running a system once only fails when its parameters are missing, and all are inserted when the app is made
+    if let Err(error) = world.run_system_cached_with(gather, (field, out)) {
+        tracing::error!("the state was not gathered: {error}");
+    }
+}
+
+fn gather(
+    (In(field), InMut(out)): (In<StateField>, InMut<[f32]>),
+    workers: Res<Workers>,
+    task: Res<CompiledTask>,
+    views: ViewParam,
+    forces: Query<&'static ContactForces>,
+    episodes: Query<&'static Episode>,
+) {
+    let views = views.views(task.step_dt);
+    let rows = (read_rows(&forces), read_rows(&episodes), MatrixRows { data: out, width: field.width() });
+    workers.for_each_chunk(rows, views.len(), |first, n, (forces, episodes, mut out)| {
+        for i in 0..n {
+            if episodes[i].invalid {
+                out.row(i).fill(0.0);
+            } else {
+                field.write(&views.get(first + i), &forces[i], out.row(i));
+            }
+        }
+    });
+}
