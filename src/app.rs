@@ -16,6 +16,7 @@ use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
+use crate::mirrors::LinkMirrors;
 use crate::morphology::{Morphologies, MorphologyError, MorphologyModel};
 use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::rows::Workers;
@@ -191,6 +192,9 @@ impl Sim {
         let rays = ScanRays::new(task.config.sensors.height_scanner.as_ref());
         spawn(world, &morphologies, &compiled, &counts, rays.len());
         world.insert_resource(rays);
+        if task.config.physics.mirror_links {
+            LinkMirrors::spawn(world, &task.config, &morphologies, &counts);
+        }
         world.insert_resource(BlockSizes(counts.clone()));
         world.insert_resource(morphologies);
         world.insert_resource(compiled);

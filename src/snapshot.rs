@@ -10,7 +10,7 @@ use crate::components::{
     EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, Imu, JointEffort, JointState, JointTargets,
 };
 use crate::config::fnv1a;
-use crate::systems::{Logs, scan_heights};
+use crate::systems::{Logs, mirror_all, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
 const FORMAT: u32 = 3;
@@ -59,6 +59,7 @@ macro_rules! snapshot {
                 sim.world_mut().insert_resource(batch);
                 sim.world_mut().insert_resource(logs);
                 sim.set_seed(seed);
+                mirror_all(sim.world_mut());
                 // what sensors see of the ground follows from the state
                 let scanned = sim.world_mut().run_system_cached(scan_heights);
                 scanned.map_err(|error| SimError::Snapshot(format!("the height scanner did not run: {error}")))

@@ -6,6 +6,7 @@ mod command;
 mod curriculum;
 mod disturb;
 mod logs;
+mod mirror;
 mod observe;
 mod physics;
 mod physics_avian;
@@ -22,10 +23,12 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
 
 use crate::app::SimError;
+use crate::mirrors::LinkMirrors;
 
 pub use broken::{BrokenState, BrokenStates, Motion};
 pub use curriculum::{BlockSizes, EpisodeEnd, place_envs};
 pub use logs::{EpisodeStats, Logs, RobotLog};
+pub(crate) use mirror::mirror_all;
 pub use physics::PhysicsEngine;
 pub(crate) use physics::{history_length, run_physics};
 pub use reset::NewState;
@@ -55,6 +58,8 @@ pub enum PipelineSet {
     Disturb,
     /// `decimation` physics steps.
     Physics,
+    /// Avian's world follows, where links have mirrors in it.
+    Mirror,
     /// Sensors read the new state.
     Sense,
     /// Which episodes end.
@@ -112,6 +117,7 @@ impl Plugin for PipelinePlugin {
                 PipelineSet::Command,
                 PipelineSet::Disturb,
                 PipelineSet::Physics,
+                PipelineSet::Mirror,
                 PipelineSet::Sense,
                 PipelineSet::Terminate,
                 PipelineSet::Reward,
@@ -127,6 +133,10 @@ impl Plugin for PipelinePlugin {
             (physics::upload_bodies, physics::step_physics, broken::describe_broken_states)
                 .chain()
                 .in_set(PipelineSet::Physics),
+            (mirror::read_bodies, mirror::aim_mirrors, mirror::step_avian, mirror::settle_mirrors)
+                .chain()
+                .run_if(resource_exists::<LinkMirrors>)
+                .in_set(PipelineSet::Mirror),
             (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights).chain().in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
             (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),
@@ -135,7 +145,14 @@ impl Plugin for PipelinePlugin {
         reset.configure_sets((PipelineSet::Reset, PipelineSet::Observe).chain());
         for schedule in [&mut step, &mut reset] {
             schedule.add_systems((
-                (observe::observe_final, logs::collect_episodes, reset::reset_envs).chain().in_set(PipelineSet::Reset),
+                (
+                    observe::observe_final,
+                    logs::collect_episodes,
+                    reset::reset_envs,
+                    mirror::mirror_resets.run_if(resource_exists::<LinkMirrors>),
+                )
+                    .chain()
+                    .in_set(PipelineSet::Reset),
                 observe::observe.in_set(PipelineSet::Observe),
             ));
         }

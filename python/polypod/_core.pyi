@@ -328,6 +328,13 @@ class Simulation:
     def joint_torque(self) -> npt.NDArray[np.float64]:
         """[num_envs, num_joints], effort of the actuators in the last physics step, N m or N."""
 
+    @property
+    def link_drift(self) -> npt.NDArray[np.float64]:
+        """[num_envs], how far the origin of any link is from where base pose and joint positions put it, at most, m.
+
+        Only under the engine "avian" do joints come apart; elsewhere it is zero.
+        """
+
     def set_state(
         self,
         qpos: npt.ArrayLike | None = None,

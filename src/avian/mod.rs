@@ -27,7 +27,7 @@ use crate::robot::Model;
 use crate::rows::Workers;
 use joints::{Joint, JointNumbers, Joints};
 use shapes::LinkCollider;
-pub(crate) use shapes::hull;
+pub(crate) use shapes::{hull, link_colliders};
 use world::Bodies;
 
 /// Why a robot cannot be simulated.
@@ -419,7 +419,12 @@ impl Chunk {
 }
 
 /// Leaves poses and velocities of the links in the workspace, in base axes; the base's axes in the world.
-fn forward(topology: &Topology, parameters: &Parameters<f64>, state: &State<f64>, work: &mut Workspace<f64>) -> DMat3 {
+pub(crate) fn forward(
+    topology: &Topology,
+    parameters: &Parameters<f64>,
+    state: &State<f64>,
+    work: &mut Workspace<f64>,
+) -> DMat3 {
     let length = state.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
     let rotation = quat_to_mat(&state.rotation.map(|x| x / length));
     let base = if topology.floating {

@@ -57,6 +57,15 @@ pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<L
     all
 }
 
+/// One collider for each link that has any, in the links' URDF frames.
+pub(crate) fn link_colliders(model: &Model) -> Vec<Option<Collider>> {
+    let mut parts: Vec<Vec<(Vec3, Quat, Collider)>> = vec![Vec::new(); model.links.len()];
+    for c in colliders(model, &vec![DMat3::IDENTITY; model.links.len()], true) {
+        parts[c.link].push((c.translation, c.rotation, c.collider));
+    }
+    parts.into_iter().map(|parts| (!parts.is_empty()).then(|| Collider::compound(parts))).collect()
+}
+
 /// The hull of points that span a volume.
 pub(crate) fn hull(points: &[DVec3]) -> Option<Collider> {
     let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
