@@ -111,8 +111,10 @@ pub(crate) fn mirror_all(world: &mut World) {
 }
 
 fn run<M>(world: &mut World, place: impl IntoSystem<(), bool, M> + 'static) {
-    let placed = world.run_system_cached(read_bodies).and_then(|()| world.run_system_cached(place));
-    match placed {
+    if let Err(error) = world.run_system_cached(read_bodies) {
+        tracing::error!("mirrors keep the masses of their links: {error}");
+    }
+    match world.run_system_cached(place) {
         // a ray looks for colliders in trees, which Avian updates in its steps
         Ok(true) => {
             if let Err(error) = world.run_system_cached(update_moved_collider_aabbs::<Collider>) {
