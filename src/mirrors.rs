@@ -16,7 +16,7 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 use bevy_math::{Mat3, Quat, Vec3};
 use bevy_tasks::{ComputeTaskPool, TaskPoolBuilder};
-use bevy_transform::components::GlobalTransform;
+use bevy_transform::components::{GlobalTransform, Transform};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::avian::{forward, link_colliders};
@@ -218,8 +218,8 @@ fn spawn_link(
         (Position(Vec3::ZERO), Rotation::IDENTITY, LinearVelocity::ZERO, AngularVelocity::ZERO),
         mass_properties(parameters, &model.align[link], link),
         (NoAutoMass, NoAutoAngularInertia, NoAutoCenterOfMass, SleepingDisabled),
-        // a collider takes its scale from this component, and zero without it
-        GlobalTransform::IDENTITY,
+        // a collider takes its scale from the global one, and zero without it
+        (Transform::IDENTITY, GlobalTransform::IDENTITY),
     ));
     if let Some(collider) = collider {
         entity.insert((collider, surface, CollisionLayers::new(LINK_LAYER, LayerMask::ALL & !LINK_LAYER)));

@@ -11,6 +11,7 @@ use avian3d::prelude::{
 use bevy_ecs::message::message_update_system;
 use bevy_ecs::prelude::*;
 use bevy_math::{Quat, Vec3};
+use bevy_transform::components::Transform;
 
 use super::terms::CompiledTask;
 use crate::components::{BasePose, BaseVelocity, Body, EnvId, Episode, JointState, Morphology, Robot};
@@ -29,6 +30,15 @@ type Moving = (
     &'static mut Rotation,
     &'static mut LinearVelocity,
     &'static mut AngularVelocity,
+);
+
+/// What is set of a mirror that is put somewhere.
+type Placed = (
+    &'static mut Position,
+    &'static mut Rotation,
+    &'static mut LinearVelocity,
+    &'static mut AngularVelocity,
+    &'static mut Transform,
 );
 
 /// The states of the robots.
@@ -132,7 +142,7 @@ fn place_new(
     mirrors: ResMut<LinkMirrors>,
     robots: RobotRows,
     episodes: Query<&'static Episode>,
-    links: Query<Moving>,
+    links: Query<Placed, With<LinkMirror>>,
 ) -> bool {
     let new: Vec<bool> = read_rows(&episodes).iter().map(|episode| episode.fresh).collect();
     place(&workers, &morphologies, mirrors, &robots, links, |env| new.get(env) == Some(&true))
@@ -143,7 +153,7 @@ fn place_all(
     morphologies: Res<Morphologies>,
     mirrors: ResMut<LinkMirrors>,
     robots: RobotRows,
-    links: Query<Moving>,
+    links: Query<Placed, With<LinkMirror>>,
 ) -> bool {
     place(&workers, &morphologies, mirrors, &robots, links, |_| true)
 }
@@ -154,7 +164,7 @@ fn place(
     morphologies: &Morphologies,
     mut mirrors: ResMut<LinkMirrors>,
     robots: &RobotRows,
-    mut links: Query<Moving>,
+    mut links: Query<Placed, With<LinkMirror>>,
     due: impl Fn(usize) -> bool + Sync,
 ) -> bool {
     if !(0..mirrors.robots.len()).any(&due) {
@@ -164,9 +174,11 @@ fn place(
     for env in (0..mirrors.robots.len()).filter(|env| due(*env)) {
         let entities = mirrors.links(EnvId(env as u32));
         for (to, &entity) in mirrors.robots[env].motions.iter().zip(entities) {
-            if let Ok((_, _, _, mut position, mut rotation, mut linear, mut angular)) = links.get_mut(entity) {
+            if let Ok((mut position, mut rotation, mut linear, mut angular, mut transform)) = links.get_mut(entity) {
                 (position.0, rotation.0) = (to.position, to.rotation);
                 (linear.0, angular.0) = (to.linear, to.angular);
+                // Avian would take the old one for a wish
+                (transform.translation, transform.rotation) = (to.position, to.rotation);
             }
         }
     }

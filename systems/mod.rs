@@ -30,7 +30,7 @@ pub use curriculum::{BlockSizes, EpisodeEnd, place_envs};
 pub use logs::{EpisodeStats, Logs, RobotLog};
 pub(crate) use mirror::mirror_all;
 pub use physics::PhysicsEngine;
-pub(crate) use physics::{history_length, run_physics};
+pub(crate) use physics::{history_length, load_engine, run_physics, save_engine};
 pub use reset::NewState;
 pub use sense::ScanRays;
 pub(crate) use sense::scan_heights;

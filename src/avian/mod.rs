@@ -5,6 +5,7 @@
 //! in every substep.
 
 mod joints;
+mod saved;
 mod shapes;
 mod world;
 
@@ -298,6 +299,12 @@ impl Chunk {
         env * count..(env + 1) * count
     }
 
+    /// Pairs of colliders that may touch, among those of the world.
+    fn pairs(&self, env: usize) -> Range<usize> {
+        let (colliders, statics) = (self.colliders(env), self.bodies.statics);
+        colliders.start * statics..colliders.end * statics
+    }
+
     fn set<C: Component<Mutability = Mutable>>(&mut self, entity: Entity, value: C) {
         if let Some(mut component) = self.world.get_mut::<C>(entity) {
             *component = value;
@@ -311,8 +318,8 @@ impl Chunk {
             (joint.position, joint.velocity) = (state.joint_position[j], state.joint_velocity[j]);
             joint.forget();
         }
-        let (colliders, statics) = (self.colliders(env), self.bodies.statics);
-        world::forget_contacts(&mut self.world, colliders.start * statics..colliders.end * statics);
+        let pairs = self.pairs(env);
+        world::forget_contacts(&mut self.world, pairs);
         self.place(topology, env);
     }
 

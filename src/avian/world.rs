@@ -314,7 +314,26 @@ fn place_colliders(
 
 /// Tangents of each pair's contacts in the last physics step, in the order of the pairs.
 #[derive(Resource, Default)]
-struct Tangents(Vec<[Vec3; 2]>);
+pub(super) struct Tangents(pub(super) Vec<[Vec3; 2]>);
+
+/// Tells the solver which contacts there are, after they were set from outside.
+pub(super) fn push_contacts(world: &mut World) {
+    world.resource_scope(|world, mut constraints: Mut<ConstraintGraph>| {
+        let Some(mut contacts) = world.get_resource_mut::<ContactGraph>() else {
+            return;
+        };
+        constraints.clear();
+        let all: Vec<ContactId> = contacts.active_pairs().iter().map(|pair| pair.contact_id).collect();
+        for id in all {
+            if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
+                edge.constraint_handles.clear();
+                for _ in 0..pair.manifolds.len() {
+                    constraints.push_manifold(edge, pair);
+                }
+            }
+        }
+    });
+}
 
 /// Solves contacts in an order that depends on nothing but which there are, and warm-starts friction with the impulses of
 /// the last step.

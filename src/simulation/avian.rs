@@ -90,6 +90,14 @@ impl Packs for AvianPacks {
         self.engine.step(workers, &self.explicit, gains, n);
     }
 
+    fn save(&self, env: usize) -> Result<Vec<u8>, postcard::Error> {
+        self.engine.save(env)
+    }
+
+    fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        self.engine.load(envs)
+    }
+
     fn link_drift(&self, env: usize) -> f64 {
         self.engine.drift(env)
     }
