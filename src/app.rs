@@ -12,7 +12,7 @@ use crate::components::{
     Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, Feet, HeightScan, Imu, JointEffort, JointState,
     JointTargets, Morphology, MountedOn, PerJoint, Robot,
 };
-use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
@@ -174,11 +174,6 @@ impl Sim {
         let world = app.world_mut();
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
         let workers = Workers::new(threads);
-        if task.config.physics.engine == EngineKind::Avian {
-            for robot in morphologies.0.iter().filter(|robot| !robot.topology.pairs.is_empty()) {
-                tracing::warn!("{}: its links pass through each other under physics.engine = \"avian\"", robot.name());
-            }
-        }
         let engine =
             PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
                 argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")

@@ -7,6 +7,7 @@
 //! obstacles. What carries an [`EnvId`] touches nothing of another env, wherever it is; what carries none, such as the
 //! ground, touches all.
 
+use avian3d::collider_tree::ColliderTreeOptimization;
 use avian3d::prelude::{
     ActiveCollisionHooks, AngularInertia, AngularVelocity, CenterOfMass, CoefficientCombine, Collider, ColliderOf,
     CollisionHooks, CollisionLayers, Friction, LayerMask, LinearVelocity, Mass, NoAutoAngularInertia,
@@ -15,7 +16,7 @@ use avian3d::prelude::{
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 use bevy_math::{Mat3, Quat, Vec3};
-use bevy_tasks::{ComputeTaskPool, TaskPoolBuilder};
+use bevy_tasks::{AsyncComputeTaskPool, ComputeTaskPool, TaskPoolBuilder};
 use bevy_transform::components::{GlobalTransform, Transform};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -96,8 +97,11 @@ impl CollisionHooks for SameEnv<'_, '_> {
 
 /// Makes Avian's world one that is stepped and holds many envs; before anything is in it.
 pub(crate) fn prepare(world: &mut World) {
-    // Avian asks for a pool even where it does not use it
-    ComputeTaskPool::get_or_init(|| TaskPoolBuilder::new().num_threads(1).build());
+    // Avian asks for pools even where it does not use them
+    let pool = || TaskPoolBuilder::new().num_threads(1).build();
+    ComputeTaskPool::get_or_init(pool);
+    AsyncComputeTaskPool::get_or_init(pool);
+    world.resource_mut::<ColliderTreeOptimization>().use_async_tasks = false;
     let hooks = world
         .try_register_required_components_with::<Collider, ActiveCollisionHooks>(|| ActiveCollisionHooks::FILTER_PAIRS);
     if let Err(error) = hooks {

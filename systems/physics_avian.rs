@@ -146,6 +146,7 @@ impl Block {
             engine: avian::Engine::new(
                 &model.model,
                 &model.align,
+                &model.shape_pairs,
                 &topology,
                 &nominal,
                 settings,

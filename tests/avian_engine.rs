@@ -6,6 +6,12 @@ mod common;
 use std::time::Instant;
 
 use common::{ROBOTS, noise};
+use polypod::config::Library;
+use polypod::dynamics::kinematics::forward_kinematics;
+use polypod::dynamics::math::Spatial;
+use polypod::dynamics::self_contact::{pair_gap, place_colliders};
+use polypod::dynamics::{Parameters, Workspace};
+use polypod::morphology::MorphologyModel;
 use polypod::simulation::Precision;
 use polypod::{Control, Simulation, SimulationOptions};
 
@@ -243,14 +249,64 @@ fn what_the_engine_lacks_is_refused() {
     let avian = || options("spot", "avian", 1);
     let message = error(SimulationOptions { precision: Precision::Double, ..avian() });
     assert!(message.starts_with("precision: ") && message.contains("articulated"), "{message}");
-    let message = error(SimulationOptions { self_collision: Some(true), ..avian() });
-    assert!(message.starts_with("self_collision: "), "{message}");
     let message = error(SimulationOptions { dt: 1e-7, ..avian() });
     assert!(message.starts_with("dt: "), "{message}");
     let message = error(options("tests/data/urdf/arm.urdf", "avian", 1));
     assert!(message.contains("prismatic"), "{message}");
     let message = error(options("spot", "xpbd", 1));
     assert!(message.contains("avian"), "{message}");
+}
+
+/// The deepest overlap (m) of links that may touch, while the legs follow targets from the whole range of the joints, in
+/// the air; and the largest sum of contact forces (N), which are all internal.
+fn deepest_overlap(robot: &str, self_collision: bool) -> (f64, f64) {
+    let options = SimulationOptions {
+        self_collision: Some(self_collision),
+        ground: None,
+        gravity: [0.0; 3],
+        ..options(robot, "avian", 1)
+    };
+    let mut sim = Simulation::new(&options).unwrap();
+    // the other engine's shapes: boxes and capsules for the links' own
+    let shapes = MorphologyModel::new(&Library::new(Vec::new()).robot(robot).unwrap()).unwrap();
+    let topology = &shapes.topology;
+    let parameters = Parameters::<f64>::from_scalars(topology, &shapes.nominal);
+    let (mut work, still) = (Workspace::new(topology), vec![0.0; topology.num_joints()]);
+    let (mut deepest, mut net) = (0.0_f64, 0.0_f64);
+    for step in 0..600 {
+        let targets: Vec<f64> = (0..still.len())
+            .map(|j| {
+                let (low, high) = (parameters.lower[j].max(-3.0), parameters.upper[j].min(3.0));
+                low + (high - low) * 0.5 * (1.0 + f64::from(noise(1, 0, step / 100, j)))
+            })
+            .collect();
+        sim.step(&hold(&targets), 1).unwrap();
+        assert!(is_finite(&sim), "{robot}: step {step}");
+        let q = sim.qpos();
+        forward_kinematics(topology, &parameters, &q[7..], &still, &Spatial::zero(), &mut work);
+        place_colliders(topology, &parameters, &mut work);
+        for pair in 0..topology.pairs.len() {
+            deepest = deepest.max(-pair_gap(topology, &parameters, &work, pair));
+        }
+        let forces = sim.contact_forces();
+        net = net.max(most((0..3).map(|k| forces.iter().skip(k).step_by(3).sum::<f64>())));
+    }
+    (deepest, net)
+}
+
+#[test]
+fn links_of_a_robot_stay_apart() {
+    for robot in ["anymal_c", "anymal_d", "spot"] {
+        let ((with, net), (without, nothing)) = (deepest_overlap(robot, true), deepest_overlap(robot, false));
+        println!(
+            "{robot:<12} {:.1} mm deep at most, {:.1} mm without, net force {net:.2e} N",
+            1e3 * with,
+            1e3 * without
+        );
+        assert!(without > 0.05, "{robot}: the targets never make links meet");
+        assert!(with < 0.02, "{robot}: links pass {with} m into each other");
+        assert!(net < 1e-2 && nothing == 0.0, "{robot}: internal forces add up to {net} N");
+    }
 }
 
 #[test]

@@ -235,7 +235,7 @@ class Simulation:
             ground: "plane", through the world's origin, or None.
             gravity: world axes, m/s^2.
             engine: "articulated", or "avian": rigid bodies of Avian with joints between them (single precision,
-                revolute joints, no contact among links of a robot).
+                revolute joints).
             fixed_base: fix the base to the world, its frame upon the world's; it then feels no ground.
             package_dirs: folder of each package in `package://<package>/...` mesh names.
             friction: coefficient of robot and ground combined, or (static, dynamic).

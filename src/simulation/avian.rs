@@ -22,7 +22,7 @@ pub(super) fn packs(
         ground: settings.contact.ground,
     };
     let (topology, nominal) = (&robot.topology, &robot.nominal);
-    Engine::new(&robot.model, &robot.align, topology, nominal, &of_engine, &[], num_envs, threads)
+    Engine::new(&robot.model, &robot.align, &robot.shape_pairs, topology, nominal, &of_engine, &[], num_envs, threads)
         .map(|engine| Box::new(AvianPacks { engine, explicit: Vec::new() }) as Box<dyn Packs>)
         .map_err(|error| {
             let element = match error {
