@@ -21,8 +21,8 @@ use bevy_transform::components::{GlobalTransform, Transform};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::avian::{forward, link_colliders};
-use crate::components::{BasePose, BaseVelocity, EnvId, JointState, Morphology};
-use crate::config::{MaterialConfig, TaskConfig};
+use crate::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, JointState, Morphology};
+use crate::config::{MaterialConfig, Placement, TaskConfig};
 use crate::dynamics::{Parameters, State, Topology, Workspace};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::world::ObstacleCollider;
@@ -56,6 +56,9 @@ pub(crate) struct LinkMotion {
 #[derive(Debug)]
 pub(crate) struct MirroredRobot {
     pub(crate) parameters: Parameters<f64>,
+    /// Of the env's place on the grid of worlds, m; and of its origin, which is there or on terrain that all share.
+    place: [f32; 2],
+    origin: [f32; 2],
     state: State<f64>,
     work: Workspace<f64>,
     /// Of the last state that was finite, `[links]`.
@@ -68,7 +71,6 @@ pub struct LinkMirrors {
     pub(crate) robots: Vec<MirroredRobot>,
     /// `[env][link]`.
     entities: Vec<Vec<Entity>>,
-    pub(crate) origins: Vec<[f32; 2]>,
 }
 
 /// Lets colliders of different envs pass through each other.
@@ -113,9 +115,11 @@ impl LinkMirrors {
     /// Spawns the mirrors of all robots, `counts[m]` of kind `m`, and every env's obstacles. Where they are is still to be set.
     pub(crate) fn spawn(world: &mut World, config: &TaskConfig, morphologies: &Morphologies, counts: &[usize]) {
         let num_envs = counts.iter().sum();
-        let origins = grid(num_envs, config.sim.env_spacing as f32);
+        // on ground that all share, envs have origins of their own
+        let shared = config.scene.terrain.is_some() || config.scene.placement == Placement::Global;
+        let places = grid(num_envs, if shared { 0.0 } else { config.sim.env_spacing as f32 });
         hide_links_from_scene(world);
-        copy_obstacles(world, &origins);
+        copy_obstacles(world, &places);
         let surface = surface(&config.robot_material);
         let (mut robots, mut entities) = (Vec::with_capacity(num_envs), Vec::with_capacity(num_envs));
         for (tag, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
@@ -131,15 +135,15 @@ impl LinkMirrors {
                         })
                         .collect(),
                 );
-                robots.push(MirroredRobot::new(&model.topology, parameters.clone()));
+                robots.push(MirroredRobot::new(&model.topology, parameters.clone(), places[robots.len()]));
             }
         }
-        world.insert_resource(Self { robots, entities, origins });
+        world.insert_resource(Self { robots, entities });
     }
 
     /// Where the origin of an env is in Avian's world, m; `None` for an env that does not exist.
     pub fn origin(&self, env: EnvId) -> Option<Vec3> {
-        self.origins.get(env.0 as usize).map(|&[x, y]| Vec3::new(x, y, 0.0))
+        self.robots.get(env.0 as usize).map(|robot| Vec3::new(robot.origin[0], robot.origin[1], 0.0))
     }
 
     /// The mirrors of a robot's links: the base, then what each joint carries. Empty for an env that does not exist.
@@ -244,9 +248,11 @@ pub(crate) fn mass_properties(p: &Parameters<f64>, align: &DMat3, link: usize) -
 }
 
 impl MirroredRobot {
-    fn new(topology: &Topology, parameters: Parameters<f64>) -> Self {
+    fn new(topology: &Topology, parameters: Parameters<f64>, place: [f32; 2]) -> Self {
         Self {
             parameters,
+            place,
+            origin: place,
             state: State::zeros(topology),
             work: Workspace::new(topology),
             motions: vec![LinkMotion::default(); topology.num_links()],
@@ -257,11 +263,13 @@ impl MirroredRobot {
     pub(crate) fn follow(
         &mut self,
         model: &MorphologyModel,
-        [x, y]: [f32; 2],
+        origin: &EnvOrigin,
         pose: &BasePose,
         velocity: &BaseVelocity,
         joints: &JointState,
     ) {
+        self.origin = [0, 1].map(|axis| self.place[axis] + origin.position[axis]);
+        let [x, y] = self.origin;
         let state = &mut self.state;
         let wide = |to: &mut [f64], from: &[f32]| to.iter_mut().zip(from).for_each(|(x, y)| *x = f64::from(*y));
         wide(&mut state.position, &pose.position);

@@ -34,7 +34,9 @@ pub enum WorldError {
     #[error("scene.obstacles[{0}]: no collider can be made of it; give it a volume, or a heightfield distinct heights")]
     NoShape(usize),
     /// A tile has no shape.
-    #[error("scene.terrain: no collider can be made of the tile in row {0}, column {1}; change its sub-terrain's numbers")]
+    #[error(
+        "scene.terrain: no collider can be made of the tile in row {0}, column {1}; change its sub-terrain's numbers"
+    )]
     NoTile(u32, u32),
     /// The terrain is too large or the obstacles are too far apart for one grid.
     #[error(
@@ -246,8 +248,9 @@ pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, Wor
     if let Some(layout) = &layout {
         let tags: Vec<_> = world.query::<&TerrainCollider>().iter(world).copied().collect();
         let places = (0..layout.num_rows).flat_map(|row| (0..layout.num_cols).map(move |column| (row, column)));
-        let missing =
-            places.filter(|_| tags.len() <= (layout.num_rows * layout.num_cols) as usize).find(|&(row, column)| !tags.contains(&TerrainCollider::Tile { row, column }));
+        let missing = places
+            .filter(|_| tags.len() <= (layout.num_rows * layout.num_cols) as usize)
+            .find(|&(row, column)| !tags.contains(&TerrainCollider::Tile { row, column }));
         if let Some((row, column)) = missing {
             return Err(WorldError::NoTile(row, column));
         }
@@ -292,7 +295,8 @@ fn bake_terrain(
         return Ok(None);
     }
     let around = |axis: usize| {
-        let of_tiles = tiles.iter().flat_map(move |(mesh, origin)| mesh.vertices.iter().map(move |v| origin[axis] + v[axis]));
+        let of_tiles =
+            tiles.iter().flat_map(move |(mesh, origin)| mesh.vertices.iter().map(move |v| origin[axis] + v[axis]));
         let of_obstacles = obstacles.iter().flat_map(move |(_, o, at)| [at[axis] - o.reach, at[axis] + o.reach]);
         of_tiles.chain(of_obstacles).fold((f32::MAX, f32::MIN), |(low, high), x| (low.min(x), high.max(x)))
     };

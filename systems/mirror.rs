@@ -14,7 +14,7 @@ use bevy_math::{Quat, Vec3};
 use bevy_transform::components::Transform;
 
 use super::terms::CompiledTask;
-use crate::components::{BasePose, BaseVelocity, Body, EnvId, Episode, JointState, Morphology, Robot};
+use crate::components::{BasePose, BaseVelocity, Body, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
 use crate::dynamics::Parameters;
 use crate::mirrors::{LinkMirror, LinkMirrors, LinkMotion, mass_properties};
 use crate::morphology::Morphologies;
@@ -47,6 +47,7 @@ type RobotRows<'w, 's> = (
     Query<'w, 's, &'static BasePose>,
     Query<'w, 's, &'static BaseVelocity>,
     Query<'w, 's, &'static JointState>,
+    Query<'w, 's, &'static EnvOrigin>,
 );
 
 /// Masses and lengths of robots that were randomised.
@@ -193,14 +194,14 @@ fn follow(
     robots: &RobotRows,
     due: impl Fn(usize) -> bool + Sync,
 ) {
-    let (tags, poses, velocities, joints) = robots;
-    let LinkMirrors { robots, origins, .. } = mirrors;
+    let (tags, poses, velocities, joints, origins) = robots;
+    let robots = mirrors.robots.as_mut_slice();
     let n = robots.len();
     let states = (read_rows(poses), read_rows(velocities), read_rows(joints));
-    let rows = (robots.as_mut_slice(), origins.as_slice(), read_rows(tags), states);
+    let rows = (robots, read_rows(origins), read_rows(tags), states);
     workers.for_each_chunk(rows, n, |first, n, (robots, origins, tags, (poses, velocities, joints))| {
         for i in (0..n).filter(|i| due(first + i)) {
-            robots[i].follow(morphologies.get(tags[i]), origins[i], &poses[i], &velocities[i], &joints[i]);
+            robots[i].follow(morphologies.get(tags[i]), &origins[i], &poses[i], &velocities[i], &joints[i]);
         }
     });
 }

@@ -137,7 +137,9 @@ impl Plugin for PipelinePlugin {
                 .chain()
                 .run_if(resource_exists::<LinkMirrors>)
                 .in_set(PipelineSet::Mirror),
-            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights).chain().in_set(PipelineSet::Sense),
+            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights)
+                .chain()
+                .in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
             (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),
         ));

@@ -13,8 +13,8 @@ use super::terms::CompiledTask;
 use crate::app::SimError;
 use crate::avian::EngineError;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, Feet, JointEffort,
-    JointState, JointTargets, Robot,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, Feet,
+    JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};

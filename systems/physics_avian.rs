@@ -57,15 +57,7 @@ impl AvianRobots {
         let mut first_env = 0;
         let mut blocks = Vec::new();
         for (model, &count) in morphologies.0.iter().zip(counts) {
-            blocks.push(Block::new(
-                model,
-                &settings,
-                &statics,
-                first_env,
-                count,
-                decimation,
-                workers.num_chunks(),
-            )?);
+            blocks.push(Block::new(model, &settings, &statics, first_env, count, decimation, workers.num_chunks())?);
             first_env += count;
         }
         Ok(Self { decimation, blocks })

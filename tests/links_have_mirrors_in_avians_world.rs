@@ -10,7 +10,7 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemState;
 use bevy_math::{Dir3, Vec3};
 use common::{assert_all_same, busy, step};
-use polypod::components::{BasePose, BaseVelocity, Body, EnvId, Episode, JointState, Morphology, Robot};
+use polypod::components::{BasePose, BaseVelocity, Body, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
 use polypod::mirrors::{LinkMirror, LinkMirrors};
 use polypod::world::ObstacleCollider;
 use polypod::{Sim, SimOptions};
@@ -117,6 +117,37 @@ fn mirrors_are_where_the_links_are() {
     sim.restore(&snapshot).unwrap();
     let (apart, turned) = farthest(&mut sim);
     assert!(apart < 1e-4 && turned < 2e-3, "restored: {apart} m, {turned} rad");
+}
+
+#[test]
+fn mirrors_on_terrain_are_on_their_robots_tiles() {
+    let options = SimOptions {
+        robots: Some(vec!["anymal_c".into()]),
+        overrides: ["sim.episode_length_s=0.6", "scene.terrain.num_rows=3", "scene.terrain.num_cols=4"]
+            .map(String::from)
+            .to_vec(),
+        ..SimOptions::new("velocity_rough", 8)
+    };
+    let mut sim = Sim::new(&mirrored(options, 4.0)).unwrap();
+    for k in 0..40 {
+        let (apart, turned) = farthest(&mut sim);
+        assert!(apart < 1e-4 && turned < 2e-3, "before step {k}: {apart} m, {turned} rad");
+        step(&mut sim, k);
+    }
+    let world = sim.world_mut();
+    let origins: Vec<(EnvId, EnvOrigin)> =
+        world.query::<(&EnvId, &EnvOrigin)>().iter(world).map(|(env, origin)| (*env, *origin)).collect();
+    assert!(origins.iter().any(|(_, origin)| origin.position != origins[0].1.position), "all on one tile");
+    for (env, place) in origins {
+        assert_eq!(origin(&sim, env.0).truncate().to_array(), place.position);
+        // robots of other envs may be on this tile, too
+        let base = links(&sim, env.0)[0];
+        let at = get::<Position>(&sim, base).0;
+        let mut rays: SystemState<SpatialQuery> = SystemState::new(sim.world_mut());
+        let query = rays.get(sim.world()).unwrap();
+        let hits = query.ray_hits(at + 3.0 * Vec3::Z, Dir3::NEG_Z, 10.0, 100, true, &SpatialQueryFilter::default());
+        assert!(hits.iter().any(|hit| hit.entity == base), "env {}", env.0);
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@ use avian3d::prelude::{
 };
 use bevy_ecs::prelude::World;
 use bevy_math::{Quat, Vec2, Vec3};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::world::{Tangents, push_contacts};
@@ -15,6 +16,8 @@ use super::{Chunk, Engine};
 /// One robot, to the bit.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SavedRobot {
+    /// Of its env in the world.
+    origin: [f64; 3],
     /// Position, rotation, linear and angular velocity of the base.
     base: ([f64; 3], [f64; 4], [f64; 3], [f64; 3]),
     links: Vec<SavedLink>,
@@ -104,6 +107,7 @@ impl Chunk {
                 .collect(),
         });
         SavedRobot {
+            origin: self.envs[env].origin.to_array(),
             base: (state.position, state.rotation, state.linear_velocity, state.angular_velocity),
             links: self.bodies.links[env * links..(env + 1) * links]
                 .iter()
@@ -139,6 +143,7 @@ impl Chunk {
             self.set(entity, LinearVelocity(Vec3::from_array(at.linear)));
             self.set(entity, AngularVelocity(Vec3::from_array(at.angular)));
         }
+        self.envs[env].origin = DVec3::from_array(saved.origin);
         let state = &mut self.envs[env].state;
         (state.position, state.rotation, state.linear_velocity, state.angular_velocity) = saved.base;
         for (j, from) in saved.joints.iter().enumerate() {

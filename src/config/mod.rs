@@ -25,11 +25,11 @@ pub use robot::{
 };
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
-pub use terrain::{
-    BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
-};
 pub use task::{
     CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig, MaterialConfig,
     ObservationTerm, ObservationsConfig, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig,
     VelocityCommandConfig,
+};
+pub use terrain::{
+    BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
 };

@@ -17,7 +17,10 @@ impl Mesh {
     /// The triangles of a collider that is made of some.
     pub fn of_collider(collider: &Collider) -> Option<Self> {
         let surface = collider.shape().as_trimesh()?;
-        Some(Self { vertices: surface.vertices().iter().map(|v| [v.x, v.y, v.z]).collect(), triangles: surface.indices().to_vec() })
+        Some(Self {
+            vertices: surface.vertices().iter().map(|v| [v.x, v.y, v.z]).collect(),
+            triangles: surface.indices().to_vec(),
+        })
     }
 
     /// Four corners, counterclockwise from the front.

@@ -77,7 +77,10 @@ pub fn generate(config: &TerrainConfig) -> Vec<Tile> {
         let mesh = tiles::mesh(shape, config, low + (high - low) * share, &mut rng);
         Tile { row, column, mesh, origin: layout.origin(row, column) }
     };
-    (0..config.num_rows).flat_map(|row| (0..config.num_cols).map(move |column| (row, column))).map(|(r, c)| tile(r, c)).collect()
+    (0..config.num_rows)
+        .flat_map(|row| (0..config.num_cols).map(move |column| (row, column)))
+        .map(|(r, c)| tile(r, c))
+        .collect()
 }
 
 /// The flat border around all tiles, m, world axes.

@@ -151,8 +151,10 @@ impl Field {
         };
         let vertex = |i: usize, j: usize| {
             let here = height(i, j);
-            let along_x = shift(here, i.checked_sub(1).map(|i| height(i, j)), (i + 1 < n).then(|| height(i + 1, j)), scale[0]);
-            let along_y = shift(here, j.checked_sub(1).map(|j| height(i, j)), (j + 1 < m).then(|| height(i, j + 1)), scale[1]);
+            let along_x =
+                shift(here, i.checked_sub(1).map(|i| height(i, j)), (i + 1 < n).then(|| height(i + 1, j)), scale[0]);
+            let along_y =
+                shift(here, j.checked_sub(1).map(|j| height(i, j)), (j + 1 < m).then(|| height(i, j + 1)), scale[1]);
             let place = |index: usize, shift: f64, axis: usize| {
                 ((index as f64 + shift) * scale[axis] - 0.5 * config.size[axis]) as f32
             };
