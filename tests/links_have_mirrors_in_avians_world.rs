@@ -273,7 +273,9 @@ fn a_zone_tells_who_is_in_it() {
         let shape = (RigidBody::Static, Collider::cuboid(0.5, 0.5, 2.0), Sensor, CollidingEntities::default());
         sim.world_mut().spawn((EnvId(env), shape, CollisionEventsEnabled, Position(at))).id()
     };
-    let (here, elsewhere) = (origin(&sim, 1), origin(&sim, 1) + Vec3::new(1.8, 0.0, 0.0));
+    // above the ground, in which a zone would find it
+    let here = origin(&sim, 1) + Vec3::new(0.0, 0.0, 1.2);
+    let elsewhere = here + Vec3::new(1.8, 0.0, 0.0);
     let (full, empty) = (zone(&mut sim, 1, here), zone(&mut sim, 1, elsewhere));
     let other = zone(&mut sim, 0, here);
     hold(&mut sim, 3);
