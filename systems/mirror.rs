@@ -206,7 +206,7 @@ fn follow(
     });
 }
 
-fn motion<'a>(mirrors: &'a LinkMirrors, env: EnvId, mirror: LinkMirror) -> Option<&'a LinkMotion> {
+fn motion(mirrors: &LinkMirrors, env: EnvId, mirror: LinkMirror) -> Option<&LinkMotion> {
     mirrors.robots.get(env.0 as usize)?.motions.get(usize::from(mirror.link))
 }
 
