@@ -314,15 +314,19 @@ fn links_of_a_robot_stay_apart() {
 #[test]
 #[ignore = "measures"]
 fn env_steps_per_second() {
-    for (threads, envs) in [(1, 64), (1, 512), (2, 512)] {
-        let options = SimulationOptions { threads: Some(threads), ..options("anymal_c", "avian", envs) };
+    for (threads, envs, self_collision) in [(1, 64, false), (1, 64, true), (1, 512, true), (2, 512, true)] {
+        let options = SimulationOptions {
+            threads: Some(threads),
+            self_collision: Some(self_collision),
+            ..options("anymal_c", "avian", envs)
+        };
         let mut sim = Simulation::new(&options).unwrap();
         run(&mut sim, 5, 1);
         let start = Instant::now();
         let steps = 8192 / envs;
         run(&mut sim, steps, 2);
         println!(
-            "{threads} threads, {envs} envs: {:.0} env steps/s",
+            "{threads} threads, {envs} envs, self-collision {self_collision}: {:.0} env steps/s",
             (4 * steps * envs) as f64 / start.elapsed().as_secs_f64()
         );
     }
