@@ -12,10 +12,11 @@ use crate::components::{
     Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
     JointEffort, JointState, JointTargets, Morphology, MountedOn, PerJoint, Robot, SpawnHeight, StartupBody,
 };
-use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
+use crate::mirrors::LinkMirrors;
 use crate::morphology::{Morphologies, MorphologyError, MorphologyModel};
 use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::rows::Workers;
@@ -176,11 +177,6 @@ impl Sim {
         let world = app.world_mut();
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
         let workers = Workers::new(threads);
-        if task.config.physics.engine == EngineKind::Avian {
-            for robot in morphologies.0.iter().filter(|robot| !robot.topology.pairs.is_empty()) {
-                tracing::warn!("{}: its links pass through each other under physics.engine = \"avian\"", robot.name());
-            }
-        }
         let engine =
             PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
                 argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")
@@ -194,6 +190,9 @@ impl Sim {
         let rays = ScanRays::new(task.config.sensors.height_scanner.as_ref());
         spawn(world, &morphologies, &compiled, &counts, rays.len());
         world.insert_resource(rays);
+        if task.config.physics.mirror_links {
+            LinkMirrors::spawn(world, &task.config, &morphologies, &counts);
+        }
         world.insert_resource(BlockSizes(counts.clone()));
         world.insert_resource(morphologies);
         world.insert_resource(compiled);

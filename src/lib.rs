@@ -10,6 +10,7 @@ pub mod components;
 pub mod config;
 pub mod dump;
 pub mod dynamics;
+pub mod mirrors;
 pub mod morphology;
 mod obstacles;
 #[cfg(feature = "python")]

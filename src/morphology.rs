@@ -33,6 +33,8 @@ pub struct MorphologyModel {
     pub topology: Topology,
     /// Turns a link's URDF axes into those of the engine, `[links]`.
     pub align: Vec<DMat3>,
+    /// Collision shapes that may touch each other, counted body after body.
+    pub shape_pairs: Vec<[usize; 2]>,
     /// Their numbers before any randomisation.
     pub nominal: Parameters<f32>,
     /// Canonical slot -> physical joint.
@@ -86,7 +88,7 @@ impl MorphologyModel {
             default_position[joint] = default_pose[slot];
         }
         let self_collision = config.self_collisions.then_some(&default_position[..]);
-        let (topology, nominal, align) = articulation(&model, &roles, &actuators, self_collision);
+        let (topology, nominal, align, shape_pairs) = articulation(&model, &roles, &actuators, self_collision);
         let lowest_foot = lowest_foot(&model, &roles, &default_position);
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
@@ -106,6 +108,7 @@ impl MorphologyModel {
             action_scale: config.action_scale as f32,
             topology,
             align,
+            shape_pairs,
             nominal,
             roles,
             model,
@@ -168,11 +171,11 @@ fn articulation(
     roles: &Roles,
     actuators: &[(&str, &ActuatorConfig); 12],
     self_collision: Option<&[f64]>,
-) -> (Topology, Parameters<f32>, Vec<DMat3>) {
+) -> (Topology, Parameters<f32>, Vec<DMat3>, Vec<[usize; 2]>) {
     let sites: Vec<Site> = (0..4)
         .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
         .collect();
-    let Articulation { mut topology, parameters: mut p, align } =
+    let Articulation { mut topology, parameters: mut p, align, shape_pairs } =
         Articulation::new(model, true, &sites, self_collision);
     topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
     for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
@@ -180,7 +183,7 @@ fn articulation(
         apply_actuator(&mut topology.joints[j], &mut p, j, actuator);
     }
     let nominal = Parameters::from_scalars(&topology, &p);
-    (topology, nominal, align)
+    (topology, nominal, align, shape_pairs)
 }
 
 /// Gives joint `j` the actuator of a config, but for its delay.

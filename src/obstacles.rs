@@ -67,6 +67,13 @@ pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
             };
             (0..*steps).map(step).collect()
         }
+        ObstacleConfig::Mesh { scale, vertices, triangles, .. } => {
+            let scaled = |v: &[f64; 3]| Vec3::from_array(std::array::from_fn(|k| (v[k] * scale[k]) as f32));
+            let vertices: Vec<Vec3> = vertices.iter().map(scaled).collect();
+            let reach = vertices.iter().fold(0.0, |most: f32, v| most.max(v.length()));
+            let surface = Collider::try_trimesh(vertices, triangles.clone()).ok();
+            surface.map(|surface| part(surface, Vec3::ZERO, Quat::IDENTITY, reach)).into_iter().collect()
+        }
         ObstacleConfig::Heightfield { size, heights, .. } => {
             let (rows, columns) = (heights.len(), heights[0].len());
             let along = |i: usize, n: usize, length: f64| ((i as f64 / (n - 1) as f64 - 0.5) * length) as f32;

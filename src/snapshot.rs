@@ -11,7 +11,7 @@ use crate::components::{
     JointTargets, SpawnHeight, StartupBody,
 };
 use crate::config::fnv1a;
-use crate::systems::{Logs, scan_heights};
+use crate::systems::{Logs, load_engine, mirror_all, save_engine, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
 const FORMAT: u32 = 4;
@@ -36,22 +36,24 @@ macro_rules! snapshot {
             seed: u64,
             batch: Batch,
             logs: Logs,
+            engine: Vec<Vec<u8>>,
             $($name: Vec<$component>,)*
         }
 
         impl Snapshot {
-            fn take(sim: &mut Sim) -> Self {
-                Self {
+            fn take(sim: &mut Sim) -> Result<Self, postcard::Error> {
+                Ok(Self {
                     header: header(sim),
                     seed: sim.seed(),
                     batch: sim.batch().clone(),
                     logs: sim.world().resource::<Logs>().clone(),
+                    engine: save_engine(sim.world())?,
                     $($name: read(sim.world_mut()),)*
-                }
+                })
             }
 
             fn apply(self, sim: &mut Sim) -> Result<(), SimError> {
-                let Self { header: _, seed, batch, logs, $($name,)* } = self;
+                let Self { header: _, seed, batch, logs, engine, $($name,)* } = self;
                 let n = sim.num_envs();
                 if [$($name.len()),*].iter().any(|&len| len != n) {
                     return Err(SimError::Snapshot("its components do not belong to this number of envs".into()));
@@ -60,6 +62,8 @@ macro_rules! snapshot {
                 sim.world_mut().insert_resource(batch);
                 sim.world_mut().insert_resource(logs);
                 sim.set_seed(seed);
+                load_engine(sim.world_mut(), &engine)?;
+                mirror_all(sim.world_mut());
                 // what sensors see of the ground follows from the state
                 let scanned = sim.world_mut().run_system_cached(scan_heights);
                 scanned.map_err(|error| SimError::Snapshot(format!("the height scanner did not run: {error}")))
@@ -121,7 +125,8 @@ impl Sim {
     /// # Errors
     /// When it cannot be encoded.
     pub fn snapshot(&mut self) -> Result<Vec<u8>, SimError> {
-        seal(&Snapshot::take(self)).map_err(|error| SimError::Snapshot(error.to_string()))
+        let sealed = Snapshot::take(self).and_then(|snapshot| seal(&snapshot));
+        sealed.map_err(|error| SimError::Snapshot(error.to_string()))
     }
 
     /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs.

@@ -3,6 +3,8 @@
 //! The articulated engine does not search for contacts among colliders inside a step. What it needs of them is baked once,
 //! by Avian's own rays, into a [`Ground`].
 
+use std::time::Duration;
+
 use avian3d::prelude::{
     CoefficientCombine, Collider, Friction, Gravity, PhysicsPlugins, Position, Restitution, RigidBody, SpatialQuery,
     SpatialQueryFilter,
@@ -18,6 +20,7 @@ use bevy_transform::components::GlobalTransform;
 use crate::components::EnvOrigin;
 use crate::config::{FrictionCombine, GroundConfig, SceneConfig, TaskConfig, TerrainConfig};
 use crate::dynamics::HeightGrid;
+use crate::mirrors::{self, SameEnv};
 use crate::obstacles;
 use crate::terrain::{self, Mesh, TerrainLayout};
 
@@ -78,13 +81,14 @@ pub enum TerrainCollider {
 pub struct WorldPlugin {
     scene: SceneConfig,
     gravity: Vec3,
+    mirrors: bool,
 }
 
 impl WorldPlugin {
     /// For a task.
     pub fn new(config: &TaskConfig) -> Self {
         let gravity = Vec3::from_array(config.sim.gravity.map(|x| x as f32));
-        Self { scene: config.scene.clone(), gravity }
+        Self { scene: config.scene.clone(), gravity, mirrors: config.physics.mirror_links }
     }
 }
 
@@ -92,7 +96,10 @@ impl Plugin for WorldPlugin {
     fn build(&self, app: &mut App) {
         app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
         app.insert_resource(Time::<()>::default());
-        app.add_plugins(PhysicsPlugins::new(UpdateWorld).build());
+        app.add_plugins(PhysicsPlugins::new(UpdateWorld).with_collision_hooks::<SameEnv>().build());
+        if self.mirrors {
+            mirrors::prepare(app.world_mut());
+        }
         app.insert_resource(Gravity(self.gravity));
         let ground = &self.scene.ground;
         if let Some(terrain) = &self.scene.terrain {
@@ -204,6 +211,15 @@ impl Ground {
     pub fn restitution_with(&self, of_robot: f32) -> f32 {
         self.restitution.coefficient * of_robot
     }
+}
+
+/// Steps what lives in Avian's world by `seconds`.
+pub(crate) fn step_world(world: &mut World, seconds: f64) {
+    let Ok(step) = Duration::try_from_secs_f64(seconds) else {
+        return;
+    };
+    world.resource_mut::<Time>().advance_by(step);
+    world.run_schedule(UpdateWorld);
 }
 
 /// Height from which rays look for the ground, m.

@@ -8,6 +8,7 @@ mod disturb;
 mod draw;
 mod gather;
 mod logs;
+mod mirror;
 mod observe;
 mod physics;
 mod physics_avian;
@@ -24,14 +25,16 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
 
 use crate::app::SimError;
+use crate::mirrors::LinkMirrors;
 
 pub use broken::{BrokenState, BrokenStates, Motion};
 pub use curriculum::{BlockSizes, EpisodeEnd, place_envs};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;
 pub use logs::{EpisodeStats, Logs, RobotLog};
+pub(crate) use mirror::mirror_all;
 pub use physics::PhysicsEngine;
-pub(crate) use physics::{history_length, run_physics};
+pub(crate) use physics::{history_length, load_engine, run_physics, save_engine};
 pub(crate) use reset::ACTION_DELAY;
 pub use reset::NewState;
 pub use sense::ScanRays;
@@ -60,6 +63,8 @@ pub enum PipelineSet {
     Disturb,
     /// `decimation` physics steps.
     Physics,
+    /// Avian's world follows, where links have mirrors in it.
+    Mirror,
     /// Sensors read the new state.
     Sense,
     /// Which episodes end.
@@ -117,6 +122,7 @@ impl Plugin for PipelinePlugin {
                 PipelineSet::Command,
                 PipelineSet::Disturb,
                 PipelineSet::Physics,
+                PipelineSet::Mirror,
                 PipelineSet::Sense,
                 PipelineSet::Terminate,
                 PipelineSet::Reward,
@@ -132,6 +138,10 @@ impl Plugin for PipelinePlugin {
             (physics::upload_bodies, physics::step_physics, broken::describe_broken_states)
                 .chain()
                 .in_set(PipelineSet::Physics),
+            (mirror::read_bodies, mirror::aim_mirrors, mirror::step_avian, mirror::settle_mirrors)
+                .chain()
+                .run_if(resource_exists::<LinkMirrors>)
+                .in_set(PipelineSet::Mirror),
             (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights)
                 .chain()
                 .in_set(PipelineSet::Sense),
@@ -142,7 +152,13 @@ impl Plugin for PipelinePlugin {
         reset.configure_sets((PipelineSet::Reset, PipelineSet::Observe).chain());
         for schedule in [&mut step, &mut reset] {
             schedule.add_systems((
-                (observe::observe_final, logs::collect_episodes, startup::reset_bodies, reset::reset_envs)
+                (
+                    observe::observe_final,
+                    logs::collect_episodes,
+                    startup::reset_bodies,
+                    reset::reset_envs,
+                    mirror::mirror_resets.run_if(resource_exists::<LinkMirrors>),
+                )
                     .chain()
                     .in_set(PipelineSet::Reset),
                 observe::observe.in_set(PipelineSet::Observe),

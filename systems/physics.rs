@@ -10,6 +10,7 @@ use super::broken::{BrokenStates, Evidence, Motion};
 use super::physics_avian::AvianRobots;
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
+use crate::app::SimError;
 use crate::avian::EngineError;
 use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, ExternalWrench,
@@ -29,6 +30,14 @@ use crate::world::Ground;
 pub struct PhysicsEngine(Box<dyn Engine>);
 
 pub(super) trait Engine: Send + Sync {
+    /// What decides how the envs go on, beyond their components, as bytes; of each env.
+    fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
+        Ok(Vec::new())
+    }
+    /// Takes that up, once the components and the robots' numbers are set.
+    fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        Ok(())
+    }
     /// Takes over a robot's numbers.
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
     /// One control step of all robots. Of each morphology in `watched` the first env whose new state is broken is
@@ -192,6 +201,19 @@ impl PhysicsEngine {
         };
         Ok(Self(engine))
     }
+}
+
+/// What the engine knows of each env beyond its components, as bytes.
+pub(crate) fn save_engine(world: &World) -> Result<Vec<Vec<u8>>, postcard::Error> {
+    world.resource::<PhysicsEngine>().0.save()
+}
+
+/// Gives the engine what it knew when it was saved, after the components were set.
+pub(crate) fn load_engine(world: &mut World, envs: &[Vec<u8>]) -> Result<(), SimError> {
+    let uploaded = world.run_system_cached(upload_bodies);
+    uploaded.map_err(|error| SimError::Snapshot(error.to_string()))?;
+    let loaded = world.resource_mut::<PhysicsEngine>().0.load(envs);
+    loaded.map_err(|error| SimError::Snapshot(format!("its engine's part cannot be read: {error}")))
 }
 
 /// Hands robots whose numbers have changed to the engine.

@@ -65,6 +65,20 @@ impl AvianRobots {
 }
 
 impl Engine for AvianRobots {
+    fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
+        let robots = self.blocks.iter().flat_map(|block| (0..block.count).map(|env| block.engine.save(env)));
+        robots.collect()
+    }
+
+    fn load(&mut self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        for block in &mut self.blocks {
+            let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+            block.engine.load(mine)?;
+            envs = rest;
+        }
+        Ok(())
+    }
+
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let at = self.blocks.partition_point(|block| block.first_env + block.count <= env);
         if let Some(block) = self.blocks.get_mut(at) {
@@ -124,6 +138,7 @@ impl Block {
             engine: avian::Engine::new(
                 &model.model,
                 &model.align,
+                &model.shape_pairs,
                 &topology,
                 &nominal,
                 settings,

@@ -6,6 +6,12 @@ mod common;
 use std::time::Instant;
 
 use common::{ROBOTS, noise};
+use polypod::config::Library;
+use polypod::dynamics::kinematics::forward_kinematics;
+use polypod::dynamics::math::Spatial;
+use polypod::dynamics::self_contact::{pair_gap, place_colliders};
+use polypod::dynamics::{Parameters, Workspace};
+use polypod::morphology::MorphologyModel;
 use polypod::simulation::Precision;
 use polypod::{Control, Simulation, SimulationOptions};
 
@@ -218,15 +224,22 @@ fn a_reset_env_is_a_fresh_one() {
 }
 
 #[test]
-fn a_snapshot_keeps_the_state() {
-    let mut sim = simulation("spot", "avian");
+fn a_restored_simulation_goes_on_with_the_same_bits() {
+    let options = |threads| SimulationOptions { threads: Some(threads), ..options("spot", "avian", 5) };
+    let mut sim = Simulation::new(&options(1)).unwrap();
     sim.set_mass(None, 0, &[30.0]).unwrap();
-    run(&mut sim, 20, 1);
+    sim.set_com(None, 1, &[0.01, 0.0, -0.02]).unwrap();
+    run(&mut sim, 40, 1);
     let snapshot = sim.snapshot().unwrap();
-    let mut other = simulation("spot", "avian");
-    other.restore(&snapshot).unwrap();
-    assert_eq!(bits(&sim), bits(&other));
-    assert_eq!(sim.energy(), other.energy());
+    let expected = run(&mut sim, 60, 2);
+    // where it was taken, and where other contacts and other numbers were
+    let mut other = Simulation::new(&options(2)).unwrap();
+    run(&mut other, 15, 3);
+    for (sim, place) in [(&mut sim, "where it was taken"), (&mut other, "elsewhere")] {
+        sim.restore(&snapshot).unwrap();
+        assert!(sim.snapshot().unwrap() == snapshot, "{place}");
+        assert!(run(sim, 60, 2) == expected, "{place}");
+    }
     assert!(simulation("spot", "articulated").restore(&snapshot).is_err());
 }
 
@@ -236,8 +249,6 @@ fn what_the_engine_lacks_is_refused() {
     let avian = || options("spot", "avian", 1);
     let message = error(SimulationOptions { precision: Precision::Double, ..avian() });
     assert!(message.starts_with("precision: ") && message.contains("articulated"), "{message}");
-    let message = error(SimulationOptions { self_collision: Some(true), ..avian() });
-    assert!(message.starts_with("self_collision: "), "{message}");
     let message = error(SimulationOptions { dt: 1e-7, ..avian() });
     assert!(message.starts_with("dt: "), "{message}");
     let message = error(options("tests/data/urdf/arm.urdf", "avian", 1));
@@ -246,18 +257,76 @@ fn what_the_engine_lacks_is_refused() {
     assert!(message.contains("avian"), "{message}");
 }
 
+/// The deepest overlap (m) of links that may touch, while the legs follow targets from the whole range of the joints, in
+/// the air; the largest contact force on any link, and of all links together (N), whose forces are all internal.
+fn deepest_overlap(robot: &str, self_collision: bool) -> [f64; 3] {
+    let options = SimulationOptions {
+        self_collision: Some(self_collision),
+        ground: None,
+        gravity: [0.0; 3],
+        ..options(robot, "avian", 1)
+    };
+    let mut sim = Simulation::new(&options).unwrap();
+    // the other engine's shapes: boxes and capsules for the links' own
+    let shapes = MorphologyModel::new(&Library::new(Vec::new()).robot(robot).unwrap()).unwrap();
+    let topology = &shapes.topology;
+    let parameters = Parameters::<f64>::from_scalars(topology, &shapes.nominal);
+    let (mut work, still) = (Workspace::new(topology), vec![0.0; topology.num_joints()]);
+    let [mut deepest, mut largest, mut net] = [0.0_f64; 3];
+    for step in 0..600 {
+        let targets: Vec<f64> = (0..still.len())
+            .map(|j| {
+                let (low, high) = (parameters.lower[j].max(-3.0), parameters.upper[j].min(3.0));
+                low + (high - low) * 0.5 * (1.0 + f64::from(noise(1, 0, step / 100, j)))
+            })
+            .collect();
+        sim.step(&hold(&targets), 1).unwrap();
+        assert!(is_finite(&sim), "{robot}: step {step}");
+        let q = sim.qpos();
+        forward_kinematics(topology, &parameters, &q[7..], &still, &Spatial::zero(), &mut work);
+        place_colliders(topology, &parameters, &mut work);
+        for pair in 0..topology.pairs.len() {
+            deepest = deepest.max(-pair_gap(topology, &parameters, &work, pair));
+        }
+        let forces = sim.contact_forces();
+        largest = largest.max(most(forces.iter().copied()));
+        net = net.max(most((0..3).map(|k| forces.iter().skip(k).step_by(3).sum::<f64>())));
+    }
+    [deepest, largest, net]
+}
+
+#[test]
+fn links_of_a_robot_stay_apart() {
+    for robot in ["anymal_c", "anymal_d", "spot"] {
+        let [[with, force, net], [without, nothing, _]] = [true, false].map(|on| deepest_overlap(robot, on));
+        println!(
+            "{robot:<12} {:.1} mm deep at most, {:.1} mm without; forces up to {force:.0} N, together {net:.2e} N",
+            1e3 * with,
+            1e3 * without
+        );
+        assert!(without > 0.03, "{robot}: the targets never make links meet");
+        assert!(with < 0.01, "{robot}: links pass {with} m into each other");
+        assert!(force > 10.0 && nothing == 0.0, "{robot}: {force} N between links, {nothing} N without contact");
+        assert!(net < 1e-6 * force, "{robot}: internal forces add up to {net} N");
+    }
+}
+
 #[test]
 #[ignore = "measures"]
 fn env_steps_per_second() {
-    for (threads, envs) in [(1, 64), (1, 512), (2, 512)] {
-        let options = SimulationOptions { threads: Some(threads), ..options("anymal_c", "avian", envs) };
+    for (threads, envs, self_collision) in [(1, 64, false), (1, 64, true), (1, 512, true), (2, 512, true)] {
+        let options = SimulationOptions {
+            threads: Some(threads),
+            self_collision: Some(self_collision),
+            ..options("anymal_c", "avian", envs)
+        };
         let mut sim = Simulation::new(&options).unwrap();
         run(&mut sim, 5, 1);
         let start = Instant::now();
         let steps = 8192 / envs;
         run(&mut sim, steps, 2);
         println!(
-            "{threads} threads, {envs} envs: {:.0} env steps/s",
+            "{threads} threads, {envs} envs, self-collision {self_collision}: {:.0} env steps/s",
             (4 * steps * envs) as f64 / start.elapsed().as_secs_f64()
         );
     }

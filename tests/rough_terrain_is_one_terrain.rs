@@ -15,9 +15,12 @@ fn config() -> TerrainConfig {
 
 /// The task for watching, with the full terrain.
 fn rough(num_envs: usize) -> Sim {
-    let overrides = ["scene.terrain.num_rows=10", "scene.terrain.num_cols=20", "scene.terrain.max_init_terrain_level=9"];
-    let options =
-        SimOptions { overrides: overrides.map(String::from).to_vec(), ..SimOptions::new("velocity_rough_play", num_envs) };
+    let overrides =
+        ["scene.terrain.num_rows=10", "scene.terrain.num_cols=20", "scene.terrain.max_init_terrain_level=9"];
+    let options = SimOptions {
+        overrides: overrides.map(String::from).to_vec(),
+        ..SimOptions::new("velocity_rough_play", num_envs)
+    };
     Sim::new(&options).unwrap()
 }
 
@@ -151,7 +154,8 @@ fn the_seed_decides_the_terrain_and_tiles_do_not_depend_on_each_other() {
     let mut other = config();
     other.seed = 1;
     let (small, other) = (generate(&small), generate(&other));
-    let meshes = |tiles: &[polypod::terrain::Tile], n: usize| tiles.iter().take(n).map(|t| t.mesh.clone()).collect::<Vec<_>>();
+    let meshes =
+        |tiles: &[polypod::terrain::Tile], n: usize| tiles.iter().take(n).map(|t| t.mesh.clone()).collect::<Vec<_>>();
     assert!(meshes(&same, 200) == meshes(&generate(&config()), 200));
     assert!(meshes(&same, 200) != meshes(&other, 200));
     // heights of blocks and rough ground, which do not depend on the number of levels

@@ -25,7 +25,21 @@ fn fifty_steps(sim: &mut Sim) -> (Vec<Vec<Vec<u32>>>, Vec<u8>) {
 
 #[test]
 fn a_restored_simulation_goes_on_as_if_nothing_had_happened() {
-    let options = busy(&ROBOTS, 27);
+    round_trip(busy(&ROBOTS, 27));
+}
+
+#[test]
+fn so_it_does_on_avians_rigid_bodies() {
+    let mut options = busy(&ROBOTS, 18);
+    options.overrides.push("physics.engine=avian".into());
+    round_trip(options.clone());
+    // where envs have origins of their own, and change them
+    let terrain = ["scene.terrain.num_rows=3", "scene.terrain.num_cols=4"].map(String::from);
+    let overrides = options.overrides.into_iter().chain(terrain).collect();
+    round_trip(SimOptions { task: "velocity_rough".into(), num_envs: 9, overrides, ..options });
+}
+
+fn round_trip(options: SimOptions) {
     let mut sim = under_way(&options);
     let snapshot = sim.snapshot().unwrap();
     let expected = fifty_steps(&mut sim);

@@ -273,7 +273,7 @@ class Simulation:
             ground: "plane", through the world's origin, or None.
             gravity: world axes, m/s^2.
             engine: "articulated", or "avian": rigid bodies of Avian with joints between them (single precision,
-                revolute joints, no contact among links of a robot).
+                revolute joints).
             fixed_base: fix the base to the world, its frame upon the world's; it then feels no ground.
             package_dirs: folder of each package in `package://<package>/...` mesh names.
             friction: coefficient of robot and ground combined, or (static, dynamic).
@@ -365,6 +365,13 @@ class Simulation:
     @property
     def joint_torque(self) -> npt.NDArray[np.float64]:
         """[num_envs, num_joints], effort of the actuators in the last physics step, N m or N."""
+
+    @property
+    def link_drift(self) -> npt.NDArray[np.float64]:
+        """[num_envs], how far the origin of any link is from where base pose and joint positions put it, at most, m.
+
+        Only under the engine "avian" do joints come apart; elsewhere it is zero.
+        """
 
     def set_state(
         self,

@@ -155,6 +155,16 @@ impl Joint {
         self.rotor = self.velocity as f32;
     }
 
+    /// Impulses of dry friction and bounds (N m s) and the rotor's speed (rad/s), with which the next step begins.
+    pub(super) fn kept(&self) -> [f32; 3] {
+        [self.rub, self.bound, self.rotor]
+    }
+
+    /// Goes on from there.
+    pub(super) fn keep(&mut self, [rub, bound, rotor]: [f32; 3]) {
+        (self.rub, self.bound, self.rotor) = (rub, bound, rotor);
+    }
+
     /// Speed about the axis.
     fn speed(&self, a: &SolverBody, b: &SolverBody) -> f32 {
         self.now.axes[0].dot(b.angular_velocity - a.angular_velocity)

@@ -5,6 +5,7 @@
 //! in every substep.
 
 mod joints;
+mod saved;
 mod shapes;
 mod world;
 
@@ -27,7 +28,7 @@ use crate::robot::Model;
 use crate::rows::Workers;
 use joints::{Joint, JointNumbers, Joints, Wrench};
 use shapes::LinkCollider;
-pub(crate) use shapes::hull;
+pub(crate) use shapes::{hull, link_colliders};
 use world::Bodies;
 
 /// Why a robot cannot be simulated.
@@ -91,6 +92,8 @@ struct Chunk {
     work: Workspace<f64>,
     /// Contact body of each collider of a robot.
     body_of_collider: Vec<usize>,
+    /// Colliders of a robot that may touch each other.
+    self_pairs: Vec<[usize; 2]>,
     /// Lengths of a physics step and of a substep.
     dt: Duration,
     h: Duration,
@@ -108,10 +111,11 @@ struct Env {
 
 impl Engine {
     /// `num_envs` robots in up to `num_chunks` worlds, each among the same `statics`; `align` turns the axes of the model's links
-    /// into the engine's.
+    /// into the engine's, and the shapes `may_touch` each other.
     pub(crate) fn new(
         model: &Model,
         align: &[DMat3],
+        may_touch: &[[usize; 2]],
         topology: &Topology,
         nominal: &Parameters<f64>,
         settings: &Settings,
@@ -130,11 +134,24 @@ impl Engine {
             return Err(EngineError::Step(substep));
         }
         let colliders = shapes::colliders(model, align, topology.floating);
+        // a base that cannot move has no colliders
+        let place = |shape: usize| colliders.iter().position(|collider| collider.shape == shape);
+        let self_pairs: Vec<[usize; 2]> = may_touch.iter().filter_map(|&[a, b]| Some([place(a)?, place(b)?])).collect();
         let per_chunk = num_envs.div_ceil(num_chunks.max(1)).max(1);
         let mut engine = Self { topology: topology.clone(), chunks: Vec::new(), per_chunk };
         for first in (0..num_envs).step_by(per_chunk) {
             let count = per_chunk.min(num_envs - first);
-            engine.chunks.push(Chunk::new(topology, nominal, settings, &colliders, statics, count, dt, h)?);
+            engine.chunks.push(Chunk::new(
+                topology,
+                nominal,
+                settings,
+                &colliders,
+                &self_pairs,
+                statics,
+                count,
+                dt,
+                h,
+            )?);
         }
         for env in 0..num_envs {
             engine.set_parameters(env, nominal);
@@ -262,6 +279,7 @@ impl Chunk {
         nominal: &Parameters<f64>,
         settings: &Settings,
         colliders: &[LinkCollider],
+        self_pairs: &[[usize; 2]],
         statics: &[Part],
         num_envs: usize,
         dt: Duration,
@@ -269,8 +287,9 @@ impl Chunk {
     ) -> Result<Self, EngineError> {
         let (links, substeps) = (topology.num_links(), settings.substeps);
         let (floating, ground, gravity) = (topology.floating, settings.ground, settings.gravity);
-        let (world, bodies) = world::build(num_envs, links, floating, colliders, ground, statics, gravity, substeps)
-            .ok_or(EngineError::Order)?;
+        let (world, bodies) =
+            world::build(num_envs, links, floating, colliders, self_pairs, ground, statics, gravity, substeps)
+                .ok_or(EngineError::Order)?;
         let mut joints = Joints {
             floating,
             parents: topology.joints.iter().map(|joint| joint.parent).collect(),
@@ -295,6 +314,7 @@ impl Chunk {
             envs: (0..num_envs).map(|_| env()).collect(),
             work: Workspace::new(topology),
             body_of_collider: colliders.iter().map(|collider| collider.body).collect(),
+            self_pairs: self_pairs.to_vec(),
             dt,
             h,
         })
@@ -302,6 +322,12 @@ impl Chunk {
 
     fn colliders(&self, env: usize) -> Range<usize> {
         let count = self.body_of_collider.len();
+        env * count..(env + 1) * count
+    }
+
+    /// Pairs of colliders that may touch, among those of the world.
+    fn pairs(&self, env: usize) -> Range<usize> {
+        let count = self.body_of_collider.len() * self.bodies.statics + self.self_pairs.len();
         env * count..(env + 1) * count
     }
 
@@ -318,8 +344,8 @@ impl Chunk {
             (joint.position, joint.velocity) = (state.joint_position[j], state.joint_velocity[j]);
             joint.forget();
         }
-        let (colliders, statics) = (self.colliders(env), self.bodies.statics);
-        world::forget_contacts(&mut self.world, colliders.start * statics..colliders.end * statics);
+        let pairs = self.pairs(env);
+        world::forget_contacts(&mut self.world, pairs);
         self.place(topology, env);
     }
 
@@ -366,7 +392,7 @@ impl Chunk {
             self.set(entity, angular_inertia(&parameters.inertia[link]));
         }
         let (friction, restitution): (Friction, Restitution) =
-            world::surface(parameters.dynamic_friction as f32, parameters.restitution as f32);
+            world::robot_surface(parameters.dynamic_friction as f32, parameters.restitution as f32);
         for collider in self.colliders(env) {
             let entity = self.bodies.colliders[collider];
             self.set(entity, friction);
@@ -413,20 +439,37 @@ impl Chunk {
                 env.state.angular_velocity = (q.conjugate() * spin).to_array();
             }
         }
-        let (count, statics) = (self.body_of_collider.len(), self.bodies.statics);
+        let statics = self.bodies.statics;
+        let on_statics = self.body_of_collider.len() * statics;
+        let count = on_statics + self.self_pairs.len();
         let dt = self.dt.as_secs_f64();
         world::contact_impulses(&self.world, |pair, impulse| {
-            let collider = pair / statics;
-            let force = &mut self.envs[collider / count].force[self.body_of_collider[collider % count]];
-            for (sum, p) in force.iter_mut().zip(impulse.to_array()) {
-                *sum += f64::from(p) / dt;
+            let (env, place) = (&mut self.envs[pair / count], pair % count);
+            let mut add = |collider: usize, sign: f64| {
+                let force = &mut env.force[self.body_of_collider[collider]];
+                for (sum, p) in force.iter_mut().zip(impulse.to_array()) {
+                    *sum += sign * f64::from(p) / dt;
+                }
+            };
+            match place.checked_sub(on_statics) {
+                None => add(place / statics, 1.0),
+                Some(pair) => {
+                    let [a, b] = self.self_pairs[pair];
+                    add(a, 1.0);
+                    add(b, -1.0);
+                }
             }
         });
     }
 }
 
 /// Leaves poses and velocities of the links in the workspace, in base axes; the base's axes in the world.
-fn forward(topology: &Topology, parameters: &Parameters<f64>, state: &State<f64>, work: &mut Workspace<f64>) -> DMat3 {
+pub(crate) fn forward(
+    topology: &Topology,
+    parameters: &Parameters<f64>,
+    state: &State<f64>,
+    work: &mut Workspace<f64>,
+) -> DMat3 {
     let length = state.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
     let rotation = quat_to_mat(&state.rotation.map(|x| x / length));
     let base = if topology.floating {

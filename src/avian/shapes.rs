@@ -17,6 +17,8 @@ pub(super) struct LinkCollider {
     pub(super) link: usize,
     /// Contact body whose force it adds to.
     pub(super) body: usize,
+    /// Which of the robot's shapes it is, counted body after body.
+    pub(super) shape: usize,
     pub(super) collider: Collider,
     /// Its frame in that of the link, whose axes are the engine's.
     pub(super) translation: Vec3,
@@ -28,8 +30,10 @@ pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<L
     // cylinders and capsules lie along z in a URDF and along y in Avian
     let upright = Quat::from_rotation_x(std::f32::consts::FRAC_PI_2);
     let mut all = Vec::new();
-    for (body, b) in model.bodies.iter().enumerate().filter(|(_, b)| floating || b.link != 0) {
-        for shape in &b.shapes {
+    let shapes =
+        model.bodies.iter().enumerate().flat_map(|(body, b)| b.shapes.iter().map(move |shape| (body, b, shape)));
+    for (place, (body, b, shape)) in shapes.enumerate() {
+        if floating || b.link != 0 {
             let mut translation = (align[b.link] * shape.origin.translation).as_vec3();
             let mut rotation = DQuat::from_mat3(&(align[b.link] * shape.origin.rotation)).normalize().as_quat();
             let collider = match &shape.geometry {
@@ -51,10 +55,19 @@ pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<L
                     Collider::cuboid(size.x, size.y, size.z)
                 }),
             };
-            all.push(LinkCollider { link: b.link, body, collider, translation, rotation });
+            all.push(LinkCollider { link: b.link, body, shape: place, collider, translation, rotation });
         }
     }
     all
+}
+
+/// One collider for each link that has any, in the links' URDF frames.
+pub(crate) fn link_colliders(model: &Model) -> Vec<Option<Collider>> {
+    let mut parts: Vec<Vec<(Vec3, Quat, Collider)>> = vec![Vec::new(); model.links.len()];
+    for c in colliders(model, &vec![DMat3::IDENTITY; model.links.len()], true) {
+        parts[c.link].push((c.translation, c.rotation, c.collider));
+    }
+    parts.into_iter().map(|parts| (!parts.is_empty()).then(|| Collider::compound(parts))).collect()
 }
 
 /// The hull of points that span a volume.

@@ -1,7 +1,8 @@
 //! One of Avian's worlds: robots of one kind as rigid bodies on a plane.
 //!
-//! Robots touch the ground and what stands on it only, and every one is in the frame of its own env, at the same place as all
-//! others. There is no broad phase: each collider and the ground, or an obstacle's part, are one pair for good. What happens to a robot depends neither on the
+//! Robots touch the ground, what stands on it and themselves only, and every one is in the frame of its own env, at the same
+//! place as all others. There is no broad phase: each collider and the ground, or an obstacle's part, or another collider of
+//! the robot that it may meet, are one pair for good. What happens to a robot depends neither on the
 //! other robots of its world nor on what it touched before.
 
 use std::time::Duration;
@@ -73,6 +74,7 @@ pub(super) fn build(
     links: usize,
     floating: bool,
     colliders: &[LinkCollider],
+    self_pairs: &[[usize; 2]],
     ground: Option<Plane>,
     statics: &[Part],
     gravity: [f64; 3],
@@ -145,7 +147,7 @@ pub(super) fn build(
     app.finish();
     app.cleanup();
     let mut world = std::mem::take(app.world_mut());
-    let bodies = spawn(&mut world, robots, links, floating, colliders, ground, statics);
+    let bodies = spawn(&mut world, robots, links, floating, colliders, self_pairs, ground, statics);
     let mut order = world.query_filtered::<Entity, With<SolverBody>>();
     order.iter(&world).eq(bodies.links.iter().copied()).then_some((world, bodies))
 }
@@ -156,6 +158,7 @@ fn spawn(
     links: usize,
     floating: bool,
     colliders: &[LinkCollider],
+    self_pairs: &[[usize; 2]],
     ground: Option<Plane>,
     statics: &[Part],
 ) -> Bodies {
@@ -203,7 +206,7 @@ fn spawn(
                     everywhere(),
                     Position(c.translation),
                     Rotation(c.rotation),
-                    surface(1.0, 0.0),
+                    robot_surface(1.0, 0.0),
                     Attached { body, translation: c.translation, rotation: c.rotation },
                 ))
                 .id();
@@ -212,19 +215,23 @@ fn spawn(
     }
     world.flush();
     if let Some(mut graph) = world.get_resource_mut::<ContactGraph>() {
+        let mut add = |[first, second]: [(Entity, Entity); 2]| {
+            let ((body1, collider1), (body2, collider2)) = (first, second);
+            let mut edge = ContactEdge::new(collider1, collider2);
+            (edge.body1, edge.body2) = (Some(body1), Some(body2));
+            graph.add_edge_with(edge, |pair| {
+                (pair.body1, pair.body2) = (Some(body1), Some(body2));
+                pair.flags.insert(ContactPairFlags::GENERATE_CONSTRAINTS);
+            });
+        };
         for robot in 0..robots {
-            for (i, c) in colliders.iter().enumerate() {
-                let (link, collider) =
-                    (bodies.links[robot * links + c.link], bodies.colliders[robot * colliders.len() + i]);
-                for &(body, shape) in &statics {
-                    let mut edge = ContactEdge::new(collider, shape);
-                    (edge.body1, edge.body2) = (Some(link), Some(body));
-                    graph.add_edge_with(edge, |pair| {
-                        (pair.body1, pair.body2) = (Some(link), Some(body));
-                        pair.flags.insert(ContactPairFlags::GENERATE_CONSTRAINTS);
-                    });
-                }
+            let part = |i: usize| {
+                (bodies.links[robot * links + colliders[i].link], bodies.colliders[robot * colliders.len() + i])
+            };
+            for i in 0..colliders.len() {
+                statics.iter().for_each(|&of_world| add([part(i), of_world]));
             }
+            self_pairs.iter().for_each(|pair| add(pair.map(part)));
         }
     }
     bodies
@@ -239,6 +246,13 @@ pub(super) fn surface(friction: f32, restitution: f32) -> (Friction, Restitution
     )
 }
 
+/// Of a robot: its coefficients count with what it stands on, and among its own links as they are.
+pub(super) fn robot_surface(friction: f32, restitution: f32) -> (Friction, Restitution) {
+    let (friction, restitution) = surface(friction, restitution);
+    let combine_rule = CoefficientCombine::GeometricMean;
+    (Friction { combine_rule, ..friction }, Restitution { combine_rule, ..restitution })
+}
+
 /// One physics step; its length in substeps is that of the joints.
 pub(super) fn step(world: &mut World, dt: Duration, h: Duration) {
     world.resource_mut::<Time<Physics>>().advance_by(dt);
@@ -247,8 +261,8 @@ pub(super) fn step(world: &mut World, dt: Duration, h: Duration) {
     world.run_schedule(PhysicsSchedule);
 }
 
-/// Adds what touched the ground in the last physics step to `add(pair, impulse on the robot)`; pairs count, collider after
-/// collider and robot after robot, what each can touch.
+/// Adds what touched in the last physics step to `add(pair, impulse on its first body)`. Pairs count robot after robot:
+/// collider after collider with all that stands still, then the colliders that may touch each other.
 pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3)) {
     let (Some(constraints), Some(contacts), Some(impulses)) = (
         world.get_resource::<ConstraintGraph>(),
@@ -290,7 +304,7 @@ fn all_constraints(graph: &ConstraintGraph) -> impl Iterator<Item = &ContactCons
     graph.colors.iter().flat_map(|color| &color.contact_constraints)
 }
 
-/// Impulse on the robot, the first body of each pair, in the last substep.
+/// Impulse on the first body of a pair in the last substep.
 fn impulse(constraint: &ContactConstraint) -> Vec3 {
     let tangents = constraint.tangent_directions();
     let on_ground = constraint.points.iter().map(|point| {
@@ -314,7 +328,26 @@ fn place_colliders(
 
 /// Tangents of each pair's contacts in the last physics step, in the order of the pairs.
 #[derive(Resource, Default)]
-struct Tangents(Vec<[Vec3; 2]>);
+pub(super) struct Tangents(pub(super) Vec<[Vec3; 2]>);
+
+/// Tells the solver which contacts there are, after they were set from outside.
+pub(super) fn push_contacts(world: &mut World) {
+    world.resource_scope(|world, mut constraints: Mut<ConstraintGraph>| {
+        let Some(mut contacts) = world.get_resource_mut::<ContactGraph>() else {
+            return;
+        };
+        constraints.clear();
+        let all: Vec<ContactId> = contacts.active_pairs().iter().map(|pair| pair.contact_id).collect();
+        for id in all {
+            if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
+                edge.constraint_handles.clear();
+                for _ in 0..pair.manifolds.len() {
+                    constraints.push_manifold(edge, pair);
+                }
+            }
+        }
+    });
+}
 
 /// Solves contacts in an order that depends on nothing but which there are, and warm-starts friction with the impulses of
 /// the last step.
@@ -332,7 +365,8 @@ fn order_contacts(
     for id in touching {
         if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
             edge.constraint_handles.clear();
-            let velocity = pair.body1.and_then(|body| velocities.get(body).ok()).map_or(Vec3::ZERO, |v| v.0);
+            let of = |body: Option<Entity>| body.and_then(|body| velocities.get(body).ok()).map_or(Vec3::ZERO, |v| v.0);
+            let velocity = of(pair.body1) - of(pair.body2);
             let [old, old_across] = tangents.0.get(edge.pair_index).copied().unwrap_or_default();
             for manifold in &mut pair.manifolds {
                 let [new, new_across] = tangents_of(manifold.normal, velocity);
@@ -349,7 +383,7 @@ fn order_contacts(
     }
 }
 
-/// The tangents that Avian chooses for contacts of a body of this velocity with one at rest.
+/// The tangents that Avian chooses for contacts of a body of this velocity relative to the other.
 fn tangents_of(normal: Vec3, velocity: Vec3) -> [Vec3; 2] {
     let inward = -normal;
     let along = velocity - inward * inward.dot(velocity);

@@ -1,5 +1,7 @@
 //! Layers: a config file on top of the files that it `extends`.
 
+use std::path::Path;
+
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
@@ -8,6 +10,7 @@ use super::document::Document;
 use super::error::{ConfigError, ConfigErrorKind};
 use super::overrides;
 use super::parse::{parse_params, segments};
+use super::scene::embed_meshes;
 
 /// The key that names the config below.
 pub(super) const EXTENDS: &str = "extends";
@@ -52,6 +55,7 @@ impl Layers {
             overridden.push(overrides::apply(&mut resolved, text)?);
         }
         if !overrides.is_empty() {
+            embed_meshes(&mut resolved, Path::new("")).map_err(|error| error.in_file(OVERRIDE))?;
             config = parse_params("", "", &resolved).map_err(|error| self.locate(error, &overridden))?;
             resolved = self.table_of(&config)?;
         }

@@ -10,6 +10,7 @@ use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key};
 use super::names::{RobotEntry, TaskEntry, entry, single_robot_name, unknown_name};
 use super::robot::RobotConfig;
+use super::scene::embed_meshes;
 use super::suggest::did_you_mean;
 use super::task::TaskConfig;
 
@@ -119,11 +120,15 @@ impl Library {
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config or in an override.
     pub fn task(&self, name: &str, overrides: &[String]) -> Result<LoadedTask, ConfigError> {
-        let layers = match self.find(Kind::Task, name, None, &[]) {
+        let mut layers = match self.find(Kind::Task, name, None, &[]) {
             Ok(top) => self.layers(Kind::Task, top)?,
             Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error)?,
             Err(error) => return Err(error),
         };
+        for layer in &mut layers.0 {
+            let dir = layer.document.dir.clone().unwrap_or_default();
+            embed_meshes(&mut layer.table, &dir).map_err(|error| error.in_file(layer.document.file.clone()))?;
+        }
         let (config, resolved) = layers.typed(overrides, TaskConfig::validate)?;
         let hash = fnv1a(resolved.to_string().as_bytes());
         Ok(LoadedTask { config, resolved, hash })

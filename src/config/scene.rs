@@ -1,9 +1,17 @@
 //! The scene of a task: ground and obstacles.
 
-use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::error::{ConfigError, ConfigErrorKind};
 use super::terrain::TerrainConfig;
 use super::values;
+use crate::robot::{Surface, read_surface};
+
+/// More triangles than this are no obstacle but a scan.
+const MOST_TRIANGLES: usize = 250_000;
 
 /// What the robots stand on.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -156,6 +164,27 @@ pub enum ObstacleConfig {
         #[serde(default)]
         rpy: [f64; 3],
     },
+    /// The triangles of a mesh.
+    Mesh {
+        /// STL or OBJ, in m, relative to the file that names it. While the task is loaded it is read into `vertices` and
+        /// `triangles`, which then stand in its place.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        file: Option<PathBuf>,
+        /// Factor along each of the mesh's own axes, above 0. Default: 1.
+        #[serde(default = "unscaled")]
+        scale: [f64; 3],
+        /// Of the mesh's origin.
+        position: [f64; 3],
+        /// Roll, pitch, yaw.
+        #[serde(default)]
+        rpy: [f64; 3],
+        /// Corners before scaling, m.
+        #[serde(default)]
+        vertices: Vec<[f64; 3]>,
+        /// Three corners each, counted from 0.
+        #[serde(default)]
+        triangles: Vec<[u32; 3]>,
+    },
     /// A surface over a rectangle, two triangles between four heights.
     Heightfield {
         /// Edge lengths along x and y, m.
@@ -168,6 +197,10 @@ pub enum ObstacleConfig {
         #[serde(default)]
         rpy: [f64; 3],
     },
+}
+
+fn unscaled() -> [f64; 3] {
+    [1.0; 3]
 }
 
 impl SceneConfig {
@@ -199,6 +232,7 @@ impl ObstacleConfig {
             | Self::Capsule { position, rpy, .. }
             | Self::Ramp { position, rpy, .. }
             | Self::Stairs { position, rpy, .. }
+            | Self::Mesh { position, rpy, .. }
             | Self::Heightfield { position, rpy, .. } => (*position, *rpy),
         }
     }
@@ -213,11 +247,24 @@ impl ObstacleConfig {
             Self::Sphere { radius, .. } => [*radius; 3],
             Self::Cylinder { radius, length, .. } | Self::Capsule { radius, length, .. } => [*radius, *length, 1.0],
             Self::Heightfield { size, .. } => [size[0], size[1], 1.0],
+            Self::Mesh { scale, .. } => *scale,
         };
         if !lengths.iter().all(|x| x.is_finite() && *x > 0.0) {
             return Some(("a length of it is not above zero", "write lengths in m, above 0"));
         }
         match self {
+            Self::Mesh { vertices, triangles, .. } => {
+                let known = |corner: &u32| (*corner as usize) < vertices.len();
+                if triangles.is_empty() {
+                    Some(("it has no triangles", "name a file, or write vertices and triangles"))
+                } else if !triangles.iter().flatten().all(known) {
+                    Some(("a triangle of it names a corner that is not there", "count the vertices from 0"))
+                } else if !vertices.iter().flatten().all(|x| x.is_finite()) {
+                    Some(("a vertex of it is not finite", "write finite numbers"))
+                } else {
+                    None
+                }
+            }
             Self::Stairs { steps: 0, .. } => Some(("it has no steps", "write steps = 1 or more")),
             Self::Heightfield { heights, .. } => {
                 let columns = heights.first().map_or(0, Vec::len);
@@ -233,4 +280,43 @@ impl ObstacleConfig {
             _ => None,
         }
     }
+}
+
+/// Reads the files that the mesh obstacles of a task's table name, relative to `dir`, into the table in place of their
+/// names: nothing needs them from then on.
+///
+/// # Errors
+/// A file that cannot be read, or has too many triangles; without the name of the task's file.
+pub(super) fn embed_meshes(task: &mut Table, dir: &Path) -> Result<(), ConfigError> {
+    let scene = task.get_mut("scene").and_then(Value::as_table_mut);
+    let Some(obstacles) = scene.and_then(|scene| scene.get_mut("obstacles")).and_then(Value::as_array_mut) else {
+        return Ok(());
+    };
+    for (i, obstacle) in obstacles.iter_mut().enumerate() {
+        let Some(obstacle) = obstacle.as_table_mut() else {
+            continue;
+        };
+        let is_mesh = obstacle.get("shape").and_then(Value::as_str) == Some("mesh");
+        let Some(file) = obstacle.get("file").and_then(Value::as_str).filter(|_| is_mesh) else {
+            continue;
+        };
+        let path = dir.join(file);
+        let invalid = |problem: String, remedy: &str| {
+            let problem = format!("{}: {problem}", path.display());
+            ConfigError::invalid("", format!("scene.obstacles[{i}].file"), problem, remedy)
+        };
+        let Surface { vertices, triangles } = read_surface(&path).map_err(|problem| {
+            invalid(problem, "name an STL or OBJ file, relative to this file").of_kind(ConfigErrorKind::Unreadable)
+        })?;
+        if triangles.len() > MOST_TRIANGLES {
+            let problem = format!("it has {} triangles", triangles.len());
+            return Err(invalid(problem, &format!("simplify it to {MOST_TRIANGLES} at most")));
+        }
+        let rows = |rows: Vec<[Value; 3]>| Value::Array(rows.into_iter().map(|row| row.to_vec().into()).collect());
+        obstacle.insert("vertices".into(), rows(vertices.into_iter().map(|v| v.map(Value::from)).collect()));
+        let corners = triangles.into_iter().map(|t| t.map(|corner| Value::from(i64::from(corner))));
+        obstacle.insert("triangles".into(), rows(corners.collect()));
+        obstacle.remove("file");
+    }
+    Ok(())
 }

@@ -116,6 +116,9 @@ pub struct PhysicsConfig {
     /// Share of the overlap that is pushed out in one physics step, as far as that speed allows. Default: 0.2.
     #[serde(deserialize_with = "values::fraction")]
     pub depenetration_rate: f64,
+    /// Whether every link of every robot is a kinematic body in Avian's world, too, for its queries, events and other
+    /// bodies. Default: no.
+    pub mirror_links: bool,
 }
 
 impl Default for PhysicsConfig {
@@ -125,6 +128,7 @@ impl Default for PhysicsConfig {
             solver_iterations: 8,
             max_depenetration_velocity: 1.0,
             depenetration_rate: 0.2,
+            mirror_links: false,
         }
     }
 }

@@ -270,6 +270,10 @@ impl Simulation {
         array(py, self.sim.contact_forces(), &[self.sim.num_envs(), self.sim.num_links(), 3])
     }
     #[getter]
+    fn link_drift<'py>(&self, py: Python<'py>) -> Array<'py> {
+        array(py, self.sim.link_drift(), &[self.sim.num_envs()])
+    }
+    #[getter]
     fn joint_torque<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.joint_torque(), &[self.sim.num_envs(), self.sim.num_joints()])
     }

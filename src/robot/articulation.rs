@@ -30,6 +30,8 @@ pub struct Articulation {
     pub parameters: Parameters<f64>,
     /// Turns a link's own axes into base-aligned ones, `[links]`.
     pub align: Vec<DMat3>,
+    /// Collision shapes that may touch each other, counted body after body; those of the topology's pairs.
+    pub shape_pairs: Vec<[usize; 2]>,
 }
 
 impl Articulation {
@@ -107,10 +109,9 @@ impl Articulation {
         for (s, site) in sites.iter().enumerate() {
             p.site_position[s] = (align[site.link] * site.position).to_array();
         }
-        if let Some(reference) = self_collision {
-            add_pairs(model, &align, reference, &mut topology, &mut p);
-        }
-        Self { topology, parameters: p, align }
+        let shape_pairs = self_collision
+            .map_or_else(Vec::new, |reference| add_pairs(model, &align, reference, &mut topology, &mut p));
+        Self { topology, parameters: p, align, shape_pairs }
     }
 }
 

@@ -31,14 +31,15 @@ struct Collider {
 }
 
 /// Adds colliders and the pairs of them that can meet to an articulation without any; `align` turns a link's own axes
-/// into the engine's, `reference` is a pose (one position per joint) in which nothing is meant to collide.
+/// into the engine's, `reference` is a pose (one position per joint) in which nothing is meant to collide. Returns which
+/// shapes these pairs are of, counted body after body.
 pub(super) fn add_pairs(
     model: &Model,
     align: &[DMat3],
     reference: &[f64],
     topology: &mut Topology,
     parameters: &mut Parameters<f64>,
-) {
+) -> Vec<[usize; 2]> {
     let mut colliders: Vec<Collider> = Vec::new();
     // each shape as it is, and as a capsule: a box is a box to smaller shapes and a capsule to larger boxes
     let mut parts = Vec::new();
@@ -46,15 +47,13 @@ pub(super) fn add_pairs(
         for shape in &b.shapes {
             let whole = colliders.len();
             colliders.extend(shape_colliders(shape, b.link, body, align[b.link]));
-            if colliders.len() > whole {
-                parts.push((whole, colliders.len() - 1));
-            }
+            parts.push((whole, colliders.len() - 1));
         }
     }
     let is_box = |whole: usize| colliders[whole].topology.box_rotation.is_some();
-    let mut pairs = Vec::new();
+    let (mut pairs, mut shapes) = (Vec::new(), Vec::new());
     for (i, a) in parts.iter().enumerate() {
-        for b in &parts[..i] {
+        for (j, b) in parts[..i].iter().enumerate() {
             if !are_apart(model, colliders[a.0].topology.link, colliders[b.0].topology.link) {
                 continue;
             }
@@ -63,6 +62,7 @@ pub(super) fn add_pairs(
             let pair = if flat_in_round { [larger.0, smaller.0] } else { [smaller.1, larger.0] };
             let capsule = &colliders[pair[0]];
             pairs.push((pair, capsule.half.length() > capsule.radius));
+            shapes.push([j, i]);
         }
     }
     parameters.collider_centre = colliders.iter().map(|c| c.centre.to_array()).collect();
@@ -71,6 +71,7 @@ pub(super) fn add_pairs(
     topology.set_pairs(colliders.iter().map(|c| c.topology).collect(), &pairs);
 
     let kept = can_meet(topology, parameters, reference);
+    let shapes = shapes.into_iter().zip(&kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
     let pairs: Vec<_> = pairs.into_iter().zip(kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
     // only colliders of some pair stay
     let mut used: Vec<usize> = pairs.iter().flat_map(|(pair, _)| *pair).collect();
@@ -82,6 +83,7 @@ pub(super) fn add_pairs(
     parameters.collider_half = used.iter().map(|&c| colliders[c].half.to_array()).collect();
     parameters.collider_radius = used.iter().map(|&c| colliders[c].radius).collect();
     topology.set_pairs(used.iter().map(|&c| colliders[c].topology).collect(), &pairs);
+    shapes
 }
 
 /// Whether two links are neither the same nor joined by one joint.

@@ -1,4 +1,4 @@
-//! Vertices of mesh files: STL (binary and ASCII), OBJ and COLLADA.
+//! Mesh files: vertices of STL (binary and ASCII), OBJ and COLLADA, triangles of STL and OBJ.
 
 use std::collections::HashMap;
 use std::io::{BufReader, Cursor, Read};
@@ -34,13 +34,7 @@ impl From<Vec<DVec3>> for Vertices {
 /// # Errors
 /// What keeps it from being read, as a clause.
 pub(super) fn read(path: &Path) -> Result<Vertices, String> {
-    let mut bytes = Vec::new();
-    let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
-    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(format!("it is larger than {} MiB", MAX_BYTES >> 20));
-    }
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+    let (bytes, ending) = contents(path)?;
     // The readers are other people's: none of them may take the simulator down.
     let vertices = catch_unwind(AssertUnwindSafe(|| match ending.as_str() {
         "stl" => stl(bytes).map(Vertices::from),
@@ -52,10 +46,64 @@ pub(super) fn read(path: &Path) -> Result<Vertices, String> {
     if vertices.points.is_empty() {
         return Err("it has no vertices".to_string());
     }
-    if let Some(point) = vertices.points.iter().find(|point| !point.is_finite()) {
-        return Err(format!("it has a vertex at {point}"));
-    }
+    check_finite(&vertices.points)?;
     Ok(vertices)
+}
+
+/// The triangles of a mesh in its file's own axes.
+#[derive(Debug, Default)]
+pub(crate) struct Surface {
+    /// Corners, each once, m.
+    pub(crate) vertices: Vec<[f64; 3]>,
+    /// Places of their corners among the vertices.
+    pub(crate) triangles: Vec<[u32; 3]>,
+}
+
+/// Reads the surface in the file at `path`, whose ending says what it is.
+///
+/// # Errors
+/// What keeps it from being read, as a clause.
+pub(crate) fn read_surface(path: &Path) -> Result<Surface, String> {
+    let (bytes, ending) = contents(path)?;
+    let corners = catch_unwind(AssertUnwindSafe(|| match ending.as_str() {
+        "stl" => stl(bytes),
+        "obj" => obj_triangles(&bytes),
+        _ => Err(format!("triangles of \".{ending}\" are not read, only of .stl and .obj")),
+    }))
+    .unwrap_or_else(|_| Err("its reader failed".to_string()))?;
+    check_finite(&corners)?;
+    let mut surface = Surface::default();
+    let mut places: HashMap<[u64; 3], u32> = HashMap::new();
+    for triangle in corners.chunks_exact(3) {
+        surface.triangles.push([0, 1, 2].map(|i| {
+            // zero has two signs
+            let corner = triangle[i].to_array().map(|x| x + 0.0);
+            *places.entry(corner.map(f64::to_bits)).or_insert_with(|| {
+                surface.vertices.push(corner);
+                (surface.vertices.len() - 1) as u32
+            })
+        }));
+    }
+    if surface.triangles.is_empty() { Err("it has no triangles".to_string()) } else { Ok(surface) }
+}
+
+/// What is in a file, and its ending.
+fn contents(path: &Path) -> Result<(Vec<u8>, String), String> {
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
+    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(format!("it is larger than {} MiB", MAX_BYTES >> 20));
+    }
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+    Ok((bytes, ending))
+}
+
+fn check_finite(points: &[DVec3]) -> Result<(), String> {
+    match points.iter().find(|point| !point.is_finite()) {
+        Some(point) => Err(format!("it has a vertex at {point}")),
+        None => Ok(()),
+    }
 }
 
 fn stl(mut bytes: Vec<u8>) -> Result<Vec<DVec3>, String> {
@@ -93,10 +141,32 @@ fn stl_triangles(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
     Ok(points)
 }
 
-fn obj(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+fn obj_models(bytes: &[u8], options: &tobj::LoadOptions) -> Result<Vec<tobj::Model>, String> {
     let no_materials = |_: &Path| Ok(Default::default());
-    let (models, _) = tobj::load_obj_buf(&mut BufReader::new(bytes), &tobj::LoadOptions::default(), no_materials)
-        .map_err(|error| error.to_string())?;
+    let (models, _) =
+        tobj::load_obj_buf(&mut BufReader::new(bytes), options, no_materials).map_err(|error| error.to_string())?;
+    Ok(models)
+}
+
+/// The corners of all triangles, three by three.
+fn obj_triangles(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+    let options =
+        tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
+    let mut corners = Vec::new();
+    for model in obj_models(bytes, &options)? {
+        let mesh = model.mesh;
+        let corner = |i: u32| {
+            let at = mesh.positions.get(3 * i as usize..3 * i as usize + 3);
+            at.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()))
+        };
+        let all: Option<Vec<DVec3>> = mesh.indices.iter().map(|&i| corner(i)).collect();
+        corners.extend(all.ok_or("a face of it names a vertex that is not there")?);
+    }
+    Ok(corners)
+}
+
+fn obj(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+    let models = obj_models(bytes, &tobj::LoadOptions::default())?;
     let positions = models.iter().flat_map(|model| model.mesh.positions.chunks_exact(3));
     Ok(positions.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())).collect())
 }

@@ -22,6 +22,7 @@ mod urdf;
 pub use articulation::{Articulation, Site, UNLIMITED, symmetric};
 pub use check::check;
 pub use error::{Diagnosis, RobotError, Warning};
+pub(crate) use mesh::{Surface, read_surface};
 pub use model::{Body, Geometry, Joint, JointKind, Link, Model, Shape};
 pub use pose::Pose;
 pub use roles::{BodyGroup, CANONICAL_JOINT_NAMES, LEGS, ROLES, Roles, body_groups, detect};

@@ -22,7 +22,7 @@ pub(super) fn packs(
         ground: settings.contact.ground,
     };
     let (topology, nominal) = (&robot.topology, &robot.nominal);
-    Engine::new(&robot.model, &robot.align, topology, nominal, &of_engine, &[], num_envs, threads)
+    Engine::new(&robot.model, &robot.align, &robot.shape_pairs, topology, nominal, &of_engine, &[], num_envs, threads)
         .map(|engine| Box::new(AvianPacks { engine, explicit: Vec::new() }) as Box<dyn Packs>)
         .map_err(|error| {
             let element = match error {
@@ -88,6 +88,14 @@ impl Packs for AvianPacks {
         self.explicit.clear();
         self.explicit.extend(topology.joints.iter().map(|joint| joint.explicit));
         self.engine.step(workers, &self.explicit, gains, n);
+    }
+
+    fn save(&self, env: usize) -> Result<Vec<u8>, postcard::Error> {
+        self.engine.save(env)
+    }
+
+    fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        self.engine.load(envs)
     }
 
     fn link_drift(&self, env: usize) -> f64 {

@@ -82,11 +82,7 @@ impl Simulation {
     pub fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
         options.validate()?;
         let simd = Simd::choose(options.simd)?;
-        let robot = match options.engine() {
-            EngineKind::Articulated => Robot::new(options)?,
-            // links of a robot do not collide with one another there
-            EngineKind::Avian => Robot::new(&SimulationOptions { self_collision: Some(false), ..options.clone() })?,
-        };
+        let robot = Robot::new(options)?;
         let normal = options.ground.map(|n| {
             let length = n.iter().map(|x| x * x).sum::<f64>().sqrt();
             n.map(|x| x / length)

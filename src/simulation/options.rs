@@ -32,8 +32,8 @@ pub struct SimulationOptions {
     /// Gravity in world axes, m/s^2. Default: (0, 0, -9.81).
     pub gravity: [f64; 3],
     /// The physics engine. `articulated`, the default, moves joints and has no other degrees of freedom. `avian` has
-    /// Avian's rigid bodies with polypod's joints between them: single precision, revolute joints, no contact among links
-    /// of a robot, and one friction coefficient, the dynamic one.
+    /// Avian's rigid bodies with polypod's joints between them: single precision, revolute joints, no shapes on a base
+    /// that is fixed, and one friction coefficient, the dynamic one.
     pub engine: String,
     /// Fix the base to the world, at its origin. Default: no.
     pub fixed_base: bool,
@@ -100,10 +100,6 @@ impl SimulationOptions {
             "avian" if self.precision == Precision::Double => {
                 let remedy = "use single precision, or the engine \"articulated\"";
                 return Err(argument("precision", "the engine avian has single precision only", remedy));
-            }
-            "avian" if self.self_collision == Some(true) => {
-                let remedy = "leave it out, or use the engine \"articulated\"";
-                return Err(argument("self_collision", "the engine avian knows contact with the ground only", remedy));
             }
             "avian" => {}
             other => {

@@ -32,6 +32,14 @@ pub(super) trait Packs: Send + Sync {
     fn write_report(&mut self, env: usize, effort: &[f64], force: &[[f64; 3]]);
     /// `n` physics steps of all envs.
     fn step(&mut self, topology: &Topology, settings: &StepSettings, workers: &Workers, actuation: Actuation, n: usize);
+    /// What else decides how an env goes on, as bytes.
+    fn save(&self, _env: usize) -> Result<Vec<u8>, postcard::Error> {
+        Ok(Vec::new())
+    }
+    /// Takes that up in all envs, once their states and numbers are set.
+    fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        Ok(())
+    }
     /// How far the links' origins are from where forward kinematics has them, at most, m.
     fn link_drift(&self, _env: usize) -> f64 {
         0.0

@@ -21,6 +21,8 @@ pub(super) struct Robot {
     pub(super) nominal: Parameters<f64>,
     /// Turns a link's URDF axes into those of the engine, `[links]`.
     pub(super) align: Vec<DMat3>,
+    /// Collision shapes that may touch each other, counted body after body.
+    pub(super) shape_pairs: Vec<[usize; 2]>,
     /// Joint positions to begin with, rad or m.
     pub(super) default_position: Vec<f64>,
 }
@@ -53,8 +55,9 @@ impl Robot {
 
     fn assemble(model: Model, default_position: Vec<f64>, floating: bool, self_collision: bool) -> Self {
         let reference = self_collision.then_some(&default_position[..]);
-        let Articulation { topology, parameters, align } = Articulation::new(&model, floating, &[], reference);
-        Self { model, topology, nominal: parameters, align, default_position }
+        let Articulation { topology, parameters, align, shape_pairs } =
+            Articulation::new(&model, floating, &[], reference);
+        Self { model, topology, nominal: parameters, align, shape_pairs, default_position }
     }
 
     fn of_library(options: &SimulationOptions) -> Result<Self, SimulationError> {

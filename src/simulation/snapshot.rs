@@ -10,7 +10,7 @@ use crate::config::fnv1a;
 use crate::dynamics::{Parameters, State, StepSettings};
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 /// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 
@@ -44,6 +44,8 @@ struct Env {
     parameters: Parameters<f64>,
     effort: Vec<f64>,
     force: Vec<[f64; 3]>,
+    /// What the engine has beyond that.
+    engine: Vec<u8>,
 }
 
 /// A hash of what decides a step but for the state and the envs' own numbers.
@@ -68,12 +70,12 @@ impl Simulation {
     }
 
     /// State, time, contact warm starts and all numbers of all envs: restoring them and stepping gives, bit for bit, what
-    /// going on would have given, for any number of threads and on any instruction set. The engine `avian` keeps no warm
-    /// starts in it, and closes its joints when it is restored: it goes on from the same state, but not with the same bits.
+    /// going on would have given, for any number of threads and on any instruction set.
     ///
     /// # Errors
     /// When it cannot be encoded.
     pub fn snapshot(&self) -> Result<Vec<u8>, SimulationError> {
+        let unwritable = |error: postcard::Error| SimulationError::Snapshot(error.to_string());
         let topology = &self.robot.topology;
         let mut state = State::zeros(topology);
         let envs = (0..self.num_envs)
@@ -84,7 +86,7 @@ impl Simulation {
                 let (mut effort, mut force) = (vec![0.0; topology.num_joints()], vec![[0.0; 3]; topology.num_bodies]);
                 self.packs.read_report(env, &mut effort, &mut force);
                 let State { position, rotation, linear_velocity, angular_velocity, .. } = state;
-                Env {
+                Ok(Env {
                     position,
                     rotation,
                     linear_velocity,
@@ -96,11 +98,13 @@ impl Simulation {
                     parameters,
                     effort,
                     force,
-                }
+                    engine: self.packs.save(env)?,
+                })
             })
-            .collect();
+            .collect::<Result<_, postcard::Error>>()
+            .map_err(unwritable)?;
         let snapshot = Snapshot { header: self.header(), steps: self.steps, envs };
-        let mut bytes = postcard::to_stdvec(&snapshot).map_err(|error| SimulationError::Snapshot(error.to_string()))?;
+        let mut bytes = postcard::to_stdvec(&snapshot).map_err(unwritable)?;
         bytes.extend(fnv1a(&bytes).to_le_bytes());
         Ok(bytes)
     }
@@ -127,6 +131,7 @@ impl Simulation {
             return Err(SimulationError::Snapshot("it is damaged: its checksum does not fit; take it again".into()));
         };
         let snapshot = postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?;
+        let mut engine = Vec::with_capacity(snapshot.envs.len());
         for (env, from) in snapshot.envs.into_iter().enumerate() {
             let state = State {
                 position: from.position,
@@ -141,7 +146,9 @@ impl Simulation {
             self.packs.write_state(env, &state);
             self.packs.write_parameters(env, &from.parameters);
             self.packs.write_report(env, &from.effort, &from.force);
+            engine.push(from.engine);
         }
+        self.packs.load(&engine).map_err(unreadable)?;
         self.steps = snapshot.steps;
         Ok(())
     }

@@ -1,14 +1,40 @@
 """`polypod accuracy` rewrites what stands between the marks of a document, and nothing else."""
 
+import dataclasses
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import polypod
-from polypod.accuracy import friction, motion, report, robot, standing, statics
+from polypod.accuracy import engines, friction, motion, report, robot, standing, statics
 from polypod.accuracy.markdown import summary, tables
+
+ARTICULATED = engines.Engine(
+    engine="articulated",
+    height=0.43,
+    pitch=-0.03,
+    force=1.0,
+    torque=np.array([4.0, -40.0]),
+    response_max=3e-3,
+    response_rms=2e-4,
+    drift=0.0,
+    largest_step=0.05,
+    steps_per_second=1e6,
+)
+AVIAN = dataclasses.replace(
+    ARTICULATED,
+    engine="avian",
+    torque=np.array([5.0, -40.5]),
+    response_max=4e-4,
+    response_rms=6e-5,
+    drift=5e-7,
+    largest_step=0.02,
+    steps_per_second=2e4,
+)
+ENGINES = engines.Engines("spot", ARTICULATED, AVIAN)
 
 
 def test_only_the_text_between_the_marks_changes(tmp_path: Path) -> None:
@@ -42,11 +68,13 @@ def test_every_measurement_has_its_row() -> None:
         responses=[motion.StepResponse("spot", 1e-4, 2e-4, 3e-3, 4e-3, 0)],
         drops=[standing.compare_drop(spot, gains=standing.FIRM)],
         standing=[standing.compare_standing(spot)],
+        engines=[ENGINES],
         rests=[standing.SlopeRest("spot", "front", 1e-5, 2e-5)],
         slides=[friction.compare_slide(0.5, 1.0)],
         slopes=[friction.compare_slope(0.5, 0.3)],
     )
     text = tables(measured)
-    assert text.count("| spot |") == 5
+    assert text.count("| spot |") == 7
+    assert "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
     assert "MuJoCo x.y" in text
     assert "MuJoCo x.y" in summary(measured)

@@ -4,6 +4,7 @@ Each comparison returns a plain dataclass; the tests assert bounds on it and `po
 documentation. It needs the `bench` extra.
 """
 
+from polypod.accuracy.engines import Engine, Engines, compare_engines
 from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
 from polypod.accuracy.motion import StepResponse, compare_step_responses
 from polypod.accuracy.reference import Ground, Reference
@@ -22,6 +23,8 @@ from polypod.accuracy.statics import StaticsResult, compare_statics
 __all__ = [
     "Actuators",
     "Drop",
+    "Engine",
+    "Engines",
     "Ground",
     "Reference",
     "Report",
@@ -33,6 +36,7 @@ __all__ = [
     "StaticsResult",
     "StepResponse",
     "compare_drop",
+    "compare_engines",
     "compare_slide",
     "compare_slope",
     "compare_slope_rest",

@@ -4,6 +4,8 @@ import math
 import textwrap
 from collections.abc import Sequence
 
+from polypod import _core
+from polypod.accuracy import engines
 from polypod.accuracy.report import Report
 from polypod.accuracy.standing import DT, FINE, FIRM, FRICTION, MUJOCO_COARSE, SLOPE_FINE
 
@@ -19,6 +21,7 @@ def tables(report: Report) -> str:
         (_DROPS, _drops(report)),
         (_STANDING, _standing(report)),
         (_RESTS, _rests(report)),
+        (_ENGINES, _engines(report)),
         (_CONE, _slides(report) + "\n\n" + _slopes(report)),
     )
     values = {
@@ -30,6 +33,10 @@ def tables(report: Report) -> str:
         "fine": 1e3 * FINE,
         "slope_fine": 1e3 * SLOPE_FINE,
         "command": COMMAND,
+        "steps": ", ".join(f"{1e3 * step:g}" for step in engines.STEPS),
+        "speed_envs": engines.SPEED_ENVS,
+        "timings": engines.TIMINGS,
+        "simd": _core.info()["simd"],
         "sensitive_height": 1e3 * max(abs(r.mujoco_coarse_height - r.mujoco_height) for r in report.drops),
         "sensitive_pitch": math.degrees(max(abs(r.mujoco_coarse_pitch - r.mujoco_pitch) for r in report.drops)),
         "mujoco_coarse": 1e3 * MUJOCO_COARSE,
@@ -105,6 +112,19 @@ _RESTS = """#### At rest on a slope of 20 degrees
 Friction {friction:g}, {firm:g} times the gains (on their own some robots fall over in the default pose, in MuJoCo
 too), 10 s to settle; then the largest distance of the base from where it was, over 10 s, polypod at {dt:g} ms and
 MuJoCo at {slope_fine:g} ms. MuJoCo's contacts are soft and always creep.
+"""
+
+_ENGINES = """#### The two engines
+
+Each robot under `physics.engine = "articulated"` and `"avian"`, both at {dt:g} ms with 8 sweeps or substeps.
+*Standing*: set on its feet in the default pose, on its own gains, friction {friction:g}; base, vertical contact
+forces over the weight, and the largest difference of the engines' joint torques over the largest torque, after 10 s.
+*Response*: the step responses above, against the same converged answer of MuJoCo, over all jumps, joints and times.
+*Drift*: how far a link's origin was at most from where base pose and joint positions put it while the robot stood;
+zero by construction in reduced coordinates. *Largest step*: up to which the robot stands calmly for 2 s, of {steps}
+ms. *Steps per second*: physics steps of an env in a second of one core's time, {speed_envs} standing envs, median of
+{timings} timings, on the machine that wrote this table ({simd}); on another they differ. Where joints have dry
+friction (A1, Spot), the torque that holds one is not determined within it.
 """
 
 _CONE = """#### The friction cone
@@ -212,6 +232,42 @@ def _rests(report: Report) -> str:
     return _table(
         ("robot", "up the slope", "polypod (mm)", "MuJoCo (mm)"),
         [(r.robot, r.uphill, f"{1e3 * r.creep:.4f}", f"{1e3 * r.mujoco_creep:.4f}") for r in report.rests],
+    )
+
+
+def _engines(report: Report) -> str:
+    head = (
+        "robot",
+        "engine",
+        "height (m)",
+        "pitch (rad)",
+        "force / weight",
+        "torques apart",
+        "response, max (mrad)",
+        "rms (mrad)",
+        "drift (mm)",
+        "largest step (ms)",
+        "steps per second",
+    )
+    return _table(
+        head,
+        [
+            (
+                both.robot,
+                r.engine,
+                f"{r.height:.4f}",
+                f"{r.pitch:+.4f}",
+                f"{r.force:.5f}",
+                f"{100 * both.torque_difference:.2f} %" if r is both.avian else "",
+                f"{1e3 * r.response_max:.2f}",
+                f"{1e3 * r.response_rms:.3f}",
+                f"{1e3 * r.drift:.4f}",
+                f"{1e3 * r.largest_step:g}",
+                f"{round(r.steps_per_second, -2):.0f}",
+            )
+            for both in report.engines
+            for r in (both.articulated, both.avian)
+        ],
     )
 
 

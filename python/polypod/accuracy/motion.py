@@ -41,28 +41,33 @@ class StepResponse:
 
 def compare_step_responses(robot: Robot) -> StepResponse:
     """Compares the response to a jump of each joint's target."""
-    targets = robot.default_position + AMPLITUDE * np.eye(robot.num_joints)
-    converged = _mujoco(robot, targets, CONVERGED, "RK4")
+    targets = jumps(robot)
+    converged = mujoco_tracks(robot, targets, CONVERGED, "RK4")
 
     def deviation(track: Array) -> Array:
         return np.abs(track - converged).max(axis=(1, 2))
 
-    coarse = deviation(_polypod(robot, targets, COARSE))
-    mujoco_coarse = deviation(_mujoco(robot, targets, COARSE, "implicitfast"))
+    coarse = deviation(polypod_tracks(robot, targets, COARSE))
+    mujoco_coarse = deviation(mujoco_tracks(robot, targets, COARSE, "implicitfast"))
     return StepResponse(
         robot=robot.name,
-        fine=float(deviation(_polypod(robot, targets, FINE)).max()),
+        fine=float(deviation(polypod_tracks(robot, targets, FINE)).max()),
         coarse=float(coarse.max()),
-        mujoco_fine=float(deviation(_mujoco(robot, targets, FINE, "implicitfast")).max()),
+        mujoco_fine=float(deviation(mujoco_tracks(robot, targets, FINE, "implicitfast")).max()),
         mujoco_coarse=float(mujoco_coarse.max()),
         joints_further=int(np.sum(coarse > mujoco_coarse)),
     )
 
 
-def _polypod(robot: Robot, targets: Array, dt: float) -> Array:
+def jumps(robot: Robot) -> Array:
+    """Targets [jumps, joints] in which one joint after the other is off its default position."""
+    return robot.default_position + AMPLITUDE * np.eye(robot.num_joints)
+
+
+def polypod_tracks(robot: Robot, targets: Array, dt: float, engine: str = "articulated") -> Array:
     """Joint positions [jumps, samples, joints] every 5 ms."""
     sim = polypod.Simulation(
-        robot.name, len(targets), dt=dt, ground=None, fixed_base=True, self_collision=False, threads=1
+        robot.name, len(targets), dt=dt, engine=engine, ground=None, fixed_base=True, self_collision=False, threads=1
     )
     sim.set_state(robot.default_position, np.zeros(robot.num_joints))
     track = []
@@ -72,7 +77,7 @@ def _polypod(robot: Robot, targets: Array, dt: float) -> Array:
     return np.stack(track, axis=1)
 
 
-def _mujoco(robot: Robot, targets: Array, dt: float, integrator: Integrator) -> Array:
+def mujoco_tracks(robot: Robot, targets: Array, dt: float, integrator: Integrator) -> Array:
     """The same with MuJoCo."""
     reference = Reference.of(robot, dt=dt, integrator=integrator, fixed_base=True)
     tracks = []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from polypod import _core
 from polypod.accuracy import reference, robot
+from polypod.accuracy.engines import Engines, compare_engines
 from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
 from polypod.accuracy.motion import StepResponse, compare_step_responses
 from polypod.accuracy.standing import (
@@ -43,6 +44,7 @@ class Report:
     drops: list[Drop]
     standing: list[Standing]
     rests: list[SlopeRest]
+    engines: list[Engines]
     slides: list[Slide]
     slopes: list[Slope]
 
@@ -50,14 +52,15 @@ class Report:
 def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
     """Runs every comparison for the robots named, or for all. Raises UnknownNameError."""
     robots = [robot.load(name) for name in names or robot.names()]
-    report = Report(reference.version(), [], [], [], [], [], [], [])
+    report = Report(reference.version(), [], [], [], [], [], [], [], [])
     for each in robots:
-        progress(f"{each.name}: identities, step responses, drop, standing, slope")
+        progress(f"{each.name}: identities, step responses, drop, standing, slope, engines")
         report.statics.append(compare_statics(each))
         report.responses.append(compare_step_responses(each))
         report.drops.extend(compare_drop(each, gains=gains) for gains in (1.0, FIRM))
         report.standing.append(compare_standing(each))
         report.rests.extend(compare_slope_rest(each, uphill) for uphill in ("front", "left"))
+        report.engines.append(compare_engines(each))
     progress("a block on planes and slopes")
     report.slides.extend(compare_slide(friction, speed, direction=angle) for friction, speed, angle in SLIDES)
     report.slopes.extend(compare_slope(friction, math.radians(angle)) for friction, angle in SLOPES)

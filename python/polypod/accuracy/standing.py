@@ -127,7 +127,7 @@ class SlopeRest:
 def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
     """Drops a robot on its own gains or on `gains` times these."""
     robot = robot.with_gains(gains)
-    start = _pose(robot, DROP_HEIGHT)
+    start = pose(robot, DROP_HEIGHT)
     dt = CONVERGED if gains < FIRM else FINE
 
     def mujoco_drop(dt: float) -> Array:
@@ -139,7 +139,7 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
     def drop(dt: float) -> Array:
         sim = polypod.Simulation(robot.name, dt=dt, friction=FRICTION, self_collision=False, threads=1)
         sim.set_state(start)
-        _hold(sim, robot, DROP_TIME)
+        hold(sim, robot, DROP_TIME)
         return np.array(sim.qpos[0])
 
     fine, coarse, theirs, theirs_coarse = drop(dt), drop(DT), mujoco_drop(dt), mujoco_drop(MUJOCO_COARSE)
@@ -149,21 +149,21 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
         dt=dt,
         height=fine[2],
         mujoco_height=theirs[2],
-        pitch=_pitch(fine),
-        mujoco_pitch=_pitch(theirs),
+        pitch=pitch(fine),
+        mujoco_pitch=pitch(theirs),
         mujoco_coarse_height=theirs_coarse[2],
-        mujoco_coarse_pitch=_pitch(theirs_coarse),
+        mujoco_coarse_pitch=pitch(theirs_coarse),
         coarse_height=coarse[2],
-        coarse_pitch=_pitch(coarse),
+        coarse_pitch=pitch(coarse),
     )
 
 
 def compare_standing(robot: Robot) -> Standing:
     """Sets a robot on its feet and lets it settle."""
-    start = _pose(robot, 0.0)
+    start = pose(robot, 0.0)
     sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False, threads=1)
     sim.set_state(start)
-    _hold(sim, robot, SETTLE_TIME)
+    hold(sim, robot, SETTLE_TIME)
     mujoco = Reference.of(robot, dt=FINE, ground=Ground(FRICTION))
     mujoco.set_state(start)
     mujoco.step(robot.default_position, round(SETTLE_TIME / FINE))
@@ -185,7 +185,7 @@ def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
     robot = robot.with_gains(FIRM)
     axis = np.array([0.0, -1.0, 0.0]) if uphill == "front" else np.array([1.0, 0.0, 0.0])
     normal = _rotate(axis, np.array([0.0, 0.0, 1.0]))
-    start = _pose(robot, 0.0)
+    start = pose(robot, 0.0)
     start[:3] = start[2] * normal
     start[3:7] = [math.cos(SLOPE_ANGLE / 2), *(math.sin(SLOPE_ANGLE / 2) * axis)]
     x, y, z = (float(component) for component in normal)
@@ -195,26 +195,26 @@ def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
     sim.set_state(start)
     mujoco = Reference.of(robot, dt=SLOPE_FINE, ground=Ground(FRICTION, (x, y, z)))
     mujoco.set_state(start)
-    _hold(sim, robot, SETTLE_TIME)
+    hold(sim, robot, SETTLE_TIME)
     mujoco.step(robot.default_position, round(SETTLE_TIME / SLOPE_FINE))
     ours, theirs = sim.qpos[0, :3], mujoco.qpos[:3]
     creep = mujoco_creep = 0.0
     every = 0.1
     for _ in range(round(REST_TIME / every)):
-        _hold(sim, robot, every)
+        hold(sim, robot, every)
         mujoco.step(robot.default_position, round(every / SLOPE_FINE))
         creep = max(creep, float(np.linalg.norm(sim.qpos[0, :3] - ours)))
         mujoco_creep = max(mujoco_creep, float(np.linalg.norm(mujoco.qpos[:3] - theirs)))
     return SlopeRest(robot.name, uphill, creep, mujoco_creep)
 
 
-def _hold(sim: polypod.Simulation, robot: Robot, seconds: float) -> None:
+def hold(sim: polypod.Simulation, robot: Robot, seconds: float) -> None:
     """Holds the default pose."""
     kp, kd = robot.actuators.stiffness, robot.actuators.damping
     sim.step(targets=robot.default_position, kp=kp, kd=kd, n=round(seconds / sim.dt))
 
 
-def _pose(robot: Robot, above: float) -> Array:
+def pose(robot: Robot, above: float) -> Array:
     """State in the default pose, level, with the lowest foot `above` the ground."""
     return np.array([0.0, 0.0, robot.base_height + above, 1.0, 0.0, 0.0, 0.0, *robot.default_position])
 
@@ -224,6 +224,7 @@ def _rotate(axis: Array, vector: Array) -> Array:
     return math.cos(SLOPE_ANGLE) * vector + math.sin(SLOPE_ANGLE) * np.cross(axis, vector)
 
 
-def _pitch(qpos: Array) -> float:
+def pitch(qpos: Array) -> float:
+    """Of the base, rad."""
     w, x, y, z = qpos[3:7]
     return math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))

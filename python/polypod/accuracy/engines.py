@@ -1,0 +1,152 @@
+"""The two engines side by side, on the same robots, at the same step."""
+
+import dataclasses
+import math
+import statistics
+import time
+
+import numpy as np
+
+import polypod
+from polypod.accuracy import motion
+from polypod.accuracy.reference import GRAVITY
+from polypod.accuracy.robot import Array, Robot
+from polypod.accuracy.standing import DT, FRICTION, SETTLE_TIME, hold, pitch, pose
+
+STEPS = (0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.0125, 0.016, 0.02, 0.025, 0.04, 0.05, 0.1, 0.125, 0.25)
+"""Physics steps that are tried, s."""
+STAND_TIME = 2.0
+"""How long a robot has to stand at a step, s."""
+CALM_TIME = 0.5
+"""At the end of it, in which the base may not move about, s."""
+CALM_SPEED = 0.1
+"""Of the base, m/s."""
+LEAST_HEIGHT = 0.6
+"""Of the base of a robot that stands, as a share of its height before gravity acts."""
+LEAST_UPRIGHT = math.cos(math.radians(30.0))
+"""Cosine of the largest tilt of a robot that stands."""
+SPEED_ENVS = 64
+"""Envs in which the speed is measured."""
+SPEED_STEPS = {"articulated": 1000, "avian": 50}
+"""Physics steps of a timing, and the engines."""
+TIMINGS = 5
+"""Of which the median is told."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Engine:
+    """One engine's figures of one robot; at 5 ms, but for `largest_step`."""
+
+    engine: str
+    """Its name."""
+    height: float
+    """Of the base, 10 s after the robot was set on its feet in the default pose, m."""
+    pitch: float
+    """Of the base then, rad."""
+    force: float
+    """Sum of the vertical contact forces then, over the weight."""
+    torque: Array
+    """Of the actuators then, N m."""
+    response_max: float
+    """Largest deviation of a joint from MuJoCo's converged answer to a jump of a target by 0.1 rad, in 1 s, rad."""
+    response_rms: float
+    """Root of the mean square of these deviations, over all jumps, joints and times, rad."""
+    drift: float
+    """Largest distance of a link's origin from where base pose and joint positions put it, in the 10 s, m."""
+    largest_step: float
+    """Largest of `STEPS` at which the robot stands for 2 s, as at all smaller ones, s; 0: at none."""
+    steps_per_second: float
+    """Physics steps of an env in a second of one core's time, median of several timings."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Engines:
+    """Both engines' figures of one robot."""
+
+    robot: str
+    articulated: Engine
+    avian: Engine
+
+    @property
+    def torque_difference(self) -> float:
+        """Largest difference of the engines' torques on the standing robot, over the largest torque."""
+        largest = float(np.abs(self.articulated.torque).max())
+        return float(np.abs(self.avian.torque - self.articulated.torque).max()) / largest
+
+
+def compare_engines(robot: Robot) -> Engines:
+    """Measures both engines, and MuJoCo once for both."""
+    targets = motion.jumps(robot)
+    converged = motion.mujoco_tracks(robot, targets, motion.CONVERGED, "RK4")
+    return Engines(robot.name, *(_measure(robot, engine, targets, converged) for engine in SPEED_STEPS))
+
+
+def stands(robot: Robot, engine: str, dt: float) -> bool:
+    """Whether a robot that is set on its feet is still on them after 2 s at this step, and calm."""
+    sim = _simulation(robot, engine, dt)
+    hold(sim, robot, STAND_TIME - CALM_TIME)
+    before = sim.qpos[0, :3]
+    hold(sim, robot, CALM_TIME)
+    qpos, upright = sim.qpos[0], _upright(sim.qpos[0])
+    if not np.isfinite(qpos).all():
+        return False
+    calm = float(np.linalg.norm(qpos[:3] - before)) < CALM_SPEED * CALM_TIME
+    slow = float(np.linalg.norm(sim.qvel[0, :3])) < CALM_SPEED
+    return calm and slow and qpos[2] > LEAST_HEIGHT * robot.base_height and upright > LEAST_UPRIGHT
+
+
+def _measure(robot: Robot, engine: str, targets: Array, converged: Array) -> Engine:
+    sim = _simulation(robot, engine, DT)
+    drift, every = 0.0, 0.1
+    for _ in range(round(SETTLE_TIME / every)):
+        hold(sim, robot, every)
+        drift = max(drift, float(sim.link_drift[0]))
+    deviation = motion.polypod_tracks(robot, targets, DT, engine) - converged
+    return Engine(
+        engine=engine,
+        height=float(sim.qpos[0, 2]),
+        pitch=pitch(sim.qpos[0]),
+        force=float(sim.contact_forces[0, :, 2].sum()) / (sim.total_mass * GRAVITY),
+        torque=sim.joint_torque[0],
+        response_max=float(np.abs(deviation).max()),
+        response_rms=float(np.sqrt(np.mean(deviation**2))),
+        drift=drift,
+        largest_step=_largest_step(robot, engine),
+        steps_per_second=_speed(robot, engine),
+    )
+
+
+def _largest_step(robot: Robot, engine: str) -> float:
+    largest = 0.0
+    for dt in STEPS:
+        if not stands(robot, engine, dt):
+            break
+        largest = dt
+    return largest
+
+
+def _speed(robot: Robot, engine: str) -> float:
+    """Robots that hold their default pose; a first run warms caches up."""
+    steps = SPEED_STEPS[engine]
+    sim = _simulation(robot, engine, DT, SPEED_ENVS)
+    rates = []
+    for _ in range(TIMINGS + 1):
+        start = time.thread_time()
+        hold(sim, robot, steps * DT)
+        rates.append(SPEED_ENVS * steps / (time.thread_time() - start))
+    return statistics.median(rates[1:])
+
+
+def _simulation(robot: Robot, engine: str, dt: float, num_envs: int = 1) -> polypod.Simulation:
+    """A robot on its feet in the default pose."""
+    sim = polypod.Simulation(
+        robot.name, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
+    )
+    sim.set_state(pose(robot, 0.0))
+    return sim
+
+
+def _upright(qpos: Array) -> float:
+    """The z component of the base's z axis."""
+    _, x, y, _ = qpos[3:7]
+    return float(1.0 - 2.0 * (x * x + y * y))

@@ -1,0 +1,58 @@
+"""The two engines stand, respond and hold together alike, and what `polypod accuracy` tells of them is so."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from polypod.accuracy import engines, robot
+
+ROBOT = "unitree_go2"
+
+
+@pytest.fixture(scope="module")
+def both() -> engines.Engines:
+    return engines.compare_engines(robot.load(ROBOT))
+
+
+def test_both_engines_stand_alike(both: engines.Engines) -> None:
+    for engine in (both.articulated, both.avian):
+        assert engine.force == pytest.approx(1.0, abs=2e-3)
+        assert engine.height > 0.8 * robot.load(ROBOT).base_height
+    assert both.avian.height == pytest.approx(both.articulated.height, abs=1e-3)
+    assert both.avian.pitch == pytest.approx(both.articulated.pitch, abs=2e-3)
+    assert both.torque_difference < 0.03
+    assert np.abs(both.articulated.torque).max() > 1.0
+
+
+def test_joints_do_not_come_apart(both: engines.Engines) -> None:
+    assert both.articulated.drift == 0.0
+    assert 0.0 < both.avian.drift < 1e-3
+
+
+def test_both_engines_answer_a_jump_like_mujoco(both: engines.Engines) -> None:
+    for engine in (both.articulated, both.avian):
+        assert 0.0 < engine.response_rms < engine.response_max < 5e-3
+
+
+def test_the_largest_step_is_the_last_at_which_it_stands(both: engines.Engines) -> None:
+    for engine in (both.articulated, both.avian):
+        assert engine.largest_step >= 0.005
+        place = engines.STEPS.index(engine.largest_step)
+        for larger in engines.STEPS[place + 1 : place + 2]:
+            assert not engines.stands(robot.load(ROBOT), engine.engine, larger)
+
+
+def test_a_robot_without_gains_does_not_stand() -> None:
+    limp = robot.load(ROBOT).with_gains(0.02)
+    assert not any(engines.stands(limp, engine, 0.005) for engine in ("articulated", "avian"))
+
+
+def test_the_articulated_engine_is_the_faster_one(both: engines.Engines) -> None:
+    assert both.articulated.steps_per_second > 5.0 * both.avian.steps_per_second > 0.0
+
+
+def test_torques_are_compared_with_the_largest() -> None:
+    one = engines.Engine("articulated", 0.3, 0.0, 1.0, np.array([1.0, -10.0]), 0.0, 0.0, 0.0, 0.0, 0.0)
+    other = dataclasses.replace(one, torque=np.array([1.5, -10.0]))
+    assert engines.Engines("any", one, other).torque_difference == pytest.approx(0.05)
