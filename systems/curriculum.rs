@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use super::terms::{CompiledTask, Registry};
 use crate::components::{BasePose, Command, Env, EnvOrigin, EnvRng, Episode};
-use crate::config::{Placement, values};
+use crate::config::{Columns, Placement, values};
 use crate::terrain::TerrainLayout;
 use crate::world::Ground;
 
@@ -51,7 +51,11 @@ pub fn place_envs(
     for (env, ((mut origin, mut rng), index)) in envs.iter_mut().zip(places).enumerate() {
         *origin = EnvOrigin::default();
         if let Some(layout) = &ground.layout {
-            origin.terrain_column = layout.column_of(index);
+            let contiguous = scene.terrain.as_ref().is_some_and(|terrain| terrain.columns == Columns::Contiguous);
+            origin.terrain_column = match contiguous {
+                true => (env * layout.num_cols as usize / total.max(1)) as u32,
+                false => layout.column_of(index),
+            };
             let level = rng.integer([0, layout.max_init_level]);
             origin.move_to(layout, level);
         } else if scene.placement == Placement::Global {

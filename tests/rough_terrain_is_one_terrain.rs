@@ -184,6 +184,55 @@ fn every_robot_meets_every_type_in_equal_shares() {
 }
 
 #[test]
+fn the_reference_gives_robots_few_types() {
+    // a file on top of two: the terrain of one, the changes of the other
+    let task = Library::new(Vec::new()).task("reference_rough", &[]).unwrap().config;
+    assert!(!task.events["physics_material"].enabled && task.rewards["anymal"]["flat_orientation_l2"].weight == 0.0);
+    let mut sim = Sim::new(&SimOptions::new("reference_rough", 7 * 60)).unwrap();
+    let origins = by_env::<EnvOrigin>(&mut sim);
+    let layout = TerrainLayout::new(&config());
+    let types = |robot: usize| -> Vec<usize> {
+        let mut types: Vec<_> =
+            sim.env_ids(robot).map(|env| layout.column_types[origins[env].terrain_column as usize]).collect();
+        types.dedup();
+        types
+    };
+    assert_eq!(
+        (0..7).map(types).collect::<Vec<_>>(),
+        [vec![0], vec![0, 1], vec![1, 2], vec![2], vec![2, 3], vec![3, 4], vec![4, 5]]
+    );
+}
+
+#[test]
+fn threads_and_resets_keep_every_bit_on_rough_ground() {
+    let options = |threads| {
+        let mut options = SimOptions { threads: Some(threads), seed: 5, ..SimOptions::new("velocity_rough", 150) };
+        let short = ["sim.episode_length_s=0.6", "scene.terrain.num_rows=3", "scene.terrain.max_init_terrain_level=2"];
+        options.overrides = short.map(String::from).to_vec();
+        options
+    };
+    let (mut one, mut two) = (Sim::new(&options(1)).unwrap(), Sim::new(&options(2)).unwrap());
+    let run = |sim: &mut Sim, steps: std::ops::Range<usize>| -> Vec<u32> {
+        let mut rng = EnvRng::new(11, steps.start as u64);
+        let mut bits = Vec::new();
+        for _ in steps {
+            let actions: Vec<f32> = (0..150 * 12).map(|_| rng.uniform([-0.5, 0.5])).collect();
+            sim.step(&actions).unwrap();
+            bits.extend(sim.batch().observations.iter().chain(&sim.batch().rewards).map(|x| x.to_bits()));
+        }
+        bits
+    };
+    assert!(run(&mut one, 0..40) == run(&mut two, 0..40), "threads");
+    let snapshot = one.snapshot().unwrap();
+    let expected = run(&mut one, 40..80);
+    two.restore(&snapshot).unwrap();
+    assert!(run(&mut two, 40..80) == expected, "a restored simulation");
+    // levels changed on the way, and a seed begins everything anew
+    one.reset(Some(5), None).unwrap();
+    assert!(run(&mut one, 0..40) == run(&mut Sim::new(&options(1)).unwrap(), 0..40), "a seeded reset");
+}
+
+#[test]
 fn robots_stand_on_the_platform_of_every_tile_type() {
     let mut sim = rough(8 * 20);
     for mut velocity in sim.world_mut().query::<&mut BaseVelocity>().iter_mut(sim.world_mut()) {

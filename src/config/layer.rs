@@ -140,6 +140,23 @@ pub(super) fn string_key<'a>(document: &Document, table: &'a Table, key: &str) -
     }
 }
 
+/// A string, or the strings of an array, at the top of `table`; none if the key is not there.
+///
+/// # Errors
+/// The value is something else.
+pub(super) fn string_list<'a>(document: &Document, table: &'a Table, key: &str) -> Result<Vec<&'a str>, ConfigError> {
+    let Some(Value::Array(values)) = table.get(key) else {
+        return Ok(string_key(document, table, key)?.into_iter().collect());
+    };
+    let strings = values.iter().map(|value| {
+        value.as_str().ok_or_else(|| {
+            let problem = format!("found {} where a string is expected", value.type_str());
+            ConfigError::invalid(document.file.clone(), key, problem, "write strings in quotes")
+        })
+    });
+    strings.collect()
+}
+
 /// How many segments of `path` lead to something in `table`.
 fn known_depth(table: &Table, path: &str) -> usize {
     let mut at: Option<&Value> = None;

@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 use super::document::{Document, Kind, documents, is_toml, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
-use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key};
+use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
 use super::names::{RobotEntry, TaskEntry, entry, single_robot_name, unknown_name};
 use super::robot::RobotConfig;
 use super::scene::embed_meshes;
@@ -207,22 +207,33 @@ impl Library {
     /// `top` and all that it extends.
     fn layers(&self, kind: Kind, top: Document) -> Result<Layers, ConfigError> {
         let mut layers = Vec::new();
-        let mut visited = Vec::new();
-        let mut next = Some(top);
-        while let Some(document) = next {
-            let table = parse(&document)?;
-            visited.push((document.id.clone(), document.file.clone()));
-            next =
-                match string_key(&document, &table, EXTENDS)? {
-                    None => None,
-                    Some(base) => Some(self.find(kind, base, document.dir.as_deref(), &visited).map_err(|error| {
-                        ConfigError { file: document.file.clone(), element: EXTENDS.into(), ..error }
-                    })?),
-                };
-            layers.push(Layer { document, table });
-        }
-        layers.reverse();
+        self.add_layers(kind, top, &mut Vec::new(), &mut layers)?;
         Ok(Layers(layers))
+    }
+
+    /// Adds what a file extends, then the file; what is there already stays where it is. `path` are the files above it.
+    fn add_layers(
+        &self,
+        kind: Kind,
+        document: Document,
+        path: &mut Vec<(PathBuf, String)>,
+        layers: &mut Vec<Layer>,
+    ) -> Result<(), ConfigError> {
+        let table = parse(&document)?;
+        path.push((document.id.clone(), document.file.clone()));
+        for base in string_list(&document, &table, EXTENDS)? {
+            let base = self.find(kind, base, document.dir.as_deref(), path).map_err(|error| ConfigError {
+                file: document.file.clone(),
+                element: EXTENDS.into(),
+                ..error
+            })?;
+            if layers.iter().all(|layer| layer.document.id != base.id) {
+                self.add_layers(kind, base, path, layers)?;
+            }
+        }
+        path.pop();
+        layers.push(Layer { document, table });
+        Ok(())
     }
 
     /// The first config called `name` that is not among the files `visited`, so that a root may extend what it hides.

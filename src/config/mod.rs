@@ -33,5 +33,5 @@ pub use task::{
     VelocityCommandConfig,
 };
 pub use terrain::{
-    BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
+    BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
 };

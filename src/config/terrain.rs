@@ -32,6 +32,9 @@ pub struct TerrainConfig {
     /// Difficulty of the first and beyond the last row. Default: 0 to 1.
     #[serde(default = "difficulty_range", deserialize_with = "values::range")]
     pub difficulty_range: [f64; 2],
+    /// Which envs get which column. Default: every robot meets all of them alike.
+    #[serde(default)]
+    pub columns: Columns,
     /// Seed of everything that is random in the terrain. Default: 0.
     #[serde(default)]
     pub seed: u64,
@@ -40,6 +43,17 @@ pub struct TerrainConfig {
     pub max_init_terrain_level: Option<u32>,
     /// The types of tiles, in the order of their columns.
     pub sub_terrains: Vec<SubTerrainConfig>,
+}
+
+/// Which envs get which column of tiles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Columns {
+    /// By an env's place among those of its robot: every robot meets every type of tile in equal shares.
+    #[default]
+    PerRobot,
+    /// By an env's number among all: neighbours share a column, so that a robot meets few types.
+    Contiguous,
 }
 
 fn horizontal_scale() -> f64 {
