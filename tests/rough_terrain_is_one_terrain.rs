@@ -147,6 +147,38 @@ fn tiles_have_the_figures_of_the_task() {
 }
 
 #[test]
+fn steep_faces_become_vertical() {
+    // heights up to half a metre on vertices 0.1 m apart: most faces are steeper than 0.75
+    let mut rough = config();
+    rough.num_rows = 1;
+    rough.sub_terrains.retain(|sub| sub.name == "random_rough");
+    let SubTerrainShape::RandomRough(shape) = &mut rough.sub_terrains[0].shape else { unreachable!() };
+    (shape.noise_range, shape.noise_step) = ([0.0, 0.5], 0.1);
+    let mesh = generate(&rough).swap_remove(0).mesh;
+    let mut gentle = rough.clone();
+    gentle.slope_threshold = 1e6;
+    let even = generate(&gentle).swap_remove(0).mesh;
+    let slope = |mesh: &polypod::terrain::Mesh, a: usize, b: usize| {
+        let (a, b) = (mesh.vertices[a], mesh.vertices[b]);
+        ((a[2] - b[2]).abs(), (a[0] - b[0]).abs())
+    };
+    // neighbours along x, 81 vertices a row: inner ones, where one step of 0.1 m is steeper than the threshold
+    let (mut steep, mut moved) = (0, 0);
+    for k in (5..75).flat_map(|i| (5..75).map(move |j| i * 81 + j)) {
+        let (rise, run) = slope(&even, k, k + 81);
+        assert!((run - 0.1).abs() < 1e-4);
+        if rise > 0.09 {
+            steep += 1;
+            // the lower one may itself be above another neighbour, and then both move
+            moved += usize::from(slope(&mesh, k, k + 81).1 < 0.01);
+        }
+    }
+    println!("{moved} of {steep} steep faces are vertical");
+    assert!(steep > 3_000 && moved * 2 > steep);
+    assert!(mesh.vertices.iter().zip(&even.vertices).all(|(a, b)| a[2] == b[2]), "only places change, not heights");
+}
+
+#[test]
 fn the_seed_decides_the_terrain_and_tiles_do_not_depend_on_each_other() {
     let same = generate(&config());
     let mut small = config();

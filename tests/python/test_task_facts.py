@@ -228,3 +228,25 @@ def test_surfaces(flat, reference):
         "enabled": True,
         "recompute_inertia": False,
     }
+
+
+def test_rough_rewards():
+    """What rough ground changes, and nothing else."""
+    flat, rough = config()["task"]["rewards"], config("velocity_rough")["task"]["rewards"]
+    changed = {
+        (group, term, key): (rough[group][term][key], value)
+        for group, terms in flat.items()
+        for term, values in terms.items()
+        for key, value in values.items()
+        if rough[group][term][key] != value
+    }
+    assert {key: new for key, (new, _) in changed.items()} == {
+        ("anymal", "flat_orientation_l2", "weight"): 0.0,
+        ("anymal", "dof_torques_l2", "weight"): -1.0e-5,
+        ("anymal", "feet_air_time", "weight"): 0.125,
+        ("unitree", "flat_orientation_l2", "weight"): 0.0,
+        ("unitree", "feet_air_time", "weight"): 0.01,
+        ("unitree_large", "flat_orientation_l2", "weight"): 0.0,
+        ("unitree_large", "dof_torques_l2", "weight"): -1.0e-5,
+    }
+    assert {group: set(terms) for group, terms in flat.items()} == {group: set(terms) for group, terms in rough.items()}

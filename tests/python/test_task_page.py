@@ -24,7 +24,10 @@ def table(file):
     found = tomllib.loads(text(file))
     if "extends" not in found:
         return found
-    return merged(table(f"{Path(file).parent}/{found['extends']}.toml"), found)
+    below = {}
+    for base in [found["extends"]] if isinstance(found["extends"], str) else found["extends"]:
+        below = merged(below, table(f"{Path(file).parent}/{base}.toml"))
+    return merged(below, found)
 
 
 def merged(below, above):
