@@ -119,7 +119,7 @@ impl<S: Real> Dynamics<'_, S> {
             m[column * nv + row] = x;
         };
         for j in 0..topology.num_joints() {
-            set(first + j, first + j, factor.inverse_diagonal[j]);
+            set(first + j, first + j, factor.diagonal[j]);
             for (p, &i) in topology.ancestors(j).iter().enumerate() {
                 set(first + j, first + i, factor.couplings[topology.row(j) + p]);
             }
@@ -161,7 +161,6 @@ impl<S: Real> Dynamics<'_, S> {
         let factor = &mut self.work.factor;
         factor.factorise(self.topology);
         factor.half_solve(self.topology, &mut base, &mut joint);
-        factor.divide(self.topology, &mut base, &mut joint);
         factor.from_sparse(self.topology, &mut base, &mut joint);
         self.to_qvel(&base, &joint)
     }

@@ -138,6 +138,8 @@ pub struct PairTopology {
     /// Parts of the capsule's axis, whose ends are -1 and 1: each part is a contact of its own, so that links can lie
     /// against each other.
     pub spans: &'static [[f64; 2]],
+    /// Contact bodies of the two.
+    pub(super) bodies: [usize; 2],
     /// The first of its impulses.
     pub(super) first_impulse: usize,
     /// Joints on the ways from both links to the base, leaves first, and the side of the joint: 1 carries the first
@@ -146,6 +148,14 @@ pub struct PairTopology {
     pub(super) side: Vec<f64>,
     /// Where the ancestors of `path[p]` stand in `path`.
     pub(super) ancestors: Vec<Vec<usize>>,
+}
+
+/// The pairs between two links.
+#[derive(Clone, Debug)]
+pub(super) struct PairGroup {
+    pub(super) links: [usize; 2],
+    /// Where they stand in [`Topology::pairs`].
+    pub(super) pairs: std::ops::Range<usize>,
 }
 
 /// The articulation of one morphology: all that must be equal in the lanes of a pack.
@@ -161,6 +171,8 @@ pub struct Topology {
     pub colliders: Vec<ColliderTopology>,
     /// Pairs of them that are looked at.
     pub pairs: Vec<PairTopology>,
+    /// The same by links.
+    pub(super) pair_groups: Vec<PairGroup>,
     /// Number of contact bodies.
     pub num_bodies: usize,
     /// Link of each site (a point whose position and velocity are reported, such as a foot).
@@ -215,6 +227,7 @@ impl Topology {
             contacts,
             colliders: Vec::new(),
             pairs: Vec::new(),
+            pair_groups: Vec::new(),
             num_bodies,
             sites,
             has_delay,
@@ -228,14 +241,22 @@ impl Topology {
     }
 
     /// Lets pairs of `colliders` touch each other: a capsule and a capsule or box, and whether the first capsule is long
-    /// enough to touch in two points.
+    /// enough to touch in two points. They are put in the order of their links.
     ///
     /// # Panics
     /// If indices name colliders or links that do not exist; loaders guarantee that they do.
     pub fn set_pairs(&mut self, colliders: Vec<ColliderTopology>, pairs: &[([usize; 2], bool)]) {
-        let mut new = Vec::new();
+        let mut new: Vec<PairTopology> = Vec::new();
+        let mut groups: Vec<PairGroup> = Vec::new();
         let mut pair_of_impulse = Vec::new();
-        for &(pair, long) in pairs {
+        let links_of = |pair: [usize; 2]| pair.map(|c| colliders[c].link);
+        let mut pairs = pairs.to_vec();
+        pairs.sort_by_key(|(pair, _)| links_of(*pair));
+        for (pair, long) in pairs {
+            match groups.last_mut() {
+                Some(group) if group.links == links_of(pair) => group.pairs.end += 1,
+                _ => groups.push(PairGroup { links: links_of(pair), pairs: new.len()..new.len() + 1 }),
+            }
             let [first, second] = pair.map(|c| self.path(colliders[c].link));
             let mut path: Vec<usize> = first.iter().chain(second).copied().collect();
             path.sort_unstable_by(|a, b| b.cmp(a));
@@ -247,6 +268,7 @@ impl Topology {
             pair_of_impulse.extend(spans.iter().map(|_| new.len()));
             new.push(PairTopology {
                 colliders: pair,
+                bodies: pair.map(|c| colliders[c].body),
                 spans,
                 first_impulse,
                 side: path.iter().map(side).collect(),
@@ -255,6 +277,7 @@ impl Topology {
             });
         }
         self.pairs = new;
+        self.pair_groups = groups;
         self.pair_of_impulse = pair_of_impulse;
         self.colliders = colliders;
     }

@@ -3,24 +3,29 @@
 //! Rows of the mass matrix of a tree are zero except at a joint's ancestors, and eliminating joints from the leaves
 //! towards the base keeps it so (Featherstone 2008, section 6.5, "LTDL"). Legs do not fill each other in. The base's six
 //! rows are one dense block that is eliminated last.
+//!
+//! The diagonal is split evenly, `M = L^T D L = H^T H` with `H = D^1/2 L`: a constraint row and what its impulse changes are
+//! then the same numbers (see [`contact`](super::contact)), and kinetic energy is half the square of `H u`.
 
 use super::articulation::{Parameters, Topology};
 use super::lanes::Real;
 use super::state::Workspace;
 
-/// `M = L^T D L`, with `L` unit lower triangular and zero off the ancestors.
+/// `M = L^T D L = H^T H`, with `L` unit lower triangular and zero off the ancestors.
 #[derive(Clone, Debug)]
 pub struct Factor<S> {
-    /// Before factorisation `M[j][j]`, after it `1 / D[j]`, `[joints]`.
-    pub inverse_diagonal: Vec<S>,
+    /// `M[j][j]`, before factorisation, `[joints]`.
+    pub diagonal: Vec<S>,
+    /// `D[j]^1/2` and its inverse, `[joints]`.
+    pub root: Vec<[S; 2]>,
     /// Couplings with ancestor joints: `M[j][i]`, then `L[j][i]`, at `row(j) + p`.
     pub couplings: Vec<S>,
     /// Couplings with the base: `M[j][0..6]`, then `L[j][0..6]`, `[joints]`.
     pub base_couplings: Vec<[S; 6]>,
     /// The base block; after factorisation the unit lower factor `G` of `G D G^T`.
     pub base: [[S; 6]; 6],
-    /// `1 / D` of the base block.
-    pub base_inverse_diagonal: [S; 6],
+    /// `D^1/2` of the base block and its inverse; zero for a fixed base.
+    pub base_root: [[S; 2]; 6],
 }
 
 impl<S: Real> Factor<S> {
@@ -28,11 +33,12 @@ impl<S: Real> Factor<S> {
     pub fn new(topology: &Topology) -> Self {
         let z = S::zero();
         Self {
-            inverse_diagonal: vec![z; topology.num_joints()],
+            diagonal: vec![z; topology.num_joints()],
+            root: vec![[z; 2]; topology.num_joints()],
             couplings: vec![z; topology.num_couplings()],
             base_couplings: vec![[z; 6]; topology.num_joints()],
             base: [[z; 6]; 6],
-            base_inverse_diagonal: [z; 6],
+            base_root: [[z; 2]; 6],
         }
     }
 
@@ -40,13 +46,15 @@ impl<S: Real> Factor<S> {
     #[inline(always)]
     pub fn factorise(&mut self, topology: &Topology) {
         for k in (0..topology.num_joints()).rev() {
-            let inverse = S::one() / self.inverse_diagonal[k];
-            self.inverse_diagonal[k] = inverse;
+            let root = self.diagonal[k].sqrt();
+            let inverse_root = S::one() / root;
+            let inverse = inverse_root * inverse_root;
+            self.root[k] = [root, inverse_root];
             let row = topology.row(k);
             let ancestors = topology.ancestors(k);
             for (p, &i) in ancestors.iter().enumerate() {
                 let a = self.couplings[row + p] * inverse;
-                self.inverse_diagonal[i] = a.neg_mul_add(self.couplings[row + p], self.inverse_diagonal[i]);
+                self.diagonal[i] = a.neg_mul_add(self.couplings[row + p], self.diagonal[i]);
                 let row_i = topology.row(i);
                 for q in p + 1..ancestors.len() {
                     let at = row_i + q - p - 1;
@@ -72,8 +80,10 @@ impl<S: Real> Factor<S> {
             return;
         }
         for k in 0..6 {
-            let inverse = S::one() / self.base[k][k];
-            self.base_inverse_diagonal[k] = inverse;
+            let root = self.base[k][k].sqrt();
+            let inverse_root = S::one() / root;
+            let inverse = inverse_root * inverse_root;
+            self.base_root[k] = [root, inverse_root];
             for r in k + 1..6 {
                 let a = self.base[r][k] * inverse;
                 for c in k + 1..=r {
@@ -106,7 +116,7 @@ impl<S: Real> Factor<S> {
         }
     }
 
-    /// `L^-T b`, from the leaves to the base: the half solve of a generalised force.
+    /// `H^-T b`, from the leaves to the base: the half solve of a generalised force.
     #[inline(always)]
     pub fn half_solve(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [S]) {
         for k in (0..topology.num_joints()).rev() {
@@ -122,20 +132,15 @@ impl<S: Real> Factor<S> {
         if topology.floating {
             self.base_forward(base);
         }
-    }
-
-    /// `D^-1 b`.
-    #[inline(always)]
-    pub fn divide(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [S]) {
-        for (x, &d) in joints.iter_mut().zip(&self.inverse_diagonal) {
-            *x = *x * d;
+        for (x, root) in joints.iter_mut().zip(&self.root) {
+            *x = *x * root[1];
         }
-        for (x, &d) in base.iter_mut().zip(&self.base_inverse_diagonal) {
-            *x = if topology.floating { *x * d } else { S::zero() };
+        for (x, root) in base.iter_mut().zip(&self.base_root) {
+            *x = *x * root[1];
         }
     }
 
-    /// `L u`: a velocity in the coordinates in which constraint rows are sparse.
+    /// `H u`: a velocity in the coordinates in which constraint rows are sparse.
     #[inline(always)]
     pub fn to_sparse(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [S]) {
         // leaves first: a joint's new value uses its ancestors' old ones
@@ -148,7 +153,7 @@ impl<S: Real> Factor<S> {
             for r in 0..6 {
                 x = self.base_couplings[k][r].mul_add(base[r], x);
             }
-            joints[k] = x;
+            joints[k] = x * self.root[k][0];
         }
         if topology.floating {
             // G^T b, row k uses only later entries
@@ -158,17 +163,23 @@ impl<S: Real> Factor<S> {
                 }
             }
         }
+        for (x, root) in base.iter_mut().zip(&self.base_root) {
+            *x = *x * root[0];
+        }
     }
 
-    /// `L^-1 y`: the inverse of [`to_sparse`](Self::to_sparse).
+    /// `H^-1 y`: the inverse of [`to_sparse`](Self::to_sparse).
     #[inline(always)]
     pub fn from_sparse(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [S]) {
+        for (x, root) in base.iter_mut().zip(&self.base_root) {
+            *x = *x * root[1];
+        }
         if topology.floating {
             self.base_backward(base);
         }
         for k in 0..topology.num_joints() {
             let row = topology.row(k);
-            let mut x = joints[k];
+            let mut x = joints[k] * self.root[k][1];
             for (p, &i) in topology.ancestors(k).iter().enumerate() {
                 x = self.couplings[row + p].neg_mul_add(joints[i], x);
             }
@@ -187,7 +198,7 @@ pub fn mass_matrix<S: Real>(topology: &Topology, parameters: &Parameters<S>, wor
     for k in 0..topology.num_joints() {
         let axis = work.axes[k];
         let force = work.inertia[k + 1].apply(&axis);
-        work.factor.inverse_diagonal[k] = axis.dot(&force) + parameters.armature[k];
+        work.factor.diagonal[k] = axis.dot(&force) + parameters.armature[k];
         let row = topology.row(k);
         for (p, &i) in topology.ancestors(k).iter().enumerate() {
             work.factor.couplings[row + p] = work.axes[i].dot(&force);

@@ -2,7 +2,7 @@
 
 use super::articulation::{Axis, JointMotion, Parameters, Topology};
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, mul_vec, rotate_sym, scale};
+use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, mul_vec, rotate_sym, scale, splat};
 use super::state::{LinkState, Workspace};
 
 /// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
@@ -31,7 +31,7 @@ fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
         Axis::Z(sign) => about::<S, 2, 0, 1>(r, sign, angle),
         Axis::General(u) => {
             let (s, c) = angle.sin_cos();
-            let u = u.map(S::splat);
+            let u: Vec3<S> = splat(&u);
             let versine = S::one() - c;
             let (vx, vy, vz) = (u[0] * versine, u[1] * versine, u[2] * versine);
             let (sx, sy, sz) = (u[0] * s, u[1] * s, u[2] * s);
@@ -55,7 +55,7 @@ fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
 /// The axis of a joint that does not turn, in the outer frame.
 #[inline(always)]
 fn direction<S: Real>(r: &Mat3<S>, axis: Axis) -> Vec3<S> {
-    mul_vec(r, &axis.direction().map(S::splat))
+    mul_vec(r, &splat(&axis.direction()))
 }
 
 /// Positions, axes and velocities of all links.

@@ -299,125 +299,127 @@ macro_rules! run_as_it_is {
 }
 run_as_it_is!(Portable, f32, f64);
 
-/// Defines a lane type over one native vector register, from its intrinsics.
+/// Defines a lane type over some native vector registers, from the intrinsics of one. Several registers hide the latency of
+/// an operation behind its neighbour's.
 macro_rules! native_lanes {
-    ($(#[$doc:meta])* $name:ident, $reg:ty, $lanes:literal, $features:literal, {
+    ($(#[$doc:meta])* $name:ident, $reg:ty, $registers:literal x $width:literal, $features:literal, {
         add: $add:path, sub: $sub:path, mul: $mul:path, div: $div:path, fma: $fma:expr, fnma: $fnma:expr,
         sqrt: $sqrt:path, round: $round:expr, splat: $splat:path, lt: $lt:expr, select: $select:expr, any: $any:expr,
-        or: $or:expr, and: $and:expr, abs: $abs:expr, neg: $neg:expr, mask: $mask:ty
+        or: $or:expr, and: $and:expr, abs: $abs:expr, neg: $neg:expr, min: $min:expr, max: $max:expr, mask: $mask:ty
     }) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
         #[repr(transparent)]
-        pub struct $name($reg);
+        pub struct $name([$reg; $registers]);
 
-        impl Add for $name {
-            type Output = Self;
-            #[inline(always)]
-            fn add(self, o: Self) -> Self {
-                // SAFETY: reached only through `vectorize`, whose caller has checked the instruction set
-                Self(unsafe { $add(self.0, o.0) })
-            }
-        }
-        impl Sub for $name {
-            type Output = Self;
-            #[inline(always)]
-            fn sub(self, o: Self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $sub(self.0, o.0) })
-            }
-        }
-        impl Mul for $name {
-            type Output = Self;
-            #[inline(always)]
-            fn mul(self, o: Self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $mul(self.0, o.0) })
-            }
-        }
-        impl Div for $name {
-            type Output = Self;
-            #[inline(always)]
-            fn div(self, o: Self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $div(self.0, o.0) })
-            }
-        }
+        native_lanes!(@operator $name, $registers, Add, add, $add);
+        native_lanes!(@operator $name, $registers, Sub, sub, $sub);
+        native_lanes!(@operator $name, $registers, Mul, mul, $mul);
+        native_lanes!(@operator $name, $registers, Div, div, $div);
         impl Neg for $name {
             type Output = Self;
             #[inline(always)]
             fn neg(self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $neg(self.0) })
+                native_lanes!(@each $registers, $neg, self)
             }
         }
         impl Real for $name {
-            type Mask = $mask;
-            const LANES: usize = $lanes;
+            type Mask = [$mask; $registers];
+            const LANES: usize = $registers * $width;
             #[inline(always)]
             fn splat(x: f64) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $splat(x as f32) })
+                // SAFETY: as in `each`
+                Self([unsafe { $splat(x as f32) }; $registers])
             }
             #[inline(always)]
             fn mul_add(self, b: Self, c: Self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $fma(self.0, b.0, c.0) })
+                native_lanes!(@each $registers, $fma, self, b, c)
             }
             #[inline(always)]
             fn neg_mul_add(self, b: Self, c: Self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $fnma(self.0, b.0, c.0) })
+                native_lanes!(@each $registers, $fnma, self, b, c)
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $sqrt(self.0) })
+                native_lanes!(@each $registers, $sqrt, self)
             }
             #[inline(always)]
             fn abs(self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $abs(self.0) })
+                native_lanes!(@each $registers, $abs, self)
             }
             #[inline(always)]
             fn round(self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $round(self.0) })
+                native_lanes!(@each $registers, $round, self)
             }
             #[inline(always)]
-            fn lt(self, other: Self) -> $mask {
-                // SAFETY: as in `add`
-                unsafe { $lt(self.0, other.0) }
+            fn lt(self, other: Self) -> Self::Mask {
+                // SAFETY: as in `each`
+                let (mut out, mut i) = ([unsafe { $lt(self.0[0], other.0[0]) }; $registers], 1);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out[i] = unsafe { $lt(self.0[i], other.0[i]) };
+                    i += 1;
+                }
+                out
             }
             #[inline(always)]
-            fn select(mask: $mask, yes: Self, no: Self) -> Self {
-                // SAFETY: as in `add`
-                Self(unsafe { $select(mask, yes.0, no.0) })
+            fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
+                let (mut out, mut i) = (no, 0);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out.0[i] = unsafe { $select(mask[i], yes.0[i], no.0[i]) };
+                    i += 1;
+                }
+                out
             }
             #[inline(always)]
-            fn any(mask: $mask) -> bool {
-                // SAFETY: as in `add`
-                unsafe { $any(mask) }
+            fn any(mask: Self::Mask) -> bool {
+                let (mut all, mut i) = (mask[0], 1);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    all = unsafe { $or(all, mask[i]) };
+                    i += 1;
+                }
+                // SAFETY: as in `each`
+                unsafe { $any(all) }
             }
             #[inline(always)]
-            fn or(a: $mask, b: $mask) -> $mask {
-                // SAFETY: as in `add`
-                unsafe { $or(a, b) }
+            fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                let (mut out, mut i) = (a, 0);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out[i] = unsafe { $or(a[i], b[i]) };
+                    i += 1;
+                }
+                out
             }
             #[inline(always)]
-            fn and(a: $mask, b: $mask) -> $mask {
-                // SAFETY: as in `add`
-                unsafe { $and(a, b) }
+            fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                let (mut out, mut i) = (a, 0);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out[i] = unsafe { $and(a[i], b[i]) };
+                    i += 1;
+                }
+                out
+            }
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                native_lanes!(@each $registers, $min, self, other)
+            }
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                native_lanes!(@each $registers, $max, self, other)
             }
             #[inline(always)]
             fn lane(&self, lane: usize) -> f64 {
-                // SAFETY: the register is `$lanes` consecutive f32
-                f64::from(unsafe { &*std::ptr::from_ref(self).cast::<[f32; $lanes]>() }[lane])
+                // SAFETY: the registers are so many consecutive f32
+                f64::from(unsafe { &*std::ptr::from_ref(self).cast::<[f32; $registers * $width]>() }[lane])
             }
             #[inline(always)]
             fn set_lane(&mut self, lane: usize, value: f64) {
-                // SAFETY: the register is `$lanes` consecutive f32
-                let lanes = unsafe { &mut *std::ptr::from_mut(self).cast::<[f32; $lanes]>() };
+                // SAFETY: the registers are so many consecutive f32
+                let lanes = unsafe { &mut *std::ptr::from_mut(self).cast::<[f32; $registers * $width]>() };
                 lanes[lane] = value as f32;
             }
             #[inline(always)]
@@ -436,6 +438,25 @@ macro_rules! native_lanes {
             }
         }
     };
+    // the operation on each register
+    (@each $registers:literal, $f:expr, $first:expr $(, $other:expr)*) => {{
+        let (mut out, mut i) = ($first, 0);
+        while i < $registers {
+            // SAFETY: reached only through `vectorize`, whose caller has checked the instruction set
+            out.0[i] = unsafe { $f($first.0[i] $(, $other.0[i])*) };
+            i += 1;
+        }
+        out
+    }};
+    (@operator $name:ident, $registers:literal, $trait:ident, $f:ident, $intrinsic:path) => {
+        impl $trait for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn $f(self, other: Self) -> Self {
+                native_lanes!(@each $registers, $intrinsic, self, other)
+            }
+        }
+    };
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -444,8 +465,8 @@ mod x86 {
     use std::arch::x86_64::*;
 
     native_lanes!(
-        /// Eight lanes in an AVX register.
-        Avx2, __m256, 8, "avx2,fma", {
+        /// Sixteen lanes in two AVX registers.
+        Avx2, __m256, 2 x 8, "avx2,fma", {
             add: _mm256_add_ps, sub: _mm256_sub_ps, mul: _mm256_mul_ps, div: _mm256_div_ps,
             fma: _mm256_fmadd_ps, fnma: _mm256_fnmadd_ps, sqrt: _mm256_sqrt_ps,
             round: _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>,
@@ -453,12 +474,14 @@ mod x86 {
             select: |m, a, b| _mm256_blendv_ps(b, a, m), any: |m| _mm256_movemask_ps(m) != 0,
             or: _mm256_or_ps, and: _mm256_and_ps,
             abs: |x| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x), neg: |x| _mm256_xor_ps(x, _mm256_set1_ps(-0.0)),
+            // the second operand when either is NaN, as wanted
+            min: _mm256_min_ps, max: _mm256_max_ps,
             mask: __m256
         }
     );
     native_lanes!(
         /// Sixteen lanes in an AVX-512 register.
-        Avx512, __m512, 16, "avx512f,avx512dq,avx512vl,avx2,fma", {
+        Avx512, __m512, 1 x 16, "avx512f,avx512dq,avx512vl,avx2,fma", {
             add: _mm512_add_ps, sub: _mm512_sub_ps, mul: _mm512_mul_ps, div: _mm512_div_ps,
             fma: _mm512_fmadd_ps, fnma: _mm512_fnmadd_ps, sqrt: _mm512_sqrt_ps,
             round: _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>,
@@ -466,6 +489,7 @@ mod x86 {
             select: |m, a, b| _mm512_mask_blend_ps(m, b, a), any: |m| _mm512_mask2int(m) != 0,
             or: _kor_mask16, and: _kand_mask16,
             abs: |x| _mm512_andnot_ps(_mm512_set1_ps(-0.0), x), neg: |x| _mm512_xor_ps(x, _mm512_set1_ps(-0.0)),
+            min: _mm512_min_ps, max: _mm512_max_ps,
             mask: __mmask16
         }
     );
@@ -479,13 +503,15 @@ mod arm {
     use std::arch::aarch64::*;
 
     native_lanes!(
-        /// Four lanes in a NEON register.
-        Neon, float32x4_t, 4, "neon", {
+        /// Eight lanes in two NEON registers.
+        Neon, float32x4_t, 2 x 4, "neon", {
             add: vaddq_f32, sub: vsubq_f32, mul: vmulq_f32, div: vdivq_f32,
             fma: |a, b, c| vfmaq_f32(c, a, b), fnma: |a, b, c| vfmsq_f32(c, a, b), sqrt: vsqrtq_f32,
             round: vrndnq_f32, splat: vdupq_n_f32, lt: vcltq_f32,
             select: vbslq_f32, any: |m| vmaxvq_u32(m) != 0,
             or: vorrq_u32, and: vandq_u32, abs: vabsq_f32, neg: vnegq_f32,
+            // vminq and vmaxq would give NaN when either is
+            min: |a, b| vbslq_f32(vcltq_f32(a, b), a, b), max: |a, b| vbslq_f32(vcltq_f32(b, a), a, b),
             mask: uint32x4_t
         }
     );
@@ -498,9 +524,9 @@ pub use arm::Neon;
 pub enum Simd {
     /// 16 lanes, x86-64 with AVX-512 F, DQ and VL.
     Avx512,
-    /// 8 lanes, x86-64 with AVX2 and FMA.
+    /// 16 lanes, x86-64 with AVX2 and FMA.
     Avx2,
-    /// 4 lanes, 64-bit Arm.
+    /// 8 lanes, 64-bit Arm.
     Neon,
     /// 8 lanes of plain code, for any machine.
     Portable,
@@ -547,8 +573,8 @@ impl Simd {
     pub fn lanes(self) -> usize {
         match self {
             Simd::Avx512 => 16,
-            Simd::Avx2 => 8,
-            Simd::Neon => 4,
+            Simd::Avx2 => 16,
+            Simd::Neon => 8,
             Simd::Portable => PORTABLE_LANES,
         }
     }

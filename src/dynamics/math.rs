@@ -15,6 +15,22 @@ pub fn cross<S: Real>(a: &Vec3<S>, b: &Vec3<S>) -> Vec3<S> {
     [a[1].mul_add(b[2], -(a[2] * b[1])), a[2].mul_add(b[0], -(a[0] * b[2])), a[0].mul_add(b[1], -(a[1] * b[0]))]
 }
 
+/// The same numbers in every lane.
+#[inline(always)]
+pub fn splat<S: Real>(a: &[f64; 3]) -> Vec3<S> {
+    [S::splat(a[0]), S::splat(a[1]), S::splat(a[2])]
+}
+
+/// `a + 0`, which turns -0 into +0: what a lane's neighbours need may add zeros of either sign.
+#[inline(always)]
+pub fn normalised<S: Real, const N: usize>(a: &[S; N]) -> [S; N] {
+    let mut out = *a;
+    for x in &mut out {
+        *x = *x + S::zero();
+    }
+    out
+}
+
 /// `a . b`.
 #[inline(always)]
 pub fn dot<S: Real>(a: &Vec3<S>, b: &Vec3<S>) -> S {
@@ -48,7 +64,7 @@ pub fn add_scaled<S: Real>(a: &Vec3<S>, b: &Vec3<S>, s: S) -> Vec3<S> {
 /// `A B`.
 #[inline(always)]
 pub fn mul_mat<S: Real>(a: &Mat3<S>, b: &Mat3<S>) -> Mat3<S> {
-    a.map(|row| mul_vec_transposed(b, &row))
+    [mul_vec_transposed(b, &a[0]), mul_vec_transposed(b, &a[1]), mul_vec_transposed(b, &a[2])]
 }
 
 /// `M v`.
@@ -211,11 +227,11 @@ impl<S: Real> SpatialInertia<S> {
     /// Two bodies as one.
     #[inline(always)]
     pub fn plus(&self, other: &Self) -> Self {
-        Self {
-            mass: self.mass + other.mass,
-            moment: add(&self.moment, &other.moment),
-            inertia: std::array::from_fn(|k| self.inertia[k] + other.inertia[k]),
+        let mut inertia = self.inertia;
+        for k in 0..6 {
+            inertia[k] = inertia[k] + other.inertia[k];
         }
+        Self { mass: self.mass + other.mass, moment: add(&self.moment, &other.moment), inertia }
     }
 
     /// Momentum of a motion: `I m`.

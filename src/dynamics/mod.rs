@@ -8,6 +8,7 @@ pub mod kinematics;
 pub mod lanes;
 pub mod math;
 pub mod proximity;
+pub mod rows;
 pub mod self_contact;
 pub mod solver;
 pub mod state;

@@ -84,6 +84,12 @@ fn clamped<S: Real>(p: &Vec3<S>, box_half: &Vec3<S>) -> Vec3<S> {
     [p[0].clamp(-*x, *x), p[1].clamp(-*y, *y), p[2].clamp(-*z, *z)]
 }
 
+/// `yes` where the mask is true, else `no`.
+#[inline(always)]
+fn select<S: Real>(mask: S::Mask, yes: &Vec3<S>, no: &Vec3<S>) -> Vec3<S> {
+    [S::select(mask, yes[0], no[0]), S::select(mask, yes[1], no[1]), S::select(mask, yes[2], no[2])]
+}
+
 /// Two points with radii about them.
 #[inline(always)]
 fn rounded<S: Real>(on_a: &Vec3<S>, on_b: &Vec3<S>, radius_a: S, radius_b: S) -> Proximity<S> {
@@ -94,7 +100,7 @@ fn rounded<S: Real>(on_a: &Vec3<S>, on_b: &Vec3<S>, radius_a: S, radius_b: S) ->
     let inverse = S::one() / distance;
     // where the points coincide any direction will do
     let up = [S::zero(), S::zero(), S::one()];
-    let normal = std::array::from_fn(|i| S::select(meets, up[i], apart[i] * inverse));
+    let normal = select(meets, &up, &scale(&apart, inverse));
     let gap = S::select(meets, S::zero(), distance) - radius_a - radius_b;
     let surface = add_scaled(on_b, &normal, radius_b);
     Proximity { gap, normal, point: add_scaled(&surface, &normal, gap * S::splat(0.5)) }
@@ -139,17 +145,21 @@ pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], box_half: 
     let inside = squared.lt(S::splat(TINY));
     let distance = squared.max(S::splat(TINY)).sqrt();
     // inside, the nearest face is the way out
-    let depth: Vec3<S> = std::array::from_fn(|i| box_half[i] - p[i].abs());
-    let side: Vec3<S> = std::array::from_fn(|i| S::select(p[i].lt(zero), -one, one));
+    let depth = [box_half[0] - p[0].abs(), box_half[1] - p[1].abs(), box_half[2] - p[2].abs()];
+    let (x_side, y_side, z_side) = (
+        S::select(p[0].lt(zero), -one, one),
+        S::select(p[1].lt(zero), -one, one),
+        S::select(p[2].lt(zero), -one, one),
+    );
     let x_first = S::and(depth[0].lt(depth[1]), depth[0].lt(depth[2]));
     let y_first = depth[1].lt(depth[2]);
-    let x_out = S::select(x_first, side[0], zero);
-    let y_out = S::select(x_first, zero, S::select(y_first, side[1], zero));
-    let z_out = S::select(x_first, zero, S::select(y_first, zero, side[2]));
+    let x_out = S::select(x_first, x_side, zero);
+    let y_out = S::select(x_first, zero, S::select(y_first, y_side, zero));
+    let z_out = S::select(x_first, zero, S::select(y_first, zero, z_side));
     let shallow = depth[0].min(depth[1]).min(depth[2]);
     let inverse = one / distance;
     let faces = [x_out, y_out, z_out];
-    let normal: Vec3<S> = std::array::from_fn(|i| S::select(inside, faces[i], out[i] * inverse));
+    let normal = select(inside, &faces, &scale(&out, inverse));
     let signed = S::select(inside, -shallow, distance);
     let gap = signed - *radius;
     let surface = sub(&p, &scale(&normal, signed));

@@ -1,14 +1,93 @@
 //! Contacts between a robot's own links.
+//!
+//! Most pairs are far apart in most steps, and are told by boxes along the base's axes: first those of two links, then those of
+//! two colliders. What is left out is further apart than the margin in every lane.
 
-use super::articulation::{Parameters, Topology};
-use super::contact::{ContactSettings, NEVER, separation};
+use super::articulation::{ColliderTopology, Parameters, Topology};
+use super::contact::{ContactSettings, separation};
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, sub};
+use super::math::{Mat3, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
 use super::proximity::{Capsule, Proximity, capsule_and_box, capsules, may_touch_box};
-use super::state::{LinkState, State, Workspace};
+use super::rows::NEVER;
+use super::state::{State, Workspace};
 
 /// A pair takes part in a physics step when its links are nearer to each other than this, m, or could come so in the step.
 const PAIR_MARGIN: f64 = 0.01;
+/// Boxes that are further apart by this are so in spite of all rounding, m.
+const ROUNDING: f64 = 1e-4;
+
+/// A collider in base axes.
+#[derive(Clone, Debug)]
+pub struct PlacedCollider<S> {
+    /// The capsule; of a box the centre, and half edge lengths along its own axes.
+    pub capsule: Capsule<S>,
+    /// Axes of a box.
+    pub rotation: Mat3<S>,
+    /// Half edge lengths of the box along the base's axes that holds the collider, m.
+    pub extent: Vec3<S>,
+    /// How fast any of its points moves against the base's frame at most, m/s.
+    pub speed: S,
+}
+
+impl<S: Real> PlacedCollider<S> {
+    /// A point at the base's origin.
+    pub fn zero() -> Self {
+        let z = S::zero();
+        let capsule = Capsule { centre: [z; 3], half: [z; 3], radius: z };
+        Self { capsule, rotation: [[z; 3]; 3], extent: [z; 3], speed: z }
+    }
+}
+
+/// The box along the base's axes that holds all colliders of a link.
+#[derive(Clone, Debug)]
+pub struct ColliderBox<S> {
+    /// Lower corner, m.
+    pub lower: Vec3<S>,
+    /// Upper corner, m.
+    pub upper: Vec3<S>,
+    /// Speed of the fastest collider, m/s.
+    pub speed: S,
+}
+
+impl<S: Real> ColliderBox<S> {
+    /// Holds nothing.
+    #[inline(always)]
+    pub fn empty() -> Self {
+        let far = S::splat(1e9);
+        Self { lower: [far; 3], upper: [-far; 3], speed: S::zero() }
+    }
+
+    #[inline(always)]
+    fn hold(&mut self, collider: &PlacedCollider<S>) {
+        let (centre, extent) = (&collider.capsule.centre, &collider.extent);
+        for i in 0..3 {
+            self.lower[i] = self.lower[i].min(centre[i] - extent[i]);
+            self.upper[i] = self.upper[i].max(centre[i] + extent[i]);
+        }
+        self.speed = self.speed.max(collider.speed);
+    }
+
+    /// Largest distance of the two along an axis, m.
+    #[inline(always)]
+    fn distance(&self, other: &Self) -> S {
+        let mut most = (self.lower[0] - other.upper[0]).max(other.lower[0] - self.upper[0]);
+        for i in 1..3 {
+            most = most.max((self.lower[i] - other.upper[i]).max(other.lower[i] - self.upper[i]));
+        }
+        most
+    }
+}
+
+/// Largest distance along an axis of the boxes that hold two colliders, m.
+#[inline(always)]
+fn box_distance<S: Real>(a: &PlacedCollider<S>, b: &PlacedCollider<S>) -> S {
+    let apart = sub(&a.capsule.centre, &b.capsule.centre);
+    let mut most = apart[0].abs() - (a.extent[0] + b.extent[0]);
+    for i in 1..3 {
+        most = most.max(apart[i].abs() - (a.extent[i] + b.extent[i]));
+    }
+    most
+}
 
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
@@ -17,42 +96,50 @@ pub fn build_pairs<S: Real>(
     parameters: &Parameters<S>,
     settings: &ContactSettings,
     dt: S,
-    state: &mut State<S>,
+    state: &State<S>,
     work: &mut Workspace<S>,
 ) {
     if topology.pairs.is_empty() {
         return;
     }
     place_colliders(topology, parameters, work);
-    let Workspace { links, axes, factor, colliders, collider_speed, contact: rows, .. } = work;
+    let Workspace { axes, factor, colliders, collider_boxes, contact: rows, .. } = work;
     let inverse_dt = S::one() / dt;
-    for pair in &topology.pairs {
-        let impulses = pair.first_impulse..pair.first_impulse + pair.spans.len();
-        let shapes = PairShapes::new(topology, parameters, links, colliders, pair.colliders);
-        let [a, b] = pair.colliders;
-        let margin = (collider_speed[a] + collider_speed[b]).mul_add(dt, S::splat(PAIR_MARGIN));
-        if !S::any(shapes.may_touch(margin)) {
-            state.impulse[impulses].fill([S::zero(); 3]);
+    for group in &topology.pair_groups {
+        let [a, b] = group.links;
+        let (a, b) = (&collider_boxes[a], &collider_boxes[b]);
+        let margin = (a.speed + b.speed).mul_add(dt, S::splat(PAIR_MARGIN + ROUNDING));
+        if !S::any(a.distance(b).lt(margin)) {
             continue;
         }
-        for (i, span) in impulses.zip(pair.spans) {
-            let found = shapes.proximity(*span);
-            let near = found.gap.lt(margin);
-            if !S::any(near) {
-                state.impulse[i] = [S::zero(); 3];
+        for pair in &topology.pairs[group.pairs.clone()] {
+            let [a, b] = pair.colliders;
+            let margin = (colliders[a].speed + colliders[b].speed).mul_add(dt, S::splat(PAIR_MARGIN));
+            if !S::any(box_distance(&colliders[a], &colliders[b]).lt(margin + S::splat(ROUNDING))) {
                 continue;
             }
-            let row = rows.pair_rows(topology, factor, axes, pair, i, &frame(&found.normal), &found.point);
-            rows.push(row, near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &state.impulse[i]);
+            let shapes = PairShapes::new(topology, colliders, pair.colliders);
+            if !S::any(shapes.may_touch(margin + S::splat(ROUNDING))) {
+                continue;
+            }
+            for (i, span) in (pair.first_impulse..).zip(pair.spans) {
+                let found = shapes.proximity(*span);
+                let near = found.gap.lt(margin);
+                if !S::any(near) {
+                    continue;
+                }
+                rows.build_pair(topology, factor, axes, pair, i, &frame(&found.normal), &found.point);
+                rows.add(near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &state.impulse[i]);
+            }
         }
     }
 }
 
 /// Distance of the two links of a pair, m (negative when they overlap); [`place_colliders`] must have been called.
 #[inline(always)]
-pub fn pair_gap<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &Workspace<S>, pair: usize) -> S {
+pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) -> S {
     let pair = &topology.pairs[pair];
-    let shapes = PairShapes::new(topology, parameters, &work.links, &work.colliders, pair.colliders);
+    let shapes = PairShapes::new(topology, &work.colliders, pair.colliders);
     pair.spans.iter().map(|span| shapes.proximity(*span).gap).fold(S::splat(f64::MAX), S::min)
 }
 
@@ -60,48 +147,50 @@ pub fn pair_gap<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: 
 /// against the base's frame.
 #[inline(always)]
 pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
-    for (c, collider) in topology.colliders.iter().enumerate() {
-        let at = &work.links[collider.link];
+    let Workspace { links, colliders, collider_boxes, .. } = work;
+    for link in collider_boxes.iter_mut() {
+        *link = ColliderBox::empty();
+    }
+    for (c, ColliderTopology { link, box_rotation, .. }) in topology.colliders.iter().enumerate() {
+        let at = &links[*link];
         let radius = parameters.collider_radius[c];
         let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
-        // a box is turned when it meets a capsule
-        let half = if collider.box_rotation.is_some() { *half } else { mul_vec(&at.rotation, half) };
         let centre = add(&at.position, &mul_vec(&at.rotation, centre));
-        let Spatial { ang, lin } = &at.velocity;
-        let speed = length(&add(lin, &cross(ang, &centre)));
-        work.collider_speed[c] = (length(&half) + radius).mul_add(length(ang), speed);
-        work.colliders[c] = Capsule { centre, half, radius };
+        let speed = length(&add(&at.velocity.lin, &cross(&at.velocity.ang, &centre)));
+        let placed = &mut colliders[c];
+        placed.speed = (length(half) + radius).mul_add(length(&at.velocity.ang), speed);
+        // a box is turned when it meets a capsule
+        if let Some(rotation) = box_rotation {
+            placed.rotation = mul_mat(&at.rotation, &[splat(&rotation[0]), splat(&rotation[1]), splat(&rotation[2])]);
+            placed.capsule = Capsule { centre, half: *half, radius };
+            for i in 0..3 {
+                let row = &placed.rotation[i];
+                placed.extent[i] = row[0].abs().mul_add(half[0], row[1].abs().mul_add(half[1], row[2].abs() * half[2]));
+            }
+        } else {
+            let half = mul_vec(&at.rotation, half);
+            placed.capsule = Capsule { centre, half, radius };
+            placed.extent = [half[0].abs() + radius, half[1].abs() + radius, half[2].abs() + radius];
+        }
+        collider_boxes[*link].hold(&colliders[c]);
     }
 }
 
 /// The shapes of a pair, made ready to be compared.
 enum PairShapes<'a, S> {
     Capsules([&'a Capsule<S>; 2]),
-    /// The capsule as seen from the box; the box's half edge lengths, place and axes.
-    CapsuleAndBox(Capsule<S>, &'a Vec3<S>, &'a Vec3<S>, Mat3<S>),
+    /// The capsule as seen from the box; the box.
+    CapsuleAndBox(Capsule<S>, &'a PlacedCollider<S>),
 }
 
 impl<'a, S: Real> PairShapes<'a, S> {
     #[inline(always)]
-    fn new(
-        topology: &Topology,
-        parameters: &'a Parameters<S>,
-        links: &[LinkState<S>],
-        colliders: &'a [Capsule<S>],
-        [a, b]: [usize; 2],
-    ) -> Self {
-        match &topology.colliders[b].box_rotation {
-            None => Self::Capsules([&colliders[a], &colliders[b]]),
-            Some(rotation) => {
-                let link = topology.colliders[b].link;
-                let turn = rotation.map(|row| row.map(S::splat));
-                // the base's axes are those that everything is expressed in
-                let rotation = if link == 0 { turn } else { mul_mat(&links[link].rotation, &turn) };
-                let centre = &colliders[b].centre;
-                let capsule = colliders[a].seen_from(centre, &rotation);
-                Self::CapsuleAndBox(capsule, &parameters.collider_half[b], centre, rotation)
-            }
+    fn new(topology: &Topology, colliders: &'a [PlacedCollider<S>], [a, b]: [usize; 2]) -> Self {
+        if topology.colliders[b].box_rotation.is_none() {
+            return Self::Capsules([&colliders[a].capsule, &colliders[b].capsule]);
         }
+        let solid = &colliders[b];
+        Self::CapsuleAndBox(colliders[a].capsule.seen_from(&solid.capsule.centre, &solid.rotation), solid)
     }
 
     /// False only where the two are further apart than `margin`.
@@ -116,7 +205,7 @@ impl<'a, S: Real> PairShapes<'a, S> {
                 let lengths = two * (dot(&a.half, &a.half) + dot(&b.half, &b.half));
                 dot(&apart, &apart).lt(two * (rest * rest + lengths))
             }
-            Self::CapsuleAndBox(capsule, half, ..) => may_touch_box(capsule, half, margin),
+            Self::CapsuleAndBox(capsule, solid) => may_touch_box(capsule, &solid.capsule.half, margin),
         }
     }
 
@@ -125,8 +214,9 @@ impl<'a, S: Real> PairShapes<'a, S> {
     fn proximity(&self, span: [f64; 2]) -> Proximity<S> {
         match self {
             Self::Capsules([a, b]) => capsules(a, span, b),
-            Self::CapsuleAndBox(capsule, half, centre, rotation) => {
-                capsule_and_box(capsule, span, half).from_frame(centre, rotation)
+            Self::CapsuleAndBox(capsule, solid) => {
+                let Capsule { centre, half, .. } = &solid.capsule;
+                capsule_and_box(capsule, span, half).from_frame(centre, &solid.rotation)
             }
         }
     }

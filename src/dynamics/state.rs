@@ -1,11 +1,11 @@
 //! The moving numbers of a pack, and the scratch memory of a step.
 
 use super::articulation::Topology;
-use super::contact::ContactWork;
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, SpatialInertia, Vec3};
-use super::proximity::Capsule;
+use super::rows::ContactWork;
+use super::self_contact::{ColliderBox, PlacedCollider};
 
 /// The state of one body or of a pack of bodies, and what one control step reports of it.
 #[derive(Clone, Debug)]
@@ -25,6 +25,8 @@ pub struct State<S> {
     /// Contact impulses of the last physics step (along the contact's normal and two tangents), N s, `[contacts, then
     /// pairs]`; they warm-start the next one.
     pub impulse: Vec<[S; 3]>,
+    /// Which of them are not zero in every lane: all others must be.
+    pub pressing: Vec<u32>,
     /// Impulses of the joint limits in the last physics step, N m s, `[joints]`; they warm-start the next one.
     pub limit_impulse: Vec<S>,
 }
@@ -73,8 +75,18 @@ impl<S: Real> State<S> {
             joint_position: vec![z; topology.num_joints()],
             joint_velocity: vec![z; topology.num_joints()],
             impulse: vec![[z; 3]; topology.num_impulses()],
+            pressing: Vec::new(),
             limit_impulse: vec![z; topology.num_joints()],
         }
+    }
+}
+
+impl<S: Real> State<S> {
+    /// Finds out which impulses are [`pressing`](Self::pressing), after they were set from outside.
+    pub fn find_pressing(&mut self) {
+        let presses = |impulse: &[S; 3]| (0..S::LANES).any(|lane| impulse.iter().any(|x| x.lane(lane) != 0.0));
+        let contacts = self.impulse.iter().enumerate().filter(|(_, impulse)| presses(impulse));
+        self.pressing = contacts.map(|(contact, _)| contact as u32).collect();
     }
 }
 
@@ -150,10 +162,10 @@ pub struct Workspace<S> {
     pub effort_slope: Vec<S>,
     /// Target position of each joint in the current physics step.
     pub target: Vec<S>,
-    /// Where the colliders are, in base axes, `[colliders]`; of a box only the centre.
-    pub colliders: Vec<Capsule<S>>,
-    /// How fast the colliders move, m/s, `[colliders]`.
-    pub collider_speed: Vec<S>,
+    /// Where the colliders are.
+    pub colliders: Vec<PlacedCollider<S>>,
+    /// What holds all colliders of a link, `[links]`.
+    pub collider_boxes: Vec<ColliderBox<S>>,
     /// Rows of active contacts and joint bounds.
     pub contact: ContactWork<S>,
 }
@@ -179,8 +191,8 @@ impl<S: Real> Workspace<S> {
             effort: vec![z; joints],
             effort_slope: vec![z; joints],
             target: vec![z; joints],
-            colliders: vec![Capsule { centre: [z; 3], half: [z; 3], radius: z }; topology.colliders.len()],
-            collider_speed: vec![z; topology.colliders.len()],
+            colliders: vec![PlacedCollider::zero(); topology.colliders.len()],
+            collider_boxes: vec![ColliderBox::empty(); links],
             contact: ContactWork::new(topology),
         }
     }

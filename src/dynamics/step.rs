@@ -5,7 +5,9 @@ use super::contact::{self, ContactSettings};
 use super::factor;
 use super::kinematics;
 use super::lanes::{Kernel, Real};
-use super::math::{Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, quat_to_mat};
+use super::math::{
+    Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
+};
 use super::self_contact;
 use super::solver;
 use super::state::{Drive, Report, State, Workspace};
@@ -152,7 +154,7 @@ fn physics_step<S: Real>(
     let joints = topology.num_joints();
 
     work.base_rotation = quat_to_mat(&state.rotation);
-    let gravity = mul_vec_transposed(&work.base_rotation, &settings.gravity.map(S::splat));
+    let gravity = mul_vec_transposed(&work.base_rotation, &splat(&settings.gravity));
     // bias forces do not depend on the base's linear velocity: see `bias_forces`
     let turning = Spatial { ang: state.angular_velocity, lin: [z; 3] };
     kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &turning, work);
@@ -164,13 +166,13 @@ fn physics_step<S: Real>(
     actuate(topology, parameters, drive, dt, state, work);
     for j in 0..joints {
         let slope = work.effort_slope[j] + parameters.joint_damping[j];
-        work.factor.inverse_diagonal[j] = slope.mul_add(dt, work.factor.inverse_diagonal[j]);
+        work.factor.diagonal[j] = slope.mul_add(dt, work.factor.diagonal[j]);
         let passive = parameters.joint_damping[j] * state.joint_velocity[j];
         work.rhs_joint[j] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
     }
     work.factor.factorise(topology);
 
-    // the unconstrained velocity, first plain (for the bounds' sake), then as sparse velocity y = L u + D^-1 L^-T r
+    // the unconstrained velocity, first plain (for the bounds' sake), then as sparse velocity y = H u + H^-T r
     let linear = mul_vec_transposed(&work.base_rotation, &state.linear_velocity);
     let w = state.angular_velocity;
     work.velocity_base = [w[0], w[1], w[2], linear[0], linear[1], linear[2]];
@@ -181,7 +183,6 @@ fn physics_step<S: Real>(
         impulse[r] = (impulse[r] - work.bias_base[r]) * dt;
     }
     work.factor.half_solve(topology, &mut impulse, &mut work.rhs_joint);
-    work.factor.divide(topology, &mut impulse, &mut work.rhs_joint);
     work.contact.base = if topology.floating { work.velocity_base } else { [z; 6] };
     work.contact.joints.copy_from_slice(&state.joint_velocity);
     {
@@ -206,7 +207,7 @@ fn physics_step<S: Real>(
         work.rhs_joint = free;
     }
 
-    solver::solve(topology, parameters, &settings.contact, &work.factor, &mut work.contact);
+    solver::solve(topology, parameters, &settings.contact, &mut work.contact);
     contact::report(
         topology,
         &settings.contact,
@@ -236,11 +237,11 @@ fn physics_step<S: Real>(
         state.joint_position[j] = (contact.moved_joints[j] + z).mul_add(dt, state.joint_position[j]);
     }
     if topology.floating {
-        let u = contact.base.map(|x| x + z);
+        let u = normalised(&contact.base);
         state.angular_velocity = [u[0], u[1], u[2]];
-        state.linear_velocity = mul_vec(base_rotation, &[u[3], u[4], u[5]]).map(|x| x + z);
-        let m = contact.moved_base.map(|x| x + z);
-        let moved = mul_vec(base_rotation, &[m[3], m[4], m[5]]).map(|x| x + z);
+        state.linear_velocity = normalised(&mul_vec(base_rotation, &[u[3], u[4], u[5]]));
+        let m = normalised(&contact.moved_base);
+        let moved = normalised(&mul_vec(base_rotation, &[m[3], m[4], m[5]]));
         state.position = add_scaled(&state.position, &moved, dt);
         state.rotation = integrate_quat(&state.rotation, &[m[0] * dt, m[1] * dt, m[2] * dt]);
     }

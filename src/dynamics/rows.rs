@@ -1,0 +1,377 @@
+//! The rows of contacts and joint bounds, from which [`solver`](super::solver) finds their impulses.
+//!
+//! A constraint row `J` is kept as `Z = H^-T J^T`, which is zero off the path from its link to the base, so that
+//! `J M^-1 J^T = Z^T Z` and a sweep works on the sparse velocity `y = H u` (see [`factor`](super::factor)): a row's velocity is
+//! `Z . y`, and an impulse `l` changes `y` by `Z l`.
+
+use super::articulation::{PairTopology, Topology};
+use super::factor::Factor;
+use super::lanes::Real;
+use super::math::{Spatial, Vec3, cross, dot, scale, sub};
+
+/// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
+/// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
+const SOFTNESS: f64 = 1e-3;
+/// The same between links of one robot. These may press where no joint gives way, which a robot that floats never does
+/// against the ground; the links themselves are ten times as compliant.
+const PAIR_SOFTNESS: f64 = 0.01;
+/// Target speed that keeps an absent contact from ever pushing, m/s.
+pub(super) const NEVER: f64 = -1e6;
+
+/// A contact: its normal and two tangents.
+#[derive(Clone, Debug)]
+pub(super) struct ContactRows<S> {
+    /// Which impulse it has.
+    pub(super) contact: usize,
+    pub(super) base: [[S; 6]; 3],
+    /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
+    pub(super) coupling: [S; 3],
+    pub(super) inverse: [S; 3],
+    /// The inverse of the first of them.
+    pub(super) diagonal: S,
+    /// How far the contact gives way to an impulse along its normal, m/s per N s.
+    pub(super) softness: S,
+    /// Mass of a sliding step: the inverse of the tangential block's largest eigenvalue.
+    pub(super) slide: S,
+    /// Least allowed separation speed, m/s.
+    pub(super) target: S,
+    pub(super) impulse: [S; 3],
+    /// The same for the motion that pushes penetrations out.
+    pub(super) push: S,
+    pub(super) push_impulse: S,
+}
+
+/// A joint near a limit, or with dry friction.
+#[derive(Clone, Debug)]
+pub(super) struct BoundRow<S> {
+    pub(super) joint: usize,
+    /// Whether any lane is near a limit.
+    pub(super) limits: bool,
+    /// Whether the joint has dry friction in any lane.
+    pub(super) rubs: bool,
+    pub(super) base: [S; 6],
+    pub(super) diagonal: S,
+    pub(super) inverse: S,
+    pub(super) lowest: S,
+    pub(super) highest: S,
+    pub(super) limit_impulse: S,
+    /// The same for the motion that pushes joints back that are past a limit.
+    pub(super) push_impulse: S,
+    pub(super) friction_impulse: S,
+    pub(super) max_friction: S,
+}
+
+/// Scratch memory of the contact solver.
+#[derive(Clone, Debug)]
+pub struct ContactWork<S> {
+    /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
+    pub(super) contacts: Vec<ContactRows<S>>,
+    pub(super) num_contacts: usize,
+    pub(super) bounds: Vec<BoundRow<S>>,
+    /// Number of joints that rows have room for.
+    pub(super) stride: usize,
+    /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
+    pub(super) violation: S,
+    /// Compliance of the whole robot, one over its mass, 1/kg.
+    pub(super) compliance: S,
+    /// Normal and tangents of the ground contacts on terrain, in base axes; empty on a plane.
+    pub(super) ground_frames: Vec<[Vec3<S>; 3]>,
+    /// Normal and tangents of the pairs among `contacts`, in base axes.
+    pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
+    /// Joint parts of the contact rows: `[contact * stride + p]`, `p` along the path.
+    pub(super) contact_joint: Vec<[S; 3]>,
+    pub(super) bound_joint: Vec<[S; 1]>,
+    /// The sparse velocity `y`.
+    pub base: [S; 6],
+    /// See `base`.
+    pub joints: Vec<S>,
+    /// The sparse velocity that moves the bodies: with what pushes penetrations out.
+    pub moved_base: [S; 6],
+    /// See `moved_base`.
+    pub moved_joints: Vec<S>,
+}
+
+impl<S: Real> ContactWork<S> {
+    /// Memory for a topology.
+    pub fn new(topology: &Topology) -> Self {
+        let z = S::zero();
+        let stride = topology.max_contact_path();
+        let (contacts, joints) = (topology.num_impulses(), topology.num_joints());
+        Self {
+            contacts: Vec::new(),
+            num_contacts: 0,
+            bounds: Vec::with_capacity(joints),
+            stride,
+            violation: z,
+            compliance: z,
+            ground_frames: Vec::with_capacity(topology.contacts.len()),
+            pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
+            contact_joint: vec![[z; 3]; contacts * stride],
+            bound_joint: vec![[z; 1]; joints * stride],
+            base: [z; 6],
+            joints: vec![z; joints],
+            moved_base: [z; 6],
+            moved_joints: vec![z; joints],
+        }
+    }
+
+    /// Forgets all rows; `total_mass` in kg.
+    #[inline(always)]
+    pub(super) fn clear(&mut self, total_mass: S) {
+        self.num_contacts = 0;
+        self.violation = S::zero();
+        self.ground_frames.clear();
+        self.pair_frames.clear();
+        self.compliance = S::one() / total_mass;
+    }
+
+    /// The contacts that take part.
+    #[inline(always)]
+    pub(super) fn contacts(&self) -> &[ContactRows<S>] {
+        &self.contacts[..self.num_contacts]
+    }
+
+    /// The rows about to be added, and their joint parts.
+    #[inline(always)]
+    pub(super) fn next(&self) -> (&ContactRows<S>, &[[S; 3]]) {
+        (&self.contacts[self.num_contacts], &self.contact_joint[self.num_contacts * self.stride..])
+    }
+
+    /// Room for another contact: its rows and their joint parts.
+    #[inline(always)]
+    fn next_mut(&mut self) -> (&mut ContactRows<S>, &mut [[S; 3]]) {
+        if self.num_contacts == self.contacts.len() {
+            self.contacts.push(ContactRows::zero());
+        }
+        (&mut self.contacts[self.num_contacts], &mut self.contact_joint[self.num_contacts * self.stride..])
+    }
+
+    /// Builds the rows of a point of a link that touches the ground, `centre` less `radius` along the normal.
+    #[inline(always)]
+    pub(super) fn build_ground(
+        &mut self,
+        topology: &Topology,
+        factor: &Factor<S>,
+        axes: &[Spatial<S>],
+        frame: &[Vec3<S>; 3],
+        contact: usize,
+        centre: &Vec3<S>,
+        radius: S,
+    ) {
+        let path = topology.path(topology.contacts[contact].link);
+        let (row, joint) = self.next_mut();
+        let joint = &mut joint[..path.len()];
+        let point = sub(centre, &scale(&frame[0], radius));
+        row.contact = contact;
+        for d in 0..3 {
+            let direction = &frame[d];
+            let moment = cross(&point, direction);
+            row.base[d] = if topology.floating {
+                [moment[0], moment[1], moment[2], direction[0], direction[1], direction[2]]
+            } else {
+                [S::zero(); 6]
+            };
+            for (x, &j) in joint.iter_mut().zip(path) {
+                x[d] = dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction);
+            }
+        }
+        match path.len() {
+            3 => half_solve_path::<S, 3, 3>(topology, factor, path, joint, &mut row.base),
+            _ => half_solve_path::<S, 3, 0>(topology, factor, path, joint, &mut row.base),
+        }
+        self.finish(topology, SOFTNESS);
+    }
+
+    /// Builds the rows of a pair of links that touch at a point: equal and opposite forces along the axes of `frame`.
+    #[inline(always)]
+    pub(super) fn build_pair(
+        &mut self,
+        topology: &Topology,
+        factor: &Factor<S>,
+        axes: &[Spatial<S>],
+        pair: &PairTopology,
+        impulse: usize,
+        frame: &[Vec3<S>; 3],
+        point: &Vec3<S>,
+    ) {
+        let PairTopology { path, side, ancestors, .. } = pair;
+        let (row, joint) = self.next_mut();
+        let joint = &mut joint[..path.len()];
+        row.contact = impulse;
+        for d in 0..3 {
+            let direction = &frame[d];
+            let moment = cross(point, direction);
+            for (p, &j) in path.iter().enumerate() {
+                // what carries both links feels nothing
+                joint[p][d] = (dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction)) * S::splat(side[p]);
+            }
+        }
+        row.base = [[S::zero(); 6]; 3];
+        for p in 0..path.len() {
+            let (x, first) = (joint[p], topology.row(path[p]));
+            for (i, &q) in ancestors[p].iter().enumerate() {
+                let l = factor.couplings[first + i];
+                for d in 0..3 {
+                    joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
+                }
+            }
+            for d in 0..3 {
+                for r in 0..6 {
+                    row.base[d][r] = factor.base_couplings[path[p]][r].neg_mul_add(x[d], row.base[d][r]);
+                }
+            }
+        }
+        scale_rows(topology, factor, path, joint, &mut row.base);
+        self.pair_frames.push(*frame);
+        self.finish(topology, PAIR_SOFTNESS);
+    }
+
+    /// Finds the couplings of the rows about to be added; `softness` is a share of the whole robot's compliance.
+    #[inline(always)]
+    fn finish(&mut self, topology: &Topology, softness: f64) {
+        let one = S::one();
+        let softness = self.compliance * S::splat(softness);
+        // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
+        // give way at all: keep the division finite
+        let least = self.compliance * S::splat(0.5);
+        let (row, joint) = self.next_mut();
+        let joint = &joint[..topology.contact_path(row.contact).len()];
+        let base = &row.base;
+        let mut product = [
+            dot6(&base[0], &base[0]),
+            dot6(&base[1], &base[1]),
+            dot6(&base[2], &base[2]),
+            dot6(&base[0], &base[1]),
+            dot6(&base[0], &base[2]),
+            dot6(&base[1], &base[2]),
+        ];
+        for x in joint {
+            for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+                product[i] = x[a].mul_add(x[b], product[i]);
+            }
+        }
+        let half = S::splat(0.5);
+        let difference = (product[1] - product[2]) * half;
+        let radius = difference.mul_add(difference, product[5] * product[5]).sqrt();
+        row.coupling = [product[3], product[4], product[5]];
+        row.diagonal = product[0] + softness;
+        row.inverse = [one / row.diagonal, one / product[1].max(least), one / product[2].max(least)];
+        row.slide = one / (product[1] + product[2]).mul_add(half, radius).max(least);
+        row.softness = softness;
+    }
+
+    /// Adds the rows that were built as a contact that takes part in the lanes where it is `near`: it separates at least at the
+    /// speeds `target`, which may push out, and `bounce`.
+    #[inline(always)]
+    pub(super) fn add(&mut self, near: S::Mask, target: S, bounce: S, warm_start: &[S; 3]) {
+        let (z, never) = (S::zero(), S::splat(NEVER));
+        self.violation = self.violation.max(S::select(near, target, z));
+        let row = &mut self.contacts[self.num_contacts];
+        row.target = S::select(near, target.min(z).max(bounce), never);
+        row.push = S::select(near, target, never);
+        row.push_impulse = z;
+        for d in 0..3 {
+            row.impulse[d] = S::select(near, warm_start[d], z);
+        }
+        self.num_contacts += 1;
+    }
+
+    /// Whether anything is inside another in any lane, or past a limit, and to be pushed out.
+    #[inline(always)]
+    pub(super) fn pushes(&self) -> bool {
+        S::any(S::zero().lt(self.violation))
+    }
+}
+
+impl<S: Real> ContactRows<S> {
+    #[inline(always)]
+    fn zero() -> Self {
+        let z = S::zero();
+        Self {
+            contact: 0,
+            base: [[z; 6]; 3],
+            coupling: [z; 3],
+            inverse: [z; 3],
+            diagonal: z,
+            softness: z,
+            slide: z,
+            target: z,
+            impulse: [z; 3],
+            push: z,
+            push_impulse: z,
+        }
+    }
+
+    /// The velocity along the normal; `joint` are the rows' joint parts.
+    #[inline(always)]
+    pub(super) fn normal_velocity(&self, path: &[usize], joint: &[[S; 3]], base: &[S; 6], joints: &[S]) -> S {
+        let mut sum = dot6(&self.base[0], base);
+        for (z, &j) in joint.iter().zip(path) {
+            sum = z[0].mul_add(joints[j], sum);
+        }
+        sum
+    }
+}
+
+/// `H^-T J^T` along a path, in place: `joint[p]` belongs to `path[p]`. `P` is the length of the path if it is known beforehand,
+/// else 0.
+#[inline(always)]
+pub(super) fn half_solve_path<S: Real, const N: usize, const P: usize>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    path: &[usize],
+    joint: &mut [[S; N]],
+    base: &mut [[S; 6]; N],
+) {
+    let length = if P > 0 { P } else { path.len() };
+    let (path, joint) = (&path[..length], &mut joint[..length]);
+    for p in 0..length {
+        let k = path[p];
+        let x = joint[p];
+        let row = topology.row(k);
+        for q in p + 1..length {
+            let l = factor.couplings[row + q - p - 1];
+            for d in 0..N {
+                joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
+            }
+        }
+        for d in 0..N {
+            for r in 0..6 {
+                base[d][r] = factor.base_couplings[k][r].neg_mul_add(x[d], base[d][r]);
+            }
+        }
+    }
+    scale_rows(topology, factor, path, joint, base);
+}
+
+/// `D^-1/2 G^-1` of rows that have been eliminated along a path.
+#[inline(always)]
+fn scale_rows<S: Real, const N: usize>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    path: &[usize],
+    joint: &mut [[S; N]],
+    base: &mut [[S; 6]; N],
+) {
+    if topology.floating {
+        for row in base.iter_mut() {
+            factor.base_forward(row);
+            for (x, root) in row.iter_mut().zip(&factor.base_root) {
+                *x = *x * root[1];
+            }
+        }
+    }
+    for (row, &j) in joint.iter_mut().zip(path) {
+        for x in row {
+            *x = *x * factor.root[j][1];
+        }
+    }
+}
+
+#[inline(always)]
+pub(super) fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
+    // two chains, for latency
+    let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
+    let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
+    even + odd
+}
