@@ -484,7 +484,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
-        ConstraintImpulses { contacts: vec![[0.0; 3]; model.topology.num_impulses()].into(), limits: zeros },
+        ConstraintImpulses { contacts: smallvec![], limits: zeros },
         ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
         Feet {
             position: smallvec![[0.0; 3]; model.feet.len()],

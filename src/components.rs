@@ -228,11 +228,20 @@ pub struct JointEffort {
     pub acceleration: PerJoint,
 }
 
+/// A contact's impulse.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ContactImpulse {
+    /// Which contact candidate, or after those which pair of links.
+    pub contact: u32,
+    /// Along the normal and two tangents, N s.
+    pub impulse: [f32; 3],
+}
+
 /// Impulses of the last physics step, from which the solver of the next one starts.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ConstraintImpulses {
-    /// Normal and two tangents per contact candidate, then per pair of links, N s.
-    pub contacts: Box<[[f32; 3]]>,
+    /// Contacts that press, by their number.
+    pub contacts: SmallVec<[ContactImpulse; 4]>,
     /// Joint limits, physical order, N m s.
     pub limits: PerJoint,
 }

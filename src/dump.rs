@@ -189,21 +189,23 @@ impl Dump {
     /// A robot that this version of polypod makes otherwise has other joints or contacts.
     fn check_sizes(&self, sim: &mut Sim) -> Result<(), SimError> {
         let state = &self.state;
-        let sizes = |joints: usize, impulses: &ConstraintImpulses, body: &Body| {
+        let sizes = |joints: usize, body: &Body| {
             (
                 joints,
-                impulses.contacts.len(),
+                body.0.collider_radius.len(),
                 body.0.mass.len(),
                 body.0.contact_position.len(),
                 body.0.site_position.len(),
             )
         };
-        let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?, &get(sim)?);
-        let theirs = sizes(state.before.joints.position.len(), &state.before.impulses, &state.body);
+        let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?);
+        let theirs = sizes(state.before.joints.position.len(), &state.body);
+        let num_impulses = sim.morphologies()[0].topology.num_impulses();
         let limits = &state.before.impulses.limits;
         let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0, limits];
         if ours != theirs
             || state.targets.history.is_empty()
+            || state.before.impulses.contacts.iter().any(|c| c.contact as usize >= num_impulses)
             || lists.into_iter().chain(&state.targets.history).any(|list| list.len() != ours.0)
         {
             return Err(self.foreign("its robot has other joints or contact points here".into()).into());
@@ -299,7 +301,7 @@ fn bits(motion: &Motion) -> Vec<u32> {
     let lists = base.into_iter().chain(joint.into_iter().chain(efforts).map(|list| &list[..]));
     let mut numbers: Vec<f32> = lists.flatten().copied().collect();
     if numbers.iter().all(|x| !x.is_nan()) {
-        numbers.extend(contacts.as_flattened().iter().chain(limits));
+        numbers.extend(contacts.iter().flat_map(|c| c.impulse).chain(limits.iter().copied()));
     }
     numbers.into_iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
 }

@@ -13,7 +13,8 @@ use super::terms::CompiledTask;
 use crate::app::SimError;
 use crate::avian::EngineError;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, ExternalWrench,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, ContactImpulse, EnvId, EnvOrigin,
+    ExternalWrench,
     Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
@@ -405,12 +406,6 @@ fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
     }
 }
 
-fn put_arrays<L: Real, const N: usize>(to: &mut [[L; N]], from: &[[f32; N]], lane: usize) {
-    for (x, y) in to.iter_mut().zip(from) {
-        put(x, y, lane);
-    }
-}
-
 pub(super) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         *x = y.lane(lane) as f32;
@@ -425,13 +420,22 @@ pub(super) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f3
 
 impl<L: Real> Pack<L> {
     fn gather(&mut self, rows: &PhysicsRows) {
+        for &contact in &self.state.pressing {
+            self.state.impulse[contact as usize] = [L::zero(); 3];
+        }
+        self.state.pressing.clear();
         for lane in 0..L::LANES {
             // idle lanes shadow the last robot
             let row = lane.min(self.count - 1);
             let (state, drive) = (&mut self.state, &mut self.drive);
             rows.read_motion(row, state, lane);
             put(&mut self.origin, &rows.origins[row].position, lane);
-            put_arrays(&mut state.impulse, &rows.impulses[row].contacts, lane);
+            for ContactImpulse { contact, impulse } in &rows.impulses[row].contacts {
+                if let Some(all) = state.impulse.get_mut(*contact as usize) {
+                    put(all, impulse, lane);
+                    state.pressing.push(*contact);
+                }
+            }
             put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
             for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
                 put(targets, from, lane);
@@ -440,6 +444,8 @@ impl<L: Real> Pack<L> {
             put(&mut drive.base_force, &rows.wrenches[row].force, lane);
             put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
         }
+        self.state.pressing.sort_unstable();
+        self.state.pressing.dedup();
     }
 
     /// The first lane whose new state is not finite or beyond the limits.
@@ -452,7 +458,16 @@ impl<L: Real> Pack<L> {
         let (state, report) = (&self.state, &self.report);
         for lane in 0..self.count {
             rows.write_motion(lane, state, lane);
-            get_arrays(&state.impulse, &mut rows.impulses[lane].contacts, lane);
+            let contacts = &mut rows.impulses[lane].contacts;
+            contacts.clear();
+            for &contact in &state.pressing {
+                let mut impulse = [0.0; 3];
+                get(&state.impulse[contact as usize], &mut impulse, lane);
+                // those of the lane's own alone
+                if impulse != [0.0; 3] {
+                    contacts.push(ContactImpulse { contact, impulse });
+                }
+            }
             get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
             get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
             get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);

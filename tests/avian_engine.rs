@@ -286,7 +286,7 @@ fn deepest_overlap(robot: &str, self_collision: bool) -> [f64; 3] {
         forward_kinematics(topology, &parameters, &q[7..], &still, &Spatial::zero(), &mut work);
         place_colliders(topology, &parameters, &mut work);
         for pair in 0..topology.pairs.len() {
-            deepest = deepest.max(-pair_gap(topology, &parameters, &work, pair));
+            deepest = deepest.max(-pair_gap(topology, &work, pair));
         }
         let forces = sim.contact_forces();
         largest = largest.max(most(forces.iter().copied()));

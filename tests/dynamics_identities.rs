@@ -43,8 +43,8 @@ fn identities<S: Real>(case: &Case, tolerance: f64) -> Result<(), TestCaseError>
     let bias = to_f64(&body.bias_force());
     let caused = body.forward_dynamics(&force);
     let factor = &body.work.factor;
-    let base_diagonal = if topology.floating { &factor.base_inverse_diagonal[..] } else { &[] };
-    let mut diagonal = factor.inverse_diagonal.iter().chain(base_diagonal).map(|d| d.lane(0));
+    let base_diagonal = if topology.floating { &factor.base_root[..] } else { &[] };
+    let mut diagonal = factor.root.iter().chain(base_diagonal).flatten().map(|d| d.lane(0));
     prop_assert!(diagonal.all(|d| d > 0.0 && d.is_finite()), "the mass matrix is not positive definite");
     let force = to_f64(&force);
 

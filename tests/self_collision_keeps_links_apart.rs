@@ -68,7 +68,7 @@ impl Body {
         let mut work = Workspace::new(pairs);
         forward_kinematics(pairs, &self.parameters, &self.state.joint_position, &still, &Spatial::zero(), &mut work);
         place_colliders(pairs, &self.parameters, &mut work);
-        (0..pairs.pairs.len()).map(|p| -pair_gap(pairs, &self.parameters, &work, p)).fold(0.0, f64::max)
+        (0..pairs.pairs.len()).map(|p| -pair_gap(pairs, &work, p)).fold(0.0, f64::max)
     }
 }
 

@@ -183,12 +183,17 @@ pub struct Topology {
     paths: Vec<Vec<usize>>,
     /// `rows[j]`: where the couplings of joint `j` with its ancestors start in a factor.
     rows: Vec<usize>,
+    /// Joints whose bounds are solved together: pieces of chains, the nearest to the base first.
+    bound_blocks: Vec<Vec<usize>>,
     /// `link_contacts[link]`: its range in `contacts`.
     link_contacts: Vec<std::ops::Range<usize>>,
     num_couplings: usize,
     max_depth: usize,
     pair_of_impulse: Vec<usize>,
 }
+
+/// How many joints' bounds are solved together at most.
+pub(super) const BOUND_BLOCK: usize = 3;
 
 impl Topology {
     /// Builds the derived tables.
@@ -213,6 +218,16 @@ impl Topology {
             num_couplings += path.len() - 1;
             paths.push(path);
         }
+        let mut bound_blocks: Vec<Vec<usize>> = Vec::new();
+        for (j, joint) in joints.iter().enumerate() {
+            let goes_on = |block: &&mut Vec<usize>| {
+                block.len() < BOUND_BLOCK && block.last().is_some_and(|&last| last + 1 == joint.parent)
+            };
+            match bound_blocks.iter_mut().find(goes_on) {
+                Some(block) => block.push(j),
+                None => bound_blocks.push(vec![j]),
+            }
+        }
         contacts.sort_by_key(|c| c.link);
         let link_contacts = (0..paths.len())
             .map(|link| {
@@ -233,6 +248,7 @@ impl Topology {
             has_delay,
             paths,
             rows,
+            bound_blocks,
             link_contacts,
             num_couplings,
             max_depth,
@@ -241,7 +257,7 @@ impl Topology {
     }
 
     /// Lets pairs of `colliders` touch each other: a capsule and a capsule or box, and whether the first capsule is long
-    /// enough to touch in two points. They are put in the order of their links.
+    /// enough to touch in two points. Those of the same two links should stand together: they are then looked at together.
     ///
     /// # Panics
     /// If indices name colliders or links that do not exist; loaders guarantee that they do.
@@ -250,9 +266,7 @@ impl Topology {
         let mut groups: Vec<PairGroup> = Vec::new();
         let mut pair_of_impulse = Vec::new();
         let links_of = |pair: [usize; 2]| pair.map(|c| colliders[c].link);
-        let mut pairs = pairs.to_vec();
-        pairs.sort_by_key(|(pair, _)| links_of(*pair));
-        for (pair, long) in pairs {
+        for &(pair, long) in pairs {
             match groups.last_mut() {
                 Some(group) if group.links == links_of(pair) => group.pairs.end += 1,
                 _ => groups.push(PairGroup { links: links_of(pair), pairs: new.len()..new.len() + 1 }),
@@ -339,6 +353,12 @@ impl Topology {
     /// Number of joint-joint couplings of the mass matrix.
     pub fn num_couplings(&self) -> usize {
         self.num_couplings
+    }
+
+    /// Joints whose bounds are solved together, at most [`BOUND_BLOCK`] of one chain, the nearest to the base first.
+    #[inline(always)]
+    pub(super) fn bound_blocks(&self) -> &[Vec<usize>] {
+        &self.bound_blocks
     }
 
     /// The longest chain of joints.

@@ -1,12 +1,13 @@
 //! Contacts and joint bounds as velocity constraints: which take part in a step, and what they ask for.
 
-use super::articulation::{ContactKind, Parameters, Topology};
+use super::articulation::{BOUND_BLOCK, ContactKind, Parameters, Topology};
 use super::kinematics::forward_kinematics;
 use super::lanes::Real;
 use super::math::{
-    Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale, splat, sub,
+    Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale,
+    splat, sub,
 };
-use super::rows::{BoundRow, ContactWork, NEVER, dot6, half_solve_path};
+use super::rows::{BoundBlock, BoundRow, ContactWork, NEVER, half_solve_path, products};
 use super::state::{State, Workspace};
 use super::terrain::Terrain;
 
@@ -259,7 +260,8 @@ fn push_speed<S: Real>(depth: S, settings: &ContactSettings, inverse_dt: S) -> S
     (beyond * S::splat(settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity))
 }
 
-/// Builds a row for every joint near a position limit, near its velocity limit, or with Coulomb friction.
+/// Builds the rows of every joint near a position limit, near its velocity limit, or with Coulomb friction, and of those in its
+/// block.
 ///
 /// `velocity` is the joints' velocity at the start of the step, `free` the one without constraints.
 #[inline(always)]
@@ -272,58 +274,77 @@ pub fn build_bounds<S: Real>(
     free: &[S],
     work: &mut Workspace<S>,
 ) {
-    let Workspace { factor, contact: rows, .. } = work;
+    let Workspace { factor, contact: work, .. } = work;
     let z = S::zero();
-    let depth = rows.stride;
     let inverse_dt = S::one() / dt;
-    let big = S::splat(-NEVER);
-    rows.bounds.clear();
-    for j in 0..topology.num_joints() {
-        let (q, v) = (state.joint_position[j], free[j]);
-        let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
-        let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
-        let reach = (v.abs().max(state.joint_velocity[j].abs())).mul_add(dt + dt, thrown);
-        let near = S::or(
-            S::or((q - reach).lt(lower), upper.lt(q + reach)),
-            (fastest * S::splat(SPEED_MARGIN)).lt(v.abs().max(state.joint_velocity[j].abs())),
-        );
-        let limits = S::any(near);
-        let rubs = S::any(z.lt(parameters.joint_friction[j]));
-        if !limits && !rubs {
+    work.bounds.clear();
+    for (block, joints) in topology.bound_blocks().iter().enumerate() {
+        let mut rows = [BoundRow::free(); BOUND_BLOCK];
+        let (mut limits, mut rubs) = (false, false);
+        for (row, &j) in rows.iter_mut().zip(joints) {
+            bound(parameters, settings, inverse_dt, dt, state, j, free[j], row, &mut work.violation);
+            limits |= row.limits;
+            rubs |= row.rubs;
+        }
+        let Some(&last) = joints.last().filter(|_| limits || rubs) else {
             continue;
+        };
+        let path = topology.path(last + 1);
+        let start = work.bounds.len() * work.stride;
+        let joint = &mut work.bound_joint[start..start + path.len()];
+        joint.fill([z; BOUND_BLOCK]);
+        for i in 0..joints.len() {
+            // paths begin at the leaf, blocks at the base
+            joint[joints.len() - 1 - i][i] = S::one();
         }
-        let path = topology.path(j + 1);
-        let start = rows.bounds.len() * depth;
-        let joint = &mut rows.bound_joint[start..start + path.len()];
-        joint.fill([z]);
-        joint[0] = [S::one()];
-        let mut base = [[z; 6]; 1];
-        half_solve_path::<S, 1, 0>(topology, factor, path, joint, &mut base);
-        let base = base[0];
-        let mut diagonal = dot6(&base, &base);
-        for x in joint {
-            diagonal = x[0].mul_add(x[0], diagonal);
+        let mut base = [[z; 6]; BOUND_BLOCK];
+        match path.len() {
+            3 => half_solve_path::<S, BOUND_BLOCK, 3>(topology, factor, path, joint, &mut base),
+            _ => half_solve_path::<S, BOUND_BLOCK, 0>(topology, factor, path, joint, &mut base),
         }
+        let product = products(&base, joint);
+        for i in 0..joints.len() {
+            rows[i].diagonal = product[i];
+            rows[i].inverse = S::one() / product[i];
+        }
+        let coupling = [product[3], product[4], product[5]];
+        work.bounds.push(BoundBlock { block, last, limits, base, coupling, rows });
+    }
+}
+
+/// What one joint's bounds ask for.
+#[inline(always)]
+fn bound<S: Real>(
+    parameters: &Parameters<S>,
+    settings: &ContactSettings,
+    inverse_dt: S,
+    dt: S,
+    state: &State<S>,
+    j: usize,
+    free: S,
+    row: &mut BoundRow<S>,
+    violation: &mut S,
+) {
+    let (z, big) = (S::zero(), S::splat(-NEVER));
+    let q = state.joint_position[j];
+    let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
+    let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
+    let speed = free.abs().max(state.joint_velocity[j].abs());
+    let reach = speed.mul_add(dt + dt, thrown);
+    let near = S::or(S::or((q - reach).lt(lower), upper.lt(q + reach)), (fastest * S::splat(SPEED_MARGIN)).lt(speed));
+    row.rubs = S::any(z.lt(parameters.joint_friction[j]));
+    row.max_friction = parameters.joint_friction[j] * dt;
+    row.limits = S::any(near);
+    if row.limits {
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
         let (low, high) = (q - lower, upper - q);
         let (up, down) = (push_speed(-low, settings, inverse_dt), push_speed(-high, settings, inverse_dt));
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);
         let highest = S::select(high.lt(z), -down, high * inverse_dt).min(fastest);
-        rows.violation = rows.violation.max(S::select(near, up.max(down), z));
-        rows.bounds.push(BoundRow {
-            joint: j,
-            limits,
-            rubs,
-            base,
-            diagonal,
-            inverse: S::one() / diagonal,
-            lowest: S::select(near, lowest, -big),
-            highest: S::select(near, highest, big),
-            limit_impulse: S::select(near, state.limit_impulse[j], z),
-            push_impulse: z,
-            friction_impulse: z,
-            max_friction: parameters.joint_friction[j] * dt,
-        });
+        *violation = violation.max(S::select(near, up.max(down), z));
+        row.lowest = S::select(near, lowest, -big);
+        row.highest = S::select(near, highest, big);
+        row.limit_impulse = S::select(near, state.limit_impulse[j], z);
     }
 }
 
@@ -349,9 +370,11 @@ pub fn report<S: Real>(
     let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
     let on_ground = work.contacts().len() - work.pair_frames.len();
     state.limit_impulse.fill(z);
-    for row in &work.bounds {
-        // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
-        state.limit_impulse[row.joint] = row.limit_impulse + z;
+    for block in &work.bounds {
+        for (row, &j) in block.rows.iter().zip(&topology.bound_blocks()[block.block]) {
+            // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
+            state.limit_impulse[j] = row.limit_impulse + z;
+        }
     }
     for &contact in &state.pressing {
         state.impulse[contact as usize] = [z; 3];

@@ -146,11 +146,8 @@ pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], box_half: 
     let distance = squared.max(S::splat(TINY)).sqrt();
     // inside, the nearest face is the way out
     let depth = [box_half[0] - p[0].abs(), box_half[1] - p[1].abs(), box_half[2] - p[2].abs()];
-    let (x_side, y_side, z_side) = (
-        S::select(p[0].lt(zero), -one, one),
-        S::select(p[1].lt(zero), -one, one),
-        S::select(p[2].lt(zero), -one, one),
-    );
+    let (x_side, y_side, z_side) =
+        (S::select(p[0].lt(zero), -one, one), S::select(p[1].lt(zero), -one, one), S::select(p[2].lt(zero), -one, one));
     let x_first = S::and(depth[0].lt(depth[1]), depth[0].lt(depth[2]));
     let y_first = depth[1].lt(depth[2]);
     let x_out = S::select(x_first, x_side, zero);

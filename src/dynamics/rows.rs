@@ -4,7 +4,7 @@
 //! `J M^-1 J^T = Z^T Z` and a sweep works on the sparse velocity `y = H u` (see [`factor`](super::factor)): a row's velocity is
 //! `Z . y`, and an impulse `l` changes `y` by `Z l`.
 
-use super::articulation::{PairTopology, Topology};
+use super::articulation::{BOUND_BLOCK, PairTopology, Topology};
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Spatial, Vec3, cross, dot, scale, sub};
@@ -41,15 +41,13 @@ pub(super) struct ContactRows<S> {
     pub(super) push_impulse: S,
 }
 
-/// A joint near a limit, or with dry friction.
-#[derive(Clone, Debug)]
+/// The bounds of one joint.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct BoundRow<S> {
-    pub(super) joint: usize,
     /// Whether any lane is near a limit.
     pub(super) limits: bool,
     /// Whether the joint has dry friction in any lane.
     pub(super) rubs: bool,
-    pub(super) base: [S; 6],
     pub(super) diagonal: S,
     pub(super) inverse: S,
     pub(super) lowest: S,
@@ -61,13 +59,51 @@ pub(super) struct BoundRow<S> {
     pub(super) max_friction: S,
 }
 
+impl<S: Real> BoundRow<S> {
+    /// A joint that is free.
+    #[inline(always)]
+    pub(super) fn free() -> Self {
+        let (z, big) = (S::zero(), S::splat(-NEVER));
+        Self {
+            limits: false,
+            rubs: false,
+            diagonal: z,
+            inverse: z,
+            lowest: -big,
+            highest: big,
+            limit_impulse: z,
+            push_impulse: z,
+            friction_impulse: z,
+            max_friction: z,
+        }
+    }
+}
+
+/// Some joints of a chain, of which at least one is near a limit or has dry friction.
+///
+/// Which joints share a block is the topology's matter, not that of the moment: the order of operations in a lane must not
+/// depend on its neighbours.
+#[derive(Clone, Debug)]
+pub(super) struct BoundBlock<S> {
+    /// Index in [`Topology::bound_blocks`].
+    pub(super) block: usize,
+    /// The last of its joints.
+    pub(super) last: usize,
+    /// Whether any lane is near a limit of any joint.
+    pub(super) limits: bool,
+    pub(super) base: [[S; 6]; BOUND_BLOCK],
+    /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
+    pub(super) coupling: [S; 3],
+    pub(super) rows: [BoundRow<S>; BOUND_BLOCK],
+}
+
 /// Scratch memory of the contact solver.
 #[derive(Clone, Debug)]
 pub struct ContactWork<S> {
     /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
     pub(super) contacts: Vec<ContactRows<S>>,
     pub(super) num_contacts: usize,
-    pub(super) bounds: Vec<BoundRow<S>>,
+    pub(super) bounds: Vec<BoundBlock<S>>,
     /// Number of joints that rows have room for.
     pub(super) stride: usize,
     /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
@@ -80,7 +116,8 @@ pub struct ContactWork<S> {
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows: `[contact * stride + p]`, `p` along the path.
     pub(super) contact_joint: Vec<[S; 3]>,
-    pub(super) bound_joint: Vec<[S; 1]>,
+    /// The same of the joint bounds.
+    pub(super) bound_joint: Vec<[S; BOUND_BLOCK]>,
     /// The sparse velocity `y`.
     pub base: [S; 6],
     /// See `base`.
@@ -97,17 +134,18 @@ impl<S: Real> ContactWork<S> {
         let z = S::zero();
         let stride = topology.max_contact_path();
         let (contacts, joints) = (topology.num_impulses(), topology.num_joints());
+        let blocks = topology.bound_blocks().len();
         Self {
             contacts: Vec::new(),
             num_contacts: 0,
-            bounds: Vec::with_capacity(joints),
+            bounds: Vec::with_capacity(blocks),
             stride,
             violation: z,
             compliance: z,
             ground_frames: Vec::with_capacity(topology.contacts.len()),
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
             contact_joint: vec![[z; 3]; contacts * stride],
-            bound_joint: vec![[z; 1]; joints * stride],
+            bound_joint: vec![[z; BOUND_BLOCK]; blocks * stride],
             base: [z; 6],
             joints: vec![z; joints],
             moved_base: [z; 6],
@@ -236,20 +274,7 @@ impl<S: Real> ContactWork<S> {
         let least = self.compliance * S::splat(0.5);
         let (row, joint) = self.next_mut();
         let joint = &joint[..topology.contact_path(row.contact).len()];
-        let base = &row.base;
-        let mut product = [
-            dot6(&base[0], &base[0]),
-            dot6(&base[1], &base[1]),
-            dot6(&base[2], &base[2]),
-            dot6(&base[0], &base[1]),
-            dot6(&base[0], &base[2]),
-            dot6(&base[1], &base[2]),
-        ];
-        for x in joint {
-            for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-                product[i] = x[a].mul_add(x[b], product[i]);
-            }
-        }
+        let product = products(&row.base, joint);
         let half = S::splat(0.5);
         let difference = (product[1] - product[2]) * half;
         let radius = difference.mul_add(difference, product[5] * product[5]).sqrt();
@@ -374,4 +399,66 @@ pub(super) fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
     let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
     let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
     even + odd
+}
+
+/// Products of three rows: 0-0, 1-1, 2-2, 0-1, 0-2, 1-2.
+#[inline(always)]
+pub(super) fn products<S: Real>(base: &[[S; 6]; 3], joint: &[[S; 3]]) -> [S; 6] {
+    let mut product = [
+        dot6(&base[0], &base[0]),
+        dot6(&base[1], &base[1]),
+        dot6(&base[2], &base[2]),
+        dot6(&base[0], &base[1]),
+        dot6(&base[0], &base[2]),
+        dot6(&base[1], &base[2]),
+    ];
+    for x in joint {
+        for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+            product[i] = x[a].mul_add(x[b], product[i]);
+        }
+    }
+    product
+}
+
+/// Velocities of three rows. `N` is the length of the path if it is known beforehand, else 0.
+#[inline(always)]
+pub(super) fn velocities<S: Real, const N: usize>(
+    base: &[[S; 6]; 3],
+    joint: &[[S; 3]],
+    path: &[usize],
+    y_base: &[S; 6],
+    y_joint: &[S],
+) -> [S; 3] {
+    let length = if N > 0 { N } else { path.len() };
+    let mut w = [dot6(&base[0], y_base), dot6(&base[1], y_base), dot6(&base[2], y_base)];
+    for (z, &j) in joint[..length].iter().zip(&path[..length]) {
+        let y = y_joint[j];
+        for d in 0..3 {
+            w[d] = z[d].mul_add(y, w[d]);
+        }
+    }
+    w
+}
+
+/// Adds what impulses of three rows change to the velocity. `N` as in [`velocities`].
+#[inline(always)]
+pub(super) fn apply<S: Real, const N: usize>(
+    base: &[[S; 6]; 3],
+    joint: &[[S; 3]],
+    path: &[usize],
+    impulse: &[S; 3],
+    y_base: &mut [S; 6],
+    y_joint: &mut [S],
+) {
+    let length = if N > 0 { N } else { path.len() };
+    for r in 0..6 {
+        let y = base[0][r].mul_add(impulse[0], y_base[r]);
+        let y = base[1][r].mul_add(impulse[1], y);
+        y_base[r] = base[2][r].mul_add(impulse[2], y);
+    }
+    for (z, &j) in joint[..length].iter().zip(&path[..length]) {
+        let y = z[0].mul_add(impulse[0], y_joint[j]);
+        let y = z[1].mul_add(impulse[1], y);
+        y_joint[j] = z[2].mul_add(impulse[2], y);
+    }
 }

@@ -3,7 +3,7 @@
 use super::articulation::{Parameters, Topology};
 use super::contact::ContactSettings;
 use super::lanes::Real;
-use super::rows::{BoundRow, ContactRows, ContactWork, NEVER, dot6};
+use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER, apply, velocities};
 
 /// Sweeps that push penetrations out.
 const PUSH_SWEEPS: usize = 4;
@@ -65,21 +65,34 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     // on the way, the change of the velocity by the whole impulses is kept where the moved velocity will be
     work.moved_base = [z; 6];
     work.moved_joints.fill(z);
-    let ContactWork { contacts, num_contacts, contact_joint, bounds, bound_joint, stride, moved_base, moved_joints, .. } = work;
+    let ContactWork {
+        contacts,
+        num_contacts,
+        contact_joint,
+        bounds,
+        bound_joint,
+        stride,
+        moved_base,
+        moved_joints,
+        ..
+    } = work;
     let (mut targets, mut energy) = (z, S::splat(1e-20));
     for (row, joint) in contacts[..*num_contacts].iter().zip(contact_joint.chunks_exact(*stride)) {
         let path = topology.contact_path(row.contact);
-        apply(&row.base, joint, path, &row.impulse, moved_base, moved_joints);
+        apply::<S, 0>(&row.base, joint, path, &row.impulse, moved_base, moved_joints);
         let normal = row.impulse[0];
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
     }
-    for (row, joint) in bounds.iter().zip(bound_joint.chunks_exact(*stride)) {
-        if row.limits {
-            let impulse = row.limit_impulse;
-            apply(&[row.base], joint, topology.path(row.joint + 1), &[impulse], moved_base, moved_joints);
-            let target = S::select(z.lt(impulse), row.lowest.min(z), row.highest.max(z));
-            targets = target.mul_add(impulse, targets);
+    for (block, joint) in bounds.iter().zip(bound_joint.chunks_exact(*stride)) {
+        if block.limits {
+            let rows = &block.rows;
+            let impulse = [rows[0].limit_impulse, rows[1].limit_impulse, rows[2].limit_impulse];
+            apply::<S, 0>(&block.base, joint, topology.path(block.last + 1), &impulse, moved_base, moved_joints);
+            for row in rows {
+                let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
+                targets = target.mul_add(row.limit_impulse, targets);
+            }
         }
     }
     let mut gain = targets;
@@ -99,8 +112,10 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
             *x = *x * share;
         }
     }
-    for row in &mut work.bounds {
-        row.limit_impulse = row.limit_impulse * share;
+    for block in &mut work.bounds {
+        for row in &mut block.rows {
+            row.limit_impulse = row.limit_impulse * share;
+        }
     }
 }
 
@@ -170,15 +185,7 @@ fn visit_contact<S: Real, const N: usize>(
     y_base: &mut [S; 6],
     y_joint: &mut [S],
 ) {
-    let length = if N > 0 { N } else { path.len() };
-    let (path, joint) = (&path[..length], &joint[..length]);
-    let mut w = [dot6(&row.base[0], y_base), dot6(&row.base[1], y_base), dot6(&row.base[2], y_base)];
-    for (z, &j) in joint.iter().zip(path) {
-        let y = y_joint[j];
-        for d in 0..3 {
-            w[d] = z[d].mul_add(y, w[d]);
-        }
-    }
+    let w = velocities::<S, N>(&row.base, joint, path, y_base, y_joint);
     let old = row.impulse;
     let missing = row.softness.mul_add(old[0], w[0] - row.target);
     let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
@@ -200,7 +207,7 @@ fn visit_contact<S: Real, const N: usize>(
         S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
     ];
     row.impulse = new;
-    apply(&row.base, joint, path, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
+    apply::<S, N>(&row.base, joint, path, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
 /// One sweep over the contacts' normals, for the motion that pushes penetrations out.
@@ -228,22 +235,42 @@ fn push_contacts<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut Conta
 #[inline(always)]
 fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) {
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
-    for (row, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
-        let path = topology.path(row.joint + 1);
-        let mut w = row.velocity(path, joint, base, joints);
-        let mut change = S::zero();
+    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+        let path = topology.path(block.last + 1);
+        match path.len() {
+            3 => visit_bounds::<S, 3>(path, active, block, joint, base, joints),
+            _ => visit_bounds::<S, 0>(path, active, block, joint, base, joints),
+        }
+    }
+}
+
+/// Brings the velocities of a block's joints into their bounds, one after the other. `N` is the length of the path if it is
+/// known beforehand, else 0.
+#[inline(always)]
+fn visit_bounds<S: Real, const N: usize>(
+    path: &[usize],
+    active: S::Mask,
+    block: &mut BoundBlock<S>,
+    joint: &[[S; 3]],
+    y_base: &mut [S; 6],
+    y_joint: &mut [S],
+) {
+    let mut w = velocities::<S, N>(&block.base, joint, path, y_base, y_joint);
+    let mut change = [S::zero(); 3];
+    for i in 0..3 {
+        let row = &mut block.rows[i];
         if row.rubs {
             let old = row.friction_impulse;
-            let friction = w.neg_mul_add(row.inverse, old).clamp(-row.max_friction, row.max_friction);
+            let friction = w[i].neg_mul_add(row.inverse, old).clamp(-row.max_friction, row.max_friction);
             row.friction_impulse = S::select(active, friction, old);
-            change = row.friction_impulse - old;
-            w = row.diagonal.mul_add(change, w);
+            change[i] = row.friction_impulse - old;
         }
         if row.limits {
-            change = change + row.limit(w, active);
+            change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
         }
-        apply(&[row.base], joint, path, &[change], base, joints);
+        block.pass_on(i, change[i], &mut w);
     }
+    apply::<S, N>(&block.base, joint, path, &change, y_base, y_joint);
 }
 
 /// One sweep over the joints' limits alone, in the lanes that are `active`; whether it changed anything. Without a change
@@ -252,12 +279,17 @@ fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
 fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> bool {
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
     let mut most = S::zero();
-    for (row, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
-        if row.limits {
-            let path = topology.path(row.joint + 1);
-            let change = row.limit(row.velocity(path, joint, base, joints), active);
-            most = most.max(change.abs());
-            apply(&[row.base], joint, path, &[change], base, joints);
+    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+        if block.limits {
+            let path = topology.path(block.last + 1);
+            let mut w = velocities::<S, 0>(&block.base, joint, path, base, joints);
+            let mut change = [S::zero(); 3];
+            for i in 0..3 {
+                change[i] = block.rows[i].limit(w[i], active);
+                most = most.max(change[i].abs());
+                block.pass_on(i, change[i], &mut w);
+            }
+            apply::<S, 0>(&block.base, joint, path, &change, base, joints);
         }
     }
     S::any(S::zero().lt(most))
@@ -268,28 +300,36 @@ fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
 fn push_limits<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) -> bool {
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
     let mut most = S::zero();
-    for (row, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
-        if row.limits {
-            let path = topology.path(row.joint + 1);
-            let change = row.push(row.velocity(path, joint, base, joints), pushes);
-            most = most.max(change.abs());
-            apply(&[row.base], joint, path, &[change], base, joints);
+    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+        if block.limits {
+            let path = topology.path(block.last + 1);
+            let mut w = velocities::<S, 0>(&block.base, joint, path, base, joints);
+            let mut change = [S::zero(); 3];
+            for i in 0..3 {
+                change[i] = block.rows[i].push(w[i], pushes);
+                most = most.max(change[i].abs());
+                block.pass_on(i, change[i], &mut w);
+            }
+            apply::<S, 0>(&block.base, joint, path, &change, base, joints);
         }
     }
     S::any(S::zero().lt(most))
 }
 
-impl<S: Real> BoundRow<S> {
-    /// The joint's velocity.
+impl<S: Real> BoundBlock<S> {
+    /// What an impulse on row `i` changes in the velocities of the rows after it.
     #[inline(always)]
-    fn velocity(&self, path: &[usize], joint: &[[S; 1]], y_base: &[S; 6], y_joint: &[S]) -> S {
-        let mut w = dot6(&self.base, y_base);
-        for (z, &j) in joint.iter().zip(path) {
-            w = z[0].mul_add(y_joint[j], w);
+    fn pass_on(&self, i: usize, change: S, w: &mut [S; 3]) {
+        if i == 0 {
+            w[1] = self.coupling[0].mul_add(change, w[1]);
+            w[2] = self.coupling[1].mul_add(change, w[2]);
+        } else if i == 1 {
+            w[2] = self.coupling[2].mul_add(change, w[2]);
         }
-        w
     }
+}
 
+impl<S: Real> BoundRow<S> {
     /// Brings a velocity into its bounds: the change of the impulse.
     #[inline(always)]
     fn limit(&mut self, w: S, active: S::Mask) -> S {
@@ -317,31 +357,5 @@ impl<S: Real> BoundRow<S> {
         // the velocity this row would see without its own impulse, and the nearest allowed one
         let without = self.diagonal.neg_mul_add(impulse, w);
         (without.clamp(lowest, highest) - without) * self.inverse
-    }
-}
-
-/// Adds what impulses of some rows change to the velocity.
-#[inline(always)]
-fn apply<S: Real, const R: usize>(
-    base: &[[S; 6]; R],
-    joint: &[[S; R]],
-    path: &[usize],
-    impulse: &[S; R],
-    y_base: &mut [S; 6],
-    y_joint: &mut [S],
-) {
-    for r in 0..6 {
-        let mut y = y_base[r];
-        for d in 0..R {
-            y = base[d][r].mul_add(impulse[d], y);
-        }
-        y_base[r] = y;
-    }
-    for (z, &j) in joint.iter().zip(path) {
-        let mut y = y_joint[j];
-        for d in 0..R {
-            y = z[d].mul_add(impulse[d], y);
-        }
-        y_joint[j] = y;
     }
 }

@@ -68,6 +68,9 @@ impl Articulation {
             .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
             .collect();
         candidates.sort_by_key(|c| c.topology.link);
+        let hidden: Vec<bool> = (0..candidates.len()).map(|i| is_hidden(&candidates, i)).collect();
+        let mut hidden = hidden.into_iter();
+        candidates.retain(|_| !hidden.next().unwrap_or(false));
         for c in &mut candidates {
             c.align(align[c.topology.link]);
         }
@@ -139,6 +142,31 @@ impl Candidate {
             *across = across.map(|u| (rotation * DVec3::from_array(u)).to_array());
         }
     }
+}
+
+/// Whether a candidate lies inside a sphere of its own link, which then always touches first: a corner of the shank inside the
+/// foot. Of two equal ones the first is kept.
+fn is_hidden(candidates: &[Candidate], i: usize) -> bool {
+    let c = &candidates[i];
+    let covers = |k: usize, sphere: &Candidate| {
+        let apart = c.position - sphere.position;
+        // a rim reaches furthest on the far side of its axis
+        let furthest = match c.topology.kind {
+            ContactKind::Point => apart.length(),
+            ContactKind::Rim { across, .. } => {
+                let aside = across.map(|u| apart.dot(DVec3::from_array(u)));
+                let aside = aside[0].hypot(aside[1]);
+                let along = (apart.length_squared() - aside * aside).max(0.0).sqrt();
+                along.hypot(aside + c.rim)
+            }
+        };
+        let room = sphere.radius - (furthest + c.radius);
+        room > 0.0 || (room == 0.0 && k < i)
+    };
+    candidates.iter().enumerate().any(|(k, sphere)| {
+        let is_sphere = sphere.radius > 0.0 && matches!(sphere.topology.kind, ContactKind::Point);
+        k != i && is_sphere && sphere.topology.link == c.topology.link && covers(k, sphere)
+    })
 }
 
 /// The places of a shape that can touch a plane first, in the frame of its link.

@@ -72,7 +72,9 @@ pub(super) fn add_pairs(
 
     let kept = can_meet(topology, parameters, reference);
     let shapes = shapes.into_iter().zip(&kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
-    let pairs: Vec<_> = pairs.into_iter().zip(kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
+    let mut pairs: Vec<_> = pairs.into_iter().zip(kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
+    // those of the same two links side by side
+    pairs.sort_by_key(|(pair, _)| pair.map(|c| colliders[c].topology.link));
     // only colliders of some pair stay
     let mut used: Vec<usize> = pairs.iter().flat_map(|(pair, _)| *pair).collect();
     used.sort_unstable();
@@ -102,7 +104,7 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
     };
     let mut apart = Vec::new();
     pose(reference, &mut |work| {
-        let gaps = (0..topology.pairs.len()).map(|pair| pair_gap(topology, parameters, work, pair));
+        let gaps = (0..topology.pairs.len()).map(|pair| pair_gap(topology, work, pair));
         apart = gaps.map(|gap| gap > TOUCHES_BY_DESIGN).collect();
     });
     let mut open: Vec<usize> = (0..topology.pairs.len()).filter(|&pair| apart[pair]).collect();
@@ -117,7 +119,7 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
         }
         pose(&q, &mut |work| {
             open.retain(|&pair| {
-                meet[pair] = pair_gap(topology, parameters, work, pair) < NEVER_NEAR;
+                meet[pair] = pair_gap(topology, work, pair) < NEVER_NEAR;
                 !meet[pair]
             });
         });

@@ -288,6 +288,7 @@ impl Simulation {
             let env = envs.get(row);
             self.packs.read_state(env, &mut state);
             state.impulse.fill([0.0; 3]);
+            state.pressing.clear();
             state.limit_impulse.fill(0.0);
             if let Some(qpos) = qpos {
                 if floating {

@@ -141,12 +141,16 @@ impl<L: Lanes> Packs for LanePacks<L> {
         get(&from.joint_position, &mut state.joint_position, lane);
         get(&from.joint_velocity, &mut state.joint_velocity, lane);
         get(from.impulse.as_flattened(), state.impulse.as_flattened_mut(), lane);
+        state.pressing.clone_from(&from.pressing);
         get(&from.limit_impulse, &mut state.limit_impulse, lane);
     }
 
     fn write_state(&mut self, env: usize, state: &State<f64>) {
         let (pack, lanes) = self.at_mut(env);
         let to = &mut pack.state;
+        to.pressing.extend(&state.pressing);
+        to.pressing.sort_unstable();
+        to.pressing.dedup();
         for lane in lanes {
             put(&mut to.position, &state.position, lane);
             put(&mut to.rotation, &state.rotation, lane);

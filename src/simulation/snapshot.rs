@@ -133,7 +133,7 @@ impl Simulation {
         let snapshot = postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?;
         let mut engine = Vec::with_capacity(snapshot.envs.len());
         for (env, from) in snapshot.envs.into_iter().enumerate() {
-            let state = State {
+            let mut state = State {
                 position: from.position,
                 rotation: from.rotation,
                 linear_velocity: from.linear_velocity,
@@ -141,8 +141,10 @@ impl Simulation {
                 joint_position: from.joint_position,
                 joint_velocity: from.joint_velocity,
                 impulse: from.impulse,
+                pressing: Vec::new(),
                 limit_impulse: from.limit_impulse,
             };
+            state.find_pressing();
             self.packs.write_state(env, &state);
             self.packs.write_parameters(env, &from.parameters);
             self.packs.write_report(env, &from.effort, &from.force);
