@@ -1,12 +1,77 @@
-//! Whole control steps: everything the pipeline does, in env-steps per second. `make bench`.
+//! Speed of the physics alone, in env-physics-steps per second, and of whole control steps, in env-steps per second.
+//! `make bench`; `make bench ARGS=physics` for one group.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use polypod::components::EnvRng;
-use polypod::{Sim, SimOptions};
+use polypod::{Control, Sim, SimOptions, Simulation, SimulationOptions};
 
+/// Physics steps per drawing of targets, as in a control step.
+const DECIMATION: usize = 4;
 /// Sets of robots, by name, to compare one with many.
-const ROBOTS: [(&str, Option<&str>); 3] =
-    [("eight", None), ("unitree_go2", Some("unitree_go2")), ("spot", Some("spot"))];
+const ROBOTS: [(&str, Option<&str>); 4] =
+    [("eight", None), ("unitree_a1", Some("unitree_a1")), ("anymal_c", Some("anymal_c")), ("spot", Some("spot"))];
+/// Long before a measurement, so that what is measured lasts.
+const WARM_UP: usize = 50;
+
+/// What robots do while their physics is measured.
+#[derive(Clone, Copy)]
+enum Scene {
+    /// Targets within this of the default pose, rad: all stay on their feet.
+    Standing(f32),
+    /// Targets from the joints' whole range, until most lie on the ground.
+    Fallen,
+}
+
+/// Physics alone: 4096 envs, one thread, new targets every four physics steps.
+fn physics(c: &mut Criterion) {
+    for (robot, scene, name) in [
+        ("unitree_a1", Scene::Standing(0.1), "standing"),
+        ("unitree_a1", Scene::Standing(0.25), "random actions"),
+        ("unitree_a1", Scene::Fallen, "fallen"),
+        ("unitree_b2", Scene::Standing(0.1), "standing"),
+        ("anymal_c", Scene::Standing(0.1), "standing"),
+        ("anymal_c", Scene::Fallen, "fallen"),
+    ] {
+        let options = SimulationOptions { threads: Some(1), ..SimulationOptions::new(robot.to_string(), 4096) };
+        let mut sim = Simulation::new(&options).expect("the built-in robot loads");
+        let default: Vec<f64> = sim.default_qpos()[7..].to_vec();
+        let range = sim.joint_range();
+        let mut rng = EnvRng::new(0, 0);
+        let mut targets = vec![0.0; sim.num_envs() * default.len()];
+        let mut draw = move |targets: &mut [f64]| {
+            for row in targets.chunks_mut(default.len()) {
+                for (j, x) in row.iter_mut().enumerate() {
+                    let [low, high] = range[j].map(|x| x.clamp(-3.0, 3.0) as f32);
+                    *x = match scene {
+                        Scene::Standing(reach) => default[j] + f64::from(rng.uniform([-reach, reach])),
+                        Scene::Fallen => f64::from(rng.uniform([low, high])),
+                    };
+                }
+            }
+        };
+        let step = |sim: &mut Simulation, targets: &[f64]| {
+            let control = Control { targets: Some(targets), ..Control::default() };
+            sim.step(&control, DECIMATION).expect("the targets are finite");
+        };
+        for _ in 0..2 * WARM_UP {
+            draw(&mut targets);
+            step(&mut sim, &targets);
+        }
+        let mut group = c.benchmark_group("physics");
+        group.throughput(Throughput::Elements((DECIMATION * sim.num_envs()) as u64)).sample_size(20);
+        group.bench_function(BenchmarkId::new(robot, name), |b| {
+            b.iter_batched_ref(
+                || {
+                    draw(&mut targets);
+                    targets.clone()
+                },
+                |targets| step(&mut sim, targets),
+                criterion::BatchSize::PerIteration,
+            );
+        });
+        group.finish();
+    }
+}
 
 fn sim(robot: Option<&str>, num_envs: usize, threads: usize, overrides: &[&str]) -> Sim {
     let options = SimOptions {
@@ -18,35 +83,55 @@ fn sim(robot: Option<&str>, num_envs: usize, threads: usize, overrides: &[&str])
     Sim::new(&options).expect("the built-in task and robots load")
 }
 
-/// Steps with random actions after a while of the same, so that robots are on their feet, in the air and falling.
-fn bench(c: &mut Criterion, group: &str, id: BenchmarkId, mut sim: Sim) {
-    let mut rng = EnvRng::new(0, 0);
+/// Steps with actions up to `reach`, drawn anew each time, after a while of the same: with 1 some robots stand, some are in the
+/// air, some fall.
+fn bench(c: &mut Criterion, group: &str, id: BenchmarkId, reach: f32, mut sim: Sim) {
+    let mut rng = EnvRng::new(0, u32::MAX);
     let mut actions = vec![0.0; sim.batch().actions.len()];
-    for _ in 0..50 {
-        actions.fill_with(|| rng.uniform([-1.0, 1.0]));
+    for _ in 0..WARM_UP {
+        actions.fill_with(|| rng.uniform([-reach, reach]));
         sim.step(&actions).expect("the actions are finite");
     }
     let mut group = c.benchmark_group(group);
     group.throughput(Throughput::Elements(sim.num_envs() as u64)).sample_size(20);
-    group.bench_function(id, |b| b.iter(|| sim.step(&actions).expect("the actions are finite")));
+    group.bench_function(id, |b| {
+        b.iter_batched_ref(
+            || {
+                actions.fill_with(|| rng.uniform([-reach, reach]));
+                actions.clone()
+            },
+            |actions| sim.step(actions).expect("the actions are finite"),
+            criterion::BatchSize::PerIteration,
+        );
+    });
     group.finish();
 }
 
-fn robots(c: &mut Criterion) {
+/// Whole control steps: one kind of robot against eight, small actions against large ones.
+fn control_step(c: &mut Criterion) {
     for (name, robot) in ROBOTS {
-        bench(c, "robots", BenchmarkId::from_parameter(name), sim(robot, 4096, 1, &[]));
+        for (what, reach) in [("small actions", 0.3), ("random actions", 1.0)] {
+            bench(c, "control step", BenchmarkId::new(name, what), reach, sim(robot, 4096, 1, &[]));
+        }
+    }
+}
+
+/// Episodes of a tenth of a second: every fifth control step resets an env.
+fn resets(c: &mut Criterion) {
+    for (name, overrides) in [("of 20 s", &[][..]), ("of 0.1 s", &["sim.episode_length_s=0.1"][..])] {
+        bench(c, "episodes", BenchmarkId::from_parameter(name), 0.3, sim(None, 4096, 1, overrides));
     }
 }
 
 fn envs(c: &mut Criterion) {
-    for num_envs in [64, 1024, 4096, 16384] {
-        bench(c, "envs", BenchmarkId::from_parameter(num_envs), sim(None, num_envs, 1, &[]));
+    for num_envs in [1024, 4096, 16384, 65536] {
+        bench(c, "envs", BenchmarkId::from_parameter(num_envs), 0.3, sim(None, num_envs, 1, &[]));
     }
 }
 
 fn threads(c: &mut Criterion) {
     for threads in [1, 2] {
-        bench(c, "threads", BenchmarkId::from_parameter(threads), sim(None, 4096, threads, &[]));
+        bench(c, "threads", BenchmarkId::from_parameter(threads), 0.3, sim(None, 4096, threads, &[]));
     }
 }
 
@@ -57,9 +142,9 @@ fn shares(c: &mut Criterion) {
         ("one physics step", &["sim.decimation=1"][..]),
         ("one solver sweep", &["physics.solver_iterations=1"][..]),
     ] {
-        bench(c, "shares", BenchmarkId::from_parameter(name), sim(None, 4096, 1, overrides));
+        bench(c, "shares", BenchmarkId::from_parameter(name), 0.3, sim(None, 4096, 1, overrides));
     }
 }
 
-criterion_group!(benches, robots, envs, threads, shares);
+criterion_group!(benches, physics, control_step, resets, envs, threads, shares);
 criterion_main!(benches);

@@ -6,7 +6,6 @@
 //! these components, and forces are those that do work on them.
 
 use super::articulation::{JointMotion, Parameters, Topology};
-use super::factor;
 use super::kinematics;
 use super::lanes::Real;
 use super::math::{
@@ -69,15 +68,13 @@ impl<S: Real> Dynamics<'_, S> {
     fn equations_of_motion(&mut self) {
         self.kinematics();
         let gravity = self.base_gravity();
-        // bias forces want the links' velocities without the base's linear one: see `kinematics::bias_forces`
+        // bias forces want the links' velocities without the base's linear one: see `kinematics::equations_of_motion`
         let base_velocity = self.work.links[0].velocity.lin;
         for link in &mut self.work.links {
             link.velocity.lin = sub(&link.velocity.lin, &base_velocity);
         }
-        kinematics::link_inertias(self.topology, self.parameters, self.work);
-        kinematics::bias_forces(self.topology, &self.state.joint_velocity, &gravity, self.work);
-        kinematics::composite_inertias(self.topology, self.work);
-        factor::mass_matrix(self.topology, self.parameters, self.work);
+        let velocity = &self.state.joint_velocity;
+        kinematics::equations_of_motion(self.topology, self.parameters, velocity, &gravity, self.work);
     }
 
     /// The base's part of a generalised vector from the engine's order (angular, linear; base axes).

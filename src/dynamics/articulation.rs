@@ -142,9 +142,9 @@ pub struct PairTopology {
     pub(super) bodies: [usize; 2],
     /// The first of its impulses.
     pub(super) first_impulse: usize,
-    /// Joints on the ways from both links to the base, leaves first, and the side of the joint: 1 carries the first
-    /// link only, -1 the second only, 0 both.
-    pub(super) path: Vec<usize>,
+    /// Which path holds the joints on the ways from both links to the base, leaves first; and the side of the joint: 1
+    /// carries the first link only, -1 the second only, 0 both.
+    pub(super) path: usize,
     pub(super) side: Vec<f64>,
     /// Where the ancestors of `path[p]` stand in `path`.
     pub(super) ancestors: Vec<Vec<usize>>,
@@ -179,7 +179,7 @@ pub struct Topology {
     pub sites: Vec<usize>,
     /// Whether any actuator delays its target.
     pub has_delay: bool,
-    /// `paths[link]`: the joints from the link to the base, nearest first.
+    /// `paths[link]`: the joints from the link to the base, nearest first; after the links' the paths of the pairs.
     paths: Vec<Vec<usize>>,
     /// `rows[j]`: where the couplings of joint `j` with its ancestors start in a factor.
     rows: Vec<usize>,
@@ -262,6 +262,7 @@ impl Topology {
     /// # Panics
     /// If indices name colliders or links that do not exist; loaders guarantee that they do.
     pub fn set_pairs(&mut self, colliders: Vec<ColliderTopology>, pairs: &[([usize; 2], bool)]) {
+        let mut paths = self.paths[..self.num_links()].to_vec();
         let mut new: Vec<PairTopology> = Vec::new();
         let mut groups: Vec<PairGroup> = Vec::new();
         let mut pair_of_impulse = Vec::new();
@@ -287,9 +288,11 @@ impl Topology {
                 first_impulse,
                 side: path.iter().map(side).collect(),
                 ancestors: path.iter().map(|&j| self.ancestors(j).iter().filter_map(place).collect()).collect(),
-                path,
+                path: paths.len(),
             });
+            paths.push(path);
         }
+        self.paths = paths;
         self.pairs = new;
         self.pair_groups = groups;
         self.pair_of_impulse = pair_of_impulse;
@@ -308,18 +311,9 @@ impl Topology {
         Some(&self.pairs[self.pair_of_impulse[i]])
     }
 
-    /// Joints that a contact acts on, nearest to the leaves first.
-    #[inline(always)]
-    pub(super) fn contact_path(&self, impulse: usize) -> &[usize] {
-        match self.pair_of(impulse) {
-            None => self.path(self.contacts[impulse].link),
-            Some(pair) => &pair.path,
-        }
-    }
-
     /// The most joints that any contact acts on.
     pub(super) fn max_contact_path(&self) -> usize {
-        self.pairs.iter().map(|pair| pair.path.len()).fold(self.max_depth, usize::max)
+        self.paths.iter().map(Vec::len).max().unwrap_or(0)
     }
 
     /// Number of joints.

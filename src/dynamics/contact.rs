@@ -5,7 +5,7 @@ use super::kinematics::forward_kinematics;
 use super::lanes::Real;
 use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale,
-    splat, sub,
+    splat,
 };
 use super::rows::{BoundBlock, BoundRow, ContactWork, NEVER, half_solve_path, products};
 use super::state::{State, Workspace};

@@ -7,9 +7,9 @@
 //! The diagonal is split evenly, `M = L^T D L = H^T H` with `H = D^1/2 L`: a constraint row and what its impulse changes are
 //! then the same numbers (see [`contact`](super::contact)), and kinetic energy is half the square of `H u`.
 
-use super::articulation::{Parameters, Topology};
+use super::articulation::Topology;
 use super::lanes::Real;
-use super::state::Workspace;
+use super::math::{Spatial, SpatialInertia};
 
 /// `M = L^T D L = H^T H`, with `L` unit lower triangular and zero off the ancestors.
 #[derive(Clone, Debug)]
@@ -42,6 +42,39 @@ impl<S: Real> Factor<S> {
         }
     }
 
+    /// The mass matrix's row of a joint, from the composite inertia of what it moves.
+    #[inline(always)]
+    pub fn set_joint(
+        &mut self,
+        topology: &Topology,
+        k: usize,
+        inertia: &SpatialInertia<S>,
+        axes: &[Spatial<S>],
+        armature: S,
+    ) {
+        let force = inertia.apply(&axes[k]);
+        self.diagonal[k] = axes[k].dot(&force) + armature;
+        for (x, &i) in self.couplings[topology.row(k)..].iter_mut().zip(topology.ancestors(k)) {
+            *x = axes[i].dot(&force);
+        }
+        self.base_couplings[k] = if topology.floating { force.to_array() } else { [S::zero(); 6] };
+    }
+
+    /// The mass matrix's base block, from the composite inertia of the whole robot.
+    #[inline(always)]
+    pub fn set_base(&mut self, total: &SpatialInertia<S>) {
+        let (m, h, i) = (total.mass, &total.moment, &total.inertia);
+        let z = S::zero();
+        self.base = [
+            [i[0], i[3], i[4], z, -h[2], h[1]],
+            [i[3], i[1], i[5], h[2], z, -h[0]],
+            [i[4], i[5], i[2], -h[1], h[0], z],
+            [z, h[2], -h[1], m, z, z],
+            [-h[2], z, h[0], z, m, z],
+            [h[1], -h[0], z, z, z, m],
+        ];
+    }
+
     /// Turns the mass matrix held in place into its factors.
     #[inline(always)]
     pub fn factorise(&mut self, topology: &Topology) {
@@ -50,24 +83,26 @@ impl<S: Real> Factor<S> {
             let inverse_root = S::one() / root;
             let inverse = inverse_root * inverse_root;
             self.root[k] = [root, inverse_root];
-            let row = topology.row(k);
             let ancestors = topology.ancestors(k);
-            for (p, &i) in ancestors.iter().enumerate() {
-                let a = self.couplings[row + p] * inverse;
-                self.diagonal[i] = a.neg_mul_add(self.couplings[row + p], self.diagonal[i]);
-                let row_i = topology.row(i);
-                for q in p + 1..ancestors.len() {
-                    let at = row_i + q - p - 1;
-                    self.couplings[at] = a.neg_mul_add(self.couplings[row + q], self.couplings[at]);
-                }
-                for r in 0..6 {
-                    self.base_couplings[i][r] = a.neg_mul_add(self.base_couplings[k][r], self.base_couplings[i][r]);
-                }
-            }
-            for p in 0..ancestors.len() {
-                self.couplings[row + p] = self.couplings[row + p] * inverse;
-            }
             let original = self.base_couplings[k];
+            // the ancestors' rows come before
+            let (before, own) = self.couplings.split_at_mut(topology.row(k));
+            let own = &mut own[..ancestors.len()];
+            for (p, &i) in ancestors.iter().enumerate() {
+                let a = own[p] * inverse;
+                self.diagonal[i] = a.neg_mul_add(own[p], self.diagonal[i]);
+                let (_, rest) = own.split_at(p + 1);
+                for (x, &c) in before[topology.row(i)..].iter_mut().zip(rest) {
+                    *x = a.neg_mul_add(c, *x);
+                }
+                let base = &mut self.base_couplings[i];
+                for r in 0..6 {
+                    base[r] = a.neg_mul_add(original[r], base[r]);
+                }
+            }
+            for x in own {
+                *x = *x * inverse;
+            }
             for r in 0..6 {
                 let a = original[r] * inverse;
                 self.base_couplings[k][r] = a;
@@ -121,12 +156,12 @@ impl<S: Real> Factor<S> {
     pub fn half_solve(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [S]) {
         for k in (0..topology.num_joints()).rev() {
             let x = joints[k];
-            let row = topology.row(k);
-            for (p, &i) in topology.ancestors(k).iter().enumerate() {
-                joints[i] = self.couplings[row + p].neg_mul_add(x, joints[i]);
+            for (&l, &i) in self.couplings[topology.row(k)..].iter().zip(topology.ancestors(k)) {
+                joints[i] = l.neg_mul_add(x, joints[i]);
             }
+            let couplings = &self.base_couplings[k];
             for r in 0..6 {
-                base[r] = self.base_couplings[k][r].neg_mul_add(x, base[r]);
+                base[r] = couplings[r].neg_mul_add(x, base[r]);
             }
         }
         if topology.floating {
@@ -145,13 +180,13 @@ impl<S: Real> Factor<S> {
     pub fn to_sparse(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [S]) {
         // leaves first: a joint's new value uses its ancestors' old ones
         for k in (0..topology.num_joints()).rev() {
-            let row = topology.row(k);
             let mut x = joints[k];
-            for (p, &i) in topology.ancestors(k).iter().enumerate() {
-                x = self.couplings[row + p].mul_add(joints[i], x);
+            for (&l, &i) in self.couplings[topology.row(k)..].iter().zip(topology.ancestors(k)) {
+                x = l.mul_add(joints[i], x);
             }
+            let couplings = &self.base_couplings[k];
             for r in 0..6 {
-                x = self.base_couplings[k][r].mul_add(base[r], x);
+                x = couplings[r].mul_add(base[r], x);
             }
             joints[k] = x * self.root[k][0];
         }
@@ -178,42 +213,15 @@ impl<S: Real> Factor<S> {
             self.base_backward(base);
         }
         for k in 0..topology.num_joints() {
-            let row = topology.row(k);
             let mut x = joints[k] * self.root[k][1];
-            for (p, &i) in topology.ancestors(k).iter().enumerate() {
-                x = self.couplings[row + p].neg_mul_add(joints[i], x);
+            for (&l, &i) in self.couplings[topology.row(k)..].iter().zip(topology.ancestors(k)) {
+                x = l.neg_mul_add(joints[i], x);
             }
+            let couplings = &self.base_couplings[k];
             for r in 0..6 {
-                x = self.base_couplings[k][r].neg_mul_add(base[r], x);
+                x = couplings[r].neg_mul_add(base[r], x);
             }
             joints[k] = x;
         }
     }
-}
-
-/// Writes the mass matrix into the workspace's factor by the composite-rigid-body algorithm (Featherstone 2008, table
-/// 6.2), plus `armature` on the joints' diagonal. Link inertias must be composite.
-#[inline(always)]
-pub fn mass_matrix<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
-    for k in 0..topology.num_joints() {
-        let axis = work.axes[k];
-        let force = work.inertia[k + 1].apply(&axis);
-        work.factor.diagonal[k] = axis.dot(&force) + parameters.armature[k];
-        let row = topology.row(k);
-        for (p, &i) in topology.ancestors(k).iter().enumerate() {
-            work.factor.couplings[row + p] = work.axes[i].dot(&force);
-        }
-        work.factor.base_couplings[k] = if topology.floating { force.to_array() } else { [S::zero(); 6] };
-    }
-    let total = &work.inertia[0];
-    let (m, h, i) = (total.mass, &total.moment, &total.inertia);
-    let z = S::zero();
-    work.factor.base = [
-        [i[0], i[3], i[4], z, -h[2], h[1]],
-        [i[3], i[1], i[5], h[2], z, -h[0]],
-        [i[4], i[5], i[2], -h[1], h[0], z],
-        [z, h[2], -h[1], m, z, z],
-        [-h[2], z, h[0], z, m, z],
-        [h[1], -h[0], z, z, z, m],
-    ];
 }

@@ -95,54 +95,67 @@ pub fn forward_kinematics<S: Real>(
     }
 }
 
+/// Spatial inertia of a link that is not the base.
+#[inline(always)]
+fn link_inertia<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>) -> SpatialInertia<S> {
+    let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com[link]));
+    let about_com = rotate_sym(&at.rotation, &parameters.inertia[link]);
+    SpatialInertia::new(parameters.mass[link], &com, &about_com)
+}
+
 /// Spatial inertia of every link.
 #[inline(always)]
 pub fn link_inertias<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
     work.inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
     for link in 1..topology.num_links() {
-        let at = &work.links[link];
-        let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com[link]));
-        let about_com = rotate_sym(&at.rotation, &parameters.inertia[link]);
-        work.inertia[link] = SpatialInertia::new(parameters.mass[link], &com, &about_com);
+        work.inertia[link] = link_inertia(parameters, link, &work.links[link]);
     }
 }
 
-/// Forces that the present motion and gravity ask for at zero acceleration, by the recursive Newton-Euler algorithm
-/// (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 5.1); into `bias_base` and `bias_joint`.
+/// The force that a link's motion and gravity ask for.
+#[inline(always)]
+fn link_force<S: Real>(inertia: &SpatialInertia<S>, velocity: &Spatial<S>, acceleration: &Spatial<S>) -> Spatial<S> {
+    inertia.apply(acceleration).plus(&velocity.cross_force(&inertia.apply(velocity)))
+}
+
+/// Bias forces and the mass matrix, in one pass from the base to the leaves and one back.
+///
+/// Bias forces are what the present motion asks for at zero acceleration, by the recursive Newton-Euler algorithm
+/// (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 5.1); into `bias_base` and `bias_joint`. The mass matrix is that of
+/// the composite-rigid-body algorithm (table 6.2), with `armature` on the joints' diagonal; into the factor. Inertias are composite
+/// afterwards: each link with all that it carries.
 ///
 /// The base's acceleration is the classical one of its origin in inertial axes. That makes the result independent of
 /// the base's linear velocity (Galilean invariance), which is why link velocities must have been computed with it set
 /// to zero. `gravity` is in base axes.
 #[inline(always)]
-pub fn bias_forces<S: Real>(topology: &Topology, velocity: &[S], gravity: &Vec3<S>, work: &mut Workspace<S>) {
+pub fn equations_of_motion<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    velocity: &[S],
+    gravity: &Vec3<S>,
+    work: &mut Workspace<S>,
+) {
+    let Workspace { links, axes, acceleration, inertia, force, bias_base, bias_joint, factor, .. } = work;
     let minus_gravity = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
-    work.acceleration[0] = minus_gravity;
+    acceleration[0] = minus_gravity;
+    inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    force[0] = link_force(&inertia[0], &links[0].velocity, &minus_gravity);
     for (j, joint) in topology.joints.iter().enumerate() {
-        let relative =
-            Spatial { ang: scale(&work.axes[j].ang, velocity[j]), lin: scale(&work.axes[j].lin, velocity[j]) };
-        work.acceleration[j + 1] =
-            work.acceleration[joint.parent].plus(&work.links[j + 1].velocity.cross_motion(&relative));
-    }
-    for link in 0..topology.num_links() {
-        let inertia = &work.inertia[link];
-        let velocity = &work.links[link].velocity;
-        let momentum = inertia.apply(velocity);
-        work.force[link] = inertia.apply(&work.acceleration[link]).plus(&velocity.cross_force(&momentum));
+        let (at, axis) = (&links[j + 1], &axes[j]);
+        let relative = Spatial { ang: scale(&axis.ang, velocity[j]), lin: scale(&axis.lin, velocity[j]) };
+        acceleration[j + 1] = acceleration[joint.parent].plus(&at.velocity.cross_motion(&relative));
+        inertia[j + 1] = link_inertia(parameters, j + 1, at);
+        force[j + 1] = link_force(&inertia[j + 1], &at.velocity, &acceleration[j + 1]);
     }
     for (j, joint) in topology.joints.iter().enumerate().rev() {
-        let force = work.force[j + 1];
-        work.bias_joint[j] = work.axes[j].dot(&force);
-        work.force[joint.parent] = work.force[joint.parent].plus(&force);
+        bias_joint[j] = axes[j].dot(&force[j + 1]);
+        force[joint.parent] = force[joint.parent].plus(&force[j + 1]);
+        factor.set_joint(topology, j, &inertia[j + 1], axes, parameters.armature[j]);
+        inertia[joint.parent] = inertia[joint.parent].plus(&inertia[j + 1]);
     }
-    work.bias_base = work.force[0].to_array();
-}
-
-/// Turns link inertias into composite ones: each link with all that it carries.
-#[inline(always)]
-pub fn composite_inertias<S: Real>(topology: &Topology, work: &mut Workspace<S>) {
-    for (j, joint) in topology.joints.iter().enumerate().rev() {
-        work.inertia[joint.parent] = work.inertia[joint.parent].plus(&work.inertia[j + 1]);
-    }
+    *bias_base = force[0].to_array();
+    factor.set_base(&inertia[0]);
 }
 
 /// Position and velocity, in base axes, of a point fixed to a link.

@@ -11,6 +11,7 @@ pub mod proximity;
 pub mod rows;
 pub mod self_contact;
 pub mod solver;
+mod sparse_velocity;
 pub mod state;
 pub mod step;
 pub mod terrain;

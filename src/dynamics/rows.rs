@@ -23,6 +23,8 @@ pub(super) const NEVER: f64 = -1e6;
 pub(super) struct ContactRows<S> {
     /// Which impulse it has.
     pub(super) contact: usize,
+    /// The path of the joints it acts on, in the topology.
+    pub(super) path: usize,
     pub(super) base: [[S; 6]; 3],
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     pub(super) coupling: [S; 3],
@@ -39,6 +41,8 @@ pub(super) struct ContactRows<S> {
     /// The same for the motion that pushes penetrations out.
     pub(super) push: S,
     pub(super) push_impulse: S,
+    /// Whether sweeps look at it.
+    pub(super) awake: bool,
 }
 
 /// The bounds of one joint.
@@ -196,11 +200,12 @@ impl<S: Real> ContactWork<S> {
         centre: &Vec3<S>,
         radius: S,
     ) {
-        let path = topology.path(topology.contacts[contact].link);
+        let link = topology.contacts[contact].link;
+        let path = topology.path(link);
         let (row, joint) = self.next_mut();
         let joint = &mut joint[..path.len()];
         let point = sub(centre, &scale(&frame[0], radius));
-        row.contact = contact;
+        (row.contact, row.path) = (contact, link);
         for d in 0..3 {
             let direction = &frame[d];
             let moment = cross(&point, direction);
@@ -232,10 +237,11 @@ impl<S: Real> ContactWork<S> {
         frame: &[Vec3<S>; 3],
         point: &Vec3<S>,
     ) {
-        let PairTopology { path, side, ancestors, .. } = pair;
+        let PairTopology { side, ancestors, .. } = pair;
+        let path = topology.path(pair.path);
         let (row, joint) = self.next_mut();
         let joint = &mut joint[..path.len()];
-        row.contact = impulse;
+        (row.contact, row.path) = (impulse, pair.path);
         for d in 0..3 {
             let direction = &frame[d];
             let moment = cross(point, direction);
@@ -273,7 +279,7 @@ impl<S: Real> ContactWork<S> {
         // give way at all: keep the division finite
         let least = self.compliance * S::splat(0.5);
         let (row, joint) = self.next_mut();
-        let joint = &joint[..topology.contact_path(row.contact).len()];
+        let joint = &joint[..topology.path(row.path).len()];
         let product = products(&row.base, joint);
         let half = S::splat(0.5);
         let difference = (product[1] - product[2]) * half;
@@ -295,6 +301,7 @@ impl<S: Real> ContactWork<S> {
         row.target = S::select(near, target.min(z).max(bounce), never);
         row.push = S::select(near, target, never);
         row.push_impulse = z;
+        row.awake = true;
         for d in 0..3 {
             row.impulse[d] = S::select(near, warm_start[d], z);
         }
@@ -314,6 +321,7 @@ impl<S: Real> ContactRows<S> {
         let z = S::zero();
         Self {
             contact: 0,
+            path: 0,
             base: [[z; 6]; 3],
             coupling: [z; 3],
             inverse: [z; 3],
@@ -324,6 +332,7 @@ impl<S: Real> ContactRows<S> {
             impulse: [z; 3],
             push: z,
             push_impulse: z,
+            awake: true,
         }
     }
 
@@ -418,47 +427,4 @@ pub(super) fn products<S: Real>(base: &[[S; 6]; 3], joint: &[[S; 3]]) -> [S; 6] 
         }
     }
     product
-}
-
-/// Velocities of three rows. `N` is the length of the path if it is known beforehand, else 0.
-#[inline(always)]
-pub(super) fn velocities<S: Real, const N: usize>(
-    base: &[[S; 6]; 3],
-    joint: &[[S; 3]],
-    path: &[usize],
-    y_base: &[S; 6],
-    y_joint: &[S],
-) -> [S; 3] {
-    let length = if N > 0 { N } else { path.len() };
-    let mut w = [dot6(&base[0], y_base), dot6(&base[1], y_base), dot6(&base[2], y_base)];
-    for (z, &j) in joint[..length].iter().zip(&path[..length]) {
-        let y = y_joint[j];
-        for d in 0..3 {
-            w[d] = z[d].mul_add(y, w[d]);
-        }
-    }
-    w
-}
-
-/// Adds what impulses of three rows change to the velocity. `N` as in [`velocities`].
-#[inline(always)]
-pub(super) fn apply<S: Real, const N: usize>(
-    base: &[[S; 6]; 3],
-    joint: &[[S; 3]],
-    path: &[usize],
-    impulse: &[S; 3],
-    y_base: &mut [S; 6],
-    y_joint: &mut [S],
-) {
-    let length = if N > 0 { N } else { path.len() };
-    for r in 0..6 {
-        let y = base[0][r].mul_add(impulse[0], y_base[r]);
-        let y = base[1][r].mul_add(impulse[1], y);
-        y_base[r] = base[2][r].mul_add(impulse[2], y);
-    }
-    for (z, &j) in joint[..length].iter().zip(&path[..length]) {
-        let y = z[0].mul_add(impulse[0], y_joint[j]);
-        let y = z[1].mul_add(impulse[1], y);
-        y_joint[j] = z[2].mul_add(impulse[2], y);
-    }
 }

@@ -238,3 +238,54 @@ fn frame<S: Real>(normal: &Vec3<S>) -> [Vec3<S>; 3] {
 fn length<S: Real>(v: &Vec3<S>) -> S {
     dot(v, v).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::articulation::{Axis, JointMotion, JointTopology};
+    use super::super::kinematics::forward_kinematics;
+    use super::super::math::Spatial;
+    use super::*;
+
+    /// Boxes along the base's axes never call two shapes further apart than they are.
+    #[test]
+    fn no_pair_is_left_out_that_is_near() {
+        let mut x = 1u64;
+        let mut random = || {
+            x = x.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (x >> 33) as f64 / f64::from(1u32 << 31) * 2.0 - 1.0
+        };
+        let axis = Axis::General([0.6, 0.0, 0.8]);
+        let joint =
+            JointTopology { parent: 0, motion: JointMotion::Revolute, axis, effort_table: None, explicit: false };
+        let turned = [[0.0, -0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, 0.6]];
+        let collider = |link, box_rotation| ColliderTopology { link, body: 0, box_rotation };
+        let mut topology = Topology::new(true, vec![joint], Vec::new(), 1, Vec::new(), false);
+        let colliders =
+            vec![collider(1, None), collider(0, Some(turned)), collider(0, None), collider(1, Some(turned))];
+        topology.set_pairs(colliders, &[([0, 1], true), ([0, 2], false), ([2, 3], true)]);
+        let mut parameters = Parameters::<f64>::zeros(&topology);
+        let mut work = Workspace::new(&topology);
+        let mut near = 0;
+        for _ in 0..2000 {
+            for c in 0..4 {
+                parameters.collider_centre[c] = std::array::from_fn(|_| 0.5 * random());
+                let half: Vec3<f64> = std::array::from_fn(|_| 0.3 * random());
+                parameters.collider_half[c] = if c % 2 == 0 { half } else { half.map(f64::abs) };
+                parameters.collider_radius[c] = if c % 2 == 0 { 0.1 * random().abs() } else { 0.0 };
+            }
+            forward_kinematics(&topology, &parameters, &[3.0 * random()], &[0.0], &Spatial::zero(), &mut work);
+            place_colliders(&topology, &parameters, &mut work);
+            for (p, pair) in topology.pairs.iter().enumerate() {
+                let gap = pair_gap(&topology, &work, p);
+                let [a, b] = pair.colliders;
+                let alone = box_distance(&work.colliders[a], &work.colliders[b]);
+                let [a, b] = [a, b].map(|c| &work.collider_boxes[topology.colliders[c].link]);
+                // a search that has not quite ended finds more, never less
+                let most = gap.max(0.0) + 1e-9;
+                assert!(alone <= most && a.distance(b) <= most, "{alone} and {} for {gap}", a.distance(b));
+                near += usize::from(gap > 0.0 && alone > 0.0);
+            }
+        }
+        assert!(near > 500, "only {near} pairs were told apart");
+    }
+}

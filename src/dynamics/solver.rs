@@ -3,7 +3,8 @@
 use super::articulation::{Parameters, Topology};
 use super::contact::ContactSettings;
 use super::lanes::Real;
-use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER, apply, velocities};
+use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER};
+use super::sparse_velocity::{Along, Copied, PathVelocity, apply, velocities};
 
 /// Sweeps that push penetrations out.
 const PUSH_SWEEPS: usize = 4;
@@ -46,6 +47,10 @@ pub fn solve<S: Real>(
         if !S::any(active) {
             break;
         }
+        // a contact that takes part in none of these lanes has no impulse in them, now or later
+        for row in &mut work.contacts[..work.num_contacts] {
+            row.awake = S::any(S::and(active, S::splat(NEVER).lt(row.push)));
+        }
     }
     if work.pushes() {
         work.moved_base = work.base;
@@ -78,8 +83,8 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     } = work;
     let (mut targets, mut energy) = (z, S::splat(1e-20));
     for (row, joint) in contacts[..*num_contacts].iter().zip(contact_joint.chunks_exact(*stride)) {
-        let path = topology.contact_path(row.contact);
-        apply::<S, 0>(&row.base, joint, path, &row.impulse, moved_base, moved_joints);
+        let path = topology.path(row.path);
+        apply(&row.base, joint, &row.impulse, moved_base, &mut Along { path, y_joint: moved_joints });
         let normal = row.impulse[0];
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
@@ -88,7 +93,8 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
         if block.limits {
             let rows = &block.rows;
             let impulse = [rows[0].limit_impulse, rows[1].limit_impulse, rows[2].limit_impulse];
-            apply::<S, 0>(&block.base, joint, topology.path(block.last + 1), &impulse, moved_base, moved_joints);
+            let path = topology.path(block.last + 1);
+            apply(&block.base, joint, &impulse, moved_base, &mut Along { path, y_joint: moved_joints });
             for row in rows {
                 let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
                 targets = target.mul_add(row.limit_impulse, targets);
@@ -124,7 +130,7 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
 fn unsettled<S: Real>(topology: &Topology, work: &ContactWork<S>) -> S::Mask {
     let mut most = S::zero();
     for (row, joint) in work.contacts().iter().zip(work.contact_joint.chunks_exact(work.stride)) {
-        let w = row.normal_velocity(topology.contact_path(row.contact), joint, &work.base, &work.joints);
+        let w = row.normal_velocity(topology.path(row.path), joint, &work.base, &work.joints);
         let old = row.impulse[0];
         let missing = row.softness.mul_add(old, w - row.target);
         let normal = missing.neg_mul_add(row.inverse[0], old).max(S::zero());
@@ -165,27 +171,31 @@ fn sweep_contacts<S: Real>(
     let ContactWork { contacts, num_contacts, contact_joint, stride, base: y_base, joints: y_joint, .. } = work;
     let friction = [parameters.static_friction, parameters.dynamic_friction];
     for (row, joint) in contacts[..*num_contacts].iter_mut().zip(contact_joint.chunks_exact(*stride)) {
-        let path = topology.contact_path(row.contact);
-        match path.len() {
-            3 => visit_contact::<S, 3>(path, &friction, active, row, joint, y_base, y_joint),
-            _ => visit_contact::<S, 0>(path, &friction, active, row, joint, y_base, y_joint),
+        if !row.awake {
+            continue;
+        }
+        let path = topology.path(row.path);
+        if path.len() == 3 {
+            let mut y = Copied::<S, 3>::new(path, y_joint);
+            visit_contact(&friction, active, row, joint, y_base, &mut y);
+            y.put_back(path, y_joint);
+        } else {
+            visit_contact(&friction, active, row, joint, y_base, &mut Along { path, y_joint });
         }
     }
 }
 
-/// Brings the velocity of one contact to its target and its impulse into the friction cone. `N` is the length of the path if it
-/// is known beforehand, else 0.
+/// Brings the velocity of one contact to its target and its impulse into the friction cone.
 #[inline(always)]
-fn visit_contact<S: Real, const N: usize>(
-    path: &[usize],
+fn visit_contact<S: Real>(
     friction: &[S; 2],
     active: S::Mask,
     row: &mut ContactRows<S>,
     joint: &[[S; 3]],
     y_base: &mut [S; 6],
-    y_joint: &mut [S],
+    y_joint: &mut impl PathVelocity<S>,
 ) {
-    let w = velocities::<S, N>(&row.base, joint, path, y_base, y_joint);
+    let w = velocities(&row.base, joint, y_base, y_joint);
     let old = row.impulse;
     let missing = row.softness.mul_add(old[0], w[0] - row.target);
     let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
@@ -207,7 +217,7 @@ fn visit_contact<S: Real, const N: usize>(
         S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
     ];
     row.impulse = new;
-    apply::<S, N>(&row.base, joint, path, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
+    apply(&row.base, joint, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
 /// One sweep over the contacts' normals, for the motion that pushes penetrations out.
@@ -215,7 +225,7 @@ fn visit_contact<S: Real, const N: usize>(
 fn push_contacts<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) {
     let ContactWork { contacts, num_contacts, contact_joint, stride, base: y_base, joints: y_joint, .. } = work;
     for (row, joint) in contacts[..*num_contacts].iter_mut().zip(contact_joint.chunks_exact(*stride)) {
-        let path = topology.contact_path(row.contact);
+        let path = topology.path(row.path);
         let w = row.normal_velocity(path, joint, y_base, y_joint);
         let target = S::select(pushes, row.push, S::splat(NEVER));
         let missing = row.softness.mul_add(row.push_impulse, w - target);
@@ -237,25 +247,26 @@ fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
     for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
         let path = topology.path(block.last + 1);
-        match path.len() {
-            3 => visit_bounds::<S, 3>(path, active, block, joint, base, joints),
-            _ => visit_bounds::<S, 0>(path, active, block, joint, base, joints),
+        if path.len() == 3 {
+            let mut y = Copied::<S, 3>::new(path, joints);
+            visit_bounds(active, block, joint, base, &mut y);
+            y.put_back(path, joints);
+        } else {
+            visit_bounds(active, block, joint, base, &mut Along { path, y_joint: joints });
         }
     }
 }
 
-/// Brings the velocities of a block's joints into their bounds, one after the other. `N` is the length of the path if it is
-/// known beforehand, else 0.
+/// Brings the velocities of a block's joints into their bounds, one after the other.
 #[inline(always)]
-fn visit_bounds<S: Real, const N: usize>(
-    path: &[usize],
+fn visit_bounds<S: Real>(
     active: S::Mask,
     block: &mut BoundBlock<S>,
     joint: &[[S; 3]],
     y_base: &mut [S; 6],
-    y_joint: &mut [S],
+    y_joint: &mut impl PathVelocity<S>,
 ) {
-    let mut w = velocities::<S, N>(&block.base, joint, path, y_base, y_joint);
+    let mut w = velocities(&block.base, joint, y_base, y_joint);
     let mut change = [S::zero(); 3];
     for i in 0..3 {
         let row = &mut block.rows[i];
@@ -270,7 +281,7 @@ fn visit_bounds<S: Real, const N: usize>(
         }
         block.pass_on(i, change[i], &mut w);
     }
-    apply::<S, N>(&block.base, joint, path, &change, y_base, y_joint);
+    apply(&block.base, joint, &change, y_base, y_joint);
 }
 
 /// One sweep over the joints' limits alone, in the lanes that are `active`; whether it changed anything. Without a change
@@ -281,15 +292,15 @@ fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
     let mut most = S::zero();
     for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
         if block.limits {
-            let path = topology.path(block.last + 1);
-            let mut w = velocities::<S, 0>(&block.base, joint, path, base, joints);
+            let mut y = Along { path: topology.path(block.last + 1), y_joint: joints };
+            let mut w = velocities(&block.base, joint, base, &y);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
                 change[i] = block.rows[i].limit(w[i], active);
                 most = most.max(change[i].abs());
                 block.pass_on(i, change[i], &mut w);
             }
-            apply::<S, 0>(&block.base, joint, path, &change, base, joints);
+            apply(&block.base, joint, &change, base, &mut y);
         }
     }
     S::any(S::zero().lt(most))
@@ -302,15 +313,15 @@ fn push_limits<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut Contact
     let mut most = S::zero();
     for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
         if block.limits {
-            let path = topology.path(block.last + 1);
-            let mut w = velocities::<S, 0>(&block.base, joint, path, base, joints);
+            let mut y = Along { path: topology.path(block.last + 1), y_joint: joints };
+            let mut w = velocities(&block.base, joint, base, &y);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
                 change[i] = block.rows[i].push(w[i], pushes);
                 most = most.max(change[i].abs());
                 block.pass_on(i, change[i], &mut w);
             }
-            apply::<S, 0>(&block.base, joint, path, &change, base, joints);
+            apply(&block.base, joint, &change, base, &mut y);
         }
     }
     S::any(S::zero().lt(most))

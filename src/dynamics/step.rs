@@ -2,7 +2,6 @@
 
 use super::articulation::{EffortTable, Parameters, Topology};
 use super::contact::{self, ContactSettings};
-use super::factor;
 use super::kinematics;
 use super::lanes::{Kernel, Real};
 use super::math::{
@@ -155,13 +154,10 @@ fn physics_step<S: Real>(
 
     work.base_rotation = quat_to_mat(&state.rotation);
     let gravity = mul_vec_transposed(&work.base_rotation, &splat(&settings.gravity));
-    // bias forces do not depend on the base's linear velocity: see `bias_forces`
+    // bias forces do not depend on the base's linear velocity: see `equations_of_motion`
     let turning = Spatial { ang: state.angular_velocity, lin: [z; 3] };
     kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &turning, work);
-    kinematics::link_inertias(topology, parameters, work);
-    kinematics::bias_forces(topology, &state.joint_velocity, &gravity, work);
-    kinematics::composite_inertias(topology, work);
-    factor::mass_matrix(topology, parameters, work);
+    kinematics::equations_of_motion(topology, parameters, &state.joint_velocity, &gravity, work);
 
     actuate(topology, parameters, drive, dt, state, work);
     for j in 0..joints {

@@ -123,6 +123,9 @@ pub fn symmetric(m: DMat3) -> [f64; 6] {
     [m.x_axis.x, m.y_axis.y, m.z_axis.z, m.y_axis.x, m.z_axis.x, m.z_axis.y]
 }
 
+/// How much a randomised body may be stretched: what is hidden must stay so.
+const STRETCH: f64 = 1.15;
+
 /// A contact candidate while it is being placed.
 struct Candidate {
     topology: ContactTopology,
@@ -145,11 +148,11 @@ impl Candidate {
 }
 
 /// Whether a candidate lies inside a sphere of its own link, which then always touches first: a corner of the shank inside the
-/// foot. Of two equal ones the first is kept.
+/// foot. Of two equal ones of a body the first is kept.
 fn is_hidden(candidates: &[Candidate], i: usize) -> bool {
     let c = &candidates[i];
     let covers = |k: usize, sphere: &Candidate| {
-        let apart = c.position - sphere.position;
+        let apart = (c.position - sphere.position) * STRETCH;
         // a rim reaches furthest on the far side of its axis
         let furthest = match c.topology.kind {
             ContactKind::Point => apart.length(),
@@ -161,7 +164,7 @@ fn is_hidden(candidates: &[Candidate], i: usize) -> bool {
             }
         };
         let room = sphere.radius - (furthest + c.radius);
-        room > 0.0 || (room == 0.0 && k < i)
+        room > 0.0 || (room == 0.0 && k < i && sphere.topology.body == c.topology.body)
     };
     candidates.iter().enumerate().any(|(k, sphere)| {
         let is_sphere = sphere.radius > 0.0 && matches!(sphere.topology.kind, ContactKind::Point);
