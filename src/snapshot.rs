@@ -14,7 +14,7 @@ use crate::config::fnv1a;
 use crate::systems::{Logs, load_engine, mirror_all, save_engine, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 /// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 
