@@ -14,8 +14,7 @@ use crate::app::SimError;
 use crate::avian::EngineError;
 use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, ContactImpulse, EnvId, EnvOrigin,
-    ExternalWrench,
-    Feet, JointEffort, JointState, JointTargets, Robot,
+    ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};

@@ -3,12 +3,13 @@
 import operator
 import os
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -102,6 +103,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._needs_reset = np.zeros(self.num_envs, dtype=np.bool_)
+        self._thread: ThreadPoolExecutor | None = None
+        self._pending: Future[None] | None = None
 
     @property
     def sim(self) -> _core.VecSim:
@@ -161,7 +164,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             ConfigError: for an option that does not exist, and for a mask of another shape or without a single True.
             TypeError: for a mask that is not a NumPy array of bools, and for a seed that is not one int.
         """
-        sim = self.sim
+        sim = self._ready("reset")
         if seed is not None:
             seed = _index(seed, "seed")
             super().reset(seed=seed)
@@ -193,14 +196,58 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             ValueError: for another shape, and for a NaN or an infinity.
             ResetNeeded: with autoreset disabled, when an env whose episode has ended was not reset.
         """
-        sim = self.sim
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._needs_reset.any():
+        sim = self._ready("step")
+        sim.step(np.ascontiguousarray(actions))
+        return self._stepped(sim)
+
+    def send(self, actions: FloatArray) -> None:
+        """Begins a control step in a thread of its own and returns at once; `recv` gives what `step` would have.
+
+        With two envs, one is simulated while the policy acts on the other's observations. Until `recv` nothing else of
+        this env may be used; arrays handed out before stay readable, as after a `step`.
+
+        Args:
+            actions: as in `step`; they are copied.
+
+        Raises:
+            AlreadyPendingCallError: when a step is on its way.
+            ResetNeeded: as `step`; whatever else is wrong with the actions is raised by `recv`.
+        """
+        sim = self._ready("send")
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="polypod-send")
+        self._pending = self._thread.submit(sim.step, np.array(actions, order="C"))
+
+    def recv(self) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Waits for the step that `send` began.
+
+        Returns:
+            As `step`.
+
+        Raises:
+            NoAsyncCallError: when no step is on its way.
+            TypeError: for actions that are not float32.
+            ValueError: for another shape of the actions, and for a NaN or an infinity.
+        """
+        if self._pending is None:
+            raise NoAsyncCallError("recv without send; call send(actions) first", "recv")
+        pending, self._pending = self._pending, None
+        pending.result()
+        return self._stepped(self.sim)
+
+    def _ready(self, caller: str) -> _core.VecSim:
+        """The simulator, if it may be stepped or reset."""
+        if self._pending is not None:
+            raise AlreadyPendingCallError(f"{caller} while a step is on its way; call recv() first", caller)
+        if caller != "reset" and self.autoreset_mode is AutoresetMode.DISABLED and self._needs_reset.any():
             rows = np.flatnonzero(self._needs_reset)
             raise ResetNeeded(
                 f"the episodes of envs {rows[:8].tolist()} ({rows.size} in all) have ended; "
                 "call reset(options={'reset_mask': terminated | truncated}) before the next step"
             )
-        sim.step(np.ascontiguousarray(actions))
+        return self.sim
+
+    def _stepped(self, sim: _core.VecSim) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         if self.autoreset_mode is AutoresetMode.DISABLED:
             np.logical_or(sim.terminated, sim.truncated, out=self._needs_reset)
         return (
@@ -220,8 +267,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         return self.sim.episode_stats(clear)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Lets go of the simulator; arrays that were handed out stay readable."""
-        self._sim = None
+        """Lets go of the simulator, after a step that is on its way; arrays that were handed out stay readable."""
+        if self._thread is not None:
+            self._thread.shutdown()
+        self._sim = self._thread = self._pending = None
 
     def _handed_out(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return array.copy() if self.copy else array
