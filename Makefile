@@ -67,7 +67,7 @@ format: $(VENV)/.dependencies ## Format all code
 	$(BIN)/ruff format python tests/python
 
 lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows
-	$(BIN)/uv pip compile pyproject.toml --extra train --extra bench --group dev --universal --python-version 3.10 \
+	$(BIN)/uv pip compile pyproject.toml --extra train --extra bench --extra export --extra play --group dev --universal --python-version 3.10 \
 		--upgrade --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet -o $(LOCK)
 
 clean: ## Remove everything that is built; training runs in logs/ stay
