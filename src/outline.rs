@@ -97,10 +97,9 @@ impl From<&Geometry> for GeometryOutline {
             Geometry::Box { size } => Self::Box { size: size.to_array() },
             Geometry::Cylinder { radius, length } => Self::Cylinder { radius: *radius, length: *length },
             Geometry::Capsule { radius, length } => Self::Capsule { radius: *radius, length: *length },
-            Geometry::Hull { points } => Self::Hull {
-                points: points.iter().map(|p| p.to_array()).collect(),
-                triangles: hull_triangles(points),
-            },
+            Geometry::Hull { points } => {
+                Self::Hull { points: points.iter().map(|p| p.to_array()).collect(), triangles: hull_triangles(points) }
+            }
         }
     }
 }

@@ -149,13 +149,18 @@ impl Policy {
             let names = |layout: &[TermLayout]| {
                 layout.iter().map(|t| format!("{} ({})", t.term, t.size)).collect::<Vec<_>>().join(", ")
             };
-            let problem =
-                format!("is {}, and {} observes {}", names(&self.manifest.observation_layout), task.config.name, names(&layout));
+            let problem = format!(
+                "is {}, and {} observes {}",
+                names(&self.manifest.observation_layout),
+                task.config.name,
+                names(&layout)
+            );
             return Err(failure("observation_layout", problem));
         }
         let step_dt = task.config.sim.step_dt();
         if (step_dt - self.manifest.step_dt).abs() > 1e-9 {
-            let problem = format!("is {} s, and a control step of {} {step_dt} s", self.manifest.step_dt, task.config.name);
+            let problem =
+                format!("is {} s, and a control step of {} {step_dt} s", self.manifest.step_dt, task.config.name);
             return Err(failure("step_dt", problem));
         }
         Ok(())

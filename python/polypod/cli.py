@@ -125,6 +125,8 @@ class Sim2sim:
     """MuJoCo's."""
     friction: Annotated[float | None, _arg(metavar="MU")] = None
     """Of the ground in MuJoCo. Default: the task's static friction."""
+    soft_contact: bool = False
+    """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
     seed: int = 0
     """Of initial states, commands and delays."""
     set: Overrides = ()
@@ -390,6 +392,7 @@ def _sim2sim(command: Sim2sim) -> int:
         dt=command.dt,
         integrator=command.integrator,
         friction=command.friction,
+        soft_contact=command.soft_contact,
         overrides=command.set,
     )
     with Progress() as progress:

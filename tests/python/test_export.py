@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from polypod.training import run_dir
 
 POLICY = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal"
 CHECKPOINT = POLICY / "model_666.pt"
+EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
 TASK = "Velocity-Flat-Universal-Play-v0"
 ROBOTS = [entry["name"] for entry in polypod.robots()]
 
@@ -56,6 +58,20 @@ def test_the_network_acts_as_torch_does(exported, trained):
     np.testing.assert_allclose(OnnxPolicy(out / "policy.onnx")(obs=observations)["actions"], wanted, atol=1e-5)
     script = torch.jit.load(str(out / "policy.pt"))
     np.testing.assert_allclose(script(torch.from_numpy(observations)).detach().numpy(), wanted, atol=1e-5)
+
+
+def test_the_rust_test_expects_these_actions(trained):
+    """`tests/policies_run_without_python.rs` holds tract against them; POLYPOD_WRITE_EXPECTED=1 writes them anew."""
+    if os.environ.get("POLYPOD_WRITE_EXPECTED"):
+        sim = polypod.VecSim(TASK, 16, seed=1, threads=1)
+        for _ in range(25):
+            sim.step(trained(sim.observation))
+        observations = sim.observation.copy()
+        content = {"observations": observations.tolist(), "actions": trained(observations).tolist()}
+        EXPECTED.write_text(json.dumps(content) + "\n")
+    expected = read(EXPECTED)
+    observations = np.array(expected["observations"], dtype=np.float32)
+    np.testing.assert_allclose(trained(observations), expected["actions"], atol=1e-5)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

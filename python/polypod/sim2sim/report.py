@@ -50,7 +50,7 @@ def show(comparison: Comparison) -> None:
     console.print(
         f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
         f"MuJoCo {comparison.mujoco_version}, {physics.integrator} at {1e3 * physics.dt:g} ms, "
-        f"friction {physics.friction:g} (errors in m/s and rad/s)",
+        f"friction {physics.friction:g}{', soft contact' if physics.soft_contact else ''} (errors in m/s and rad/s)",
         markup=False,
     )
     columns = ("err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")

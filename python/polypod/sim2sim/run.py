@@ -50,6 +50,8 @@ class Options:
     integrator: reference.Integrator = "implicitfast"
     friction: float | None = None
     """Of the ground in MuJoCo. None: the task's static one."""
+    soft_contact: bool = False
+    """See `Physics.soft_contact`."""
     overrides: tuple[str, ...] = ()
     """`key=value` changes to the task, on top of the run's own."""
 
@@ -181,7 +183,7 @@ class _Episode:
             )
         self.task_dt: float = task["sim"]["dt"]
         friction = _combined_friction(task) if options.friction is None else options.friction
-        self.physics = Physics(options.dt or self.task_dt, options.integrator, friction)
+        self.physics = Physics(options.dt or self.task_dt, options.integrator, friction, options.soft_contact)
         if options.command is not None:
             self.commands = Commands.constant(options.command, self.sim.num_envs)
         else:

@@ -7,11 +7,12 @@ state.
 - The PD law is MuJoCo's position actuator with the robot's gains. Limits of effort, the torque-speed line of DC motors,
   tables over the joint angle and delays are applied here, anew in every physics step.
 - Shapes touch the ground with the task's friction; the robot's own links pass through each other.
-- Contacts are MuJoCo's default ones (time constant 20 ms), with an elliptic friction cone.
+- Contacts are as stiff as the step allows, or MuJoCo's default ones (time constant 20 ms), by choice.
 """
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,8 @@ class Physics:
     integrator: Integrator = "implicitfast"
     friction: float = 0.8
     """Of feet and links on the ground."""
+    soft_contact: bool = False
+    """MuJoCo's default contacts, in which feet sink in, in place of the stiffest ones that the step allows."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,9 +79,8 @@ class Twin:
             physics: how MuJoCo steps.
             delays: [envs, joints], of the targets, in physics steps.
         """
-        self.reference = Reference.of(
-            robot, dt=physics.dt, integrator=physics.integrator, ground=Ground(physics.friction, soft=True)
-        )
+        ground = Ground(physics.friction, soft=physics.soft_contact)
+        self.reference = Reference.of(robot, dt=physics.dt, integrator=physics.integrator, ground=ground)
         self.robot, self.interface, self.policy = robot, interface, policy
         self.step_dt, self.physics_dt = step_dt, physics_dt
         self.substeps = round(step_dt / physics.dt)
@@ -87,9 +89,8 @@ class Twin:
         self._mj = mujoco()
         model = self.reference.model
         model.actuator_forcelimited[:] = 1
-        self._base_geoms = {
-            geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name in set(base_bodies)
-        }
+        names = [model.body(body).name for body in model.geom_bodyid]
+        self._is_base = np.array([name in base_bodies for name in names])
         self._data = [self._mj.MjData(model) for _ in range(self.num_envs)]
         self._wrench = np.zeros(6)
         ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / step_dt - 1e-9))
@@ -159,16 +160,17 @@ class Twin:
             self._mj.mj_step(model, data)
             self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
             fell[env] |= self._touches_with_base(data)
+        # nor is a state that is none any more a stand
+        fell |= ~np.isfinite(self.qpos).all(axis=1)
 
-    def _touches_with_base(self, data: object) -> bool:
-        """Whether the base pressed on the ground in the last physics step, or the state is none any more."""
-        contacts = data.contact  # type: ignore[attr-defined]
-        for index, (first, second) in enumerate(contacts.geom):
-            if int(first) in self._base_geoms or int(second) in self._base_geoms:
-                self._mj.mj_contactForce(self.reference.model, data, index, self._wrench)
-                if self._wrench[0] > FALL_FORCE:
-                    return True
-        return not np.isfinite(data.qpos).all()  # type: ignore[attr-defined]
+    def _touches_with_base(self, data: Any) -> bool:
+        """Whether the base pressed on the ground in the last physics step."""
+        contacts = np.flatnonzero(self._is_base[data.contact.geom].any(axis=1)) if data.ncon else ()
+        for index in contacts:
+            self._mj.mj_contactForce(self.reference.model, data, index, self._wrench)
+            if self._wrench[0] > FALL_FORCE:
+                return True
+        return False
 
     def _read(self) -> None:
         for env, data in enumerate(self._data):
