@@ -21,7 +21,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-SPACING = 1.5
+SPACING = 1.2
 """Between robots that walk side by side, m."""
 _ALIGNED = ("x", "y", "yaw")
 

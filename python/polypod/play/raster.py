@@ -38,7 +38,7 @@ LIGHT = np.array([0.35, 0.45, 0.82])
 SUPERSAMPLING = 2
 TILE = 1.0
 """Of the ground, m."""
-TILES_SHOWN = 9
+TILES_SHOWN = 22
 """In each direction from the middle of the picture."""
 FORCE_LENGTH = 0.35
 """Of an arrow for a force like the robot's weight, m."""
@@ -71,12 +71,11 @@ def follow(player: Player, frame: Frame, size: tuple[int, int]) -> Camera:
     places = np.array([robot.position[0] for robot in frame.robots])
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     # wide enough for the whole row and a robot's length on either side
-    row = float(np.ptp(player.places[:, 1])) + 1.6
-    across = max(row, 2.0)
+    across = float(np.ptp(player.places[:, 1])) + 1.5
     aspect = size[0] / size[1]
-    distance = 0.62 * across / (aspect * np.tan(np.radians(0.5 * Camera.field_of_view))) + 1.0
+    distance = 0.55 * across / (aspect * np.tan(np.radians(0.5 * Camera.field_of_view))) + 0.8
     target = (float(middle[0]), float(middle[1]), 0.3)
-    direction = np.array([0.82, 0.30, 0.48])
+    direction = np.array([0.92, 0.20, 0.36])
     position = np.array(target) + distance * direction / np.linalg.norm(direction)
     return Camera((float(position[0]), float(position[1]), float(position[2])), target)
 

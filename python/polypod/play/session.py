@@ -105,7 +105,7 @@ def _record(player: Player, viewer: Viewer | None, film: Film | None, seconds: f
     shot = 0
     for _ in range(round(seconds / player.step_dt)):
         player.step()
-        due = film is not None and (player.time - began) * film.fps >= shot - 1e-6
+        due = film is not None and (player.time - began) * film.fps > shot + 1e-6
         if viewer is None and not due:
             continue
         frame = player.frame()
