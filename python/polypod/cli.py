@@ -152,7 +152,7 @@ class Play:
     warm_up: Annotated[float, _arg(metavar="S")] = 0.0
     """Simulated before anything is shown, s."""
     record: Annotated[Path | None, _arg(metavar="FILE")] = None
-    """Write a .viser file, which viser's client plays."""
+    """Write a recording: .html opens in any browser, .viser in viser's client."""
     video: Annotated[Path | None, _arg(metavar="FILE")] = None
     """Write a film: .gif, .webp or .mp4."""
     fps: int = 25

@@ -157,17 +157,21 @@ class Player:
         """One control step."""
         self.sim.step(self._policy(self.sim.observation))
         self.time += self.step_dt
-        wanted = self.sim.command
+        wanted, began = self.sim.command, self.sim.final_mask
         for robot, tally in self.tallies.items():
-            rows = slice(*self.sim.env_ids(robot))
+            first, last = self.sim.env_ids(robot)
+            tally.falls += int(self.sim.terminated[first:last].sum())
+            # an env that has just been reset shows its next episode already
+            rows = np.flatnonzero(~began[first:last])
+            if not len(rows):
+                continue
             velocity, rate = self._base_velocity(robot)
-            count = tally.steps + velocity.shape[0]
-            error = np.linalg.norm(wanted[rows, :2] - velocity[:, :2], axis=1).sum()
-            turn = np.abs(wanted[rows, 2] - rate[:, 2]).sum()
-            tally.error_vel_xy += (error - velocity.shape[0] * tally.error_vel_xy) / count
-            tally.error_vel_yaw += (turn - velocity.shape[0] * tally.error_vel_yaw) / count
-            tally.falls += int(self.sim.terminated[rows].sum())
-            tally.steps = count
+            command = wanted[first:last][rows]
+            tally.steps += len(rows)
+            error = np.linalg.norm(command[:, :2] - velocity[rows, :2], axis=1)
+            turn = np.abs(command[:, 2] - rate[rows, 2])
+            tally.error_vel_xy += float((error - tally.error_vel_xy).sum()) / tally.steps
+            tally.error_vel_yaw += float((turn - tally.error_vel_yaw).sum()) / tally.steps
 
     def frame(self) -> Frame:
         """The present state."""

@@ -151,16 +151,17 @@ class _Canvas:
         """What a solid keeps from the ground, drawn at once."""
         points = solid.vertices - np.outer(solid.vertices[:, 2] / LIGHT[2], LIGHT)
         corners = points[solid.faces]
-        area = np.cross((corners[:, 1] - corners[:, 0])[:, :2], (corners[:, 2] - corners[:, 0])[:, :2])
-        for outline in corners[area > 0.0]:
+        first, second = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+        # the faces that look at the light
+        lit = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0.0
+        for outline in corners[lit]:
             self.flat(outline, SHADOW, at_once=True)
 
     def solid(self, solid: Mesh, color: Color) -> None:
         """The faces of a solid that look at the camera."""
         corners = solid.vertices[solid.faces]
+        # of the diagonals; a triangle, which repeats its last corner, keeps its sense
         normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-        triangles = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals = np.where((solid.faces[:, 2] == solid.faces[:, 3])[:, None], triangles, normals)
         lengths = np.linalg.norm(normals, axis=1)
         centers = corners.mean(axis=1)
         facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, self._origin - centers) > 0.0)

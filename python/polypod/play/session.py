@@ -44,8 +44,8 @@ def play(options: Options) -> Player:
     """
     if options.envs_per_robot < 1:
         raise _core.ConfigError(f"--num-envs {options.envs_per_robot} must be at least 1")
-    if options.record is not None and options.record.suffix != ".viser":
-        raise _core.ConfigError(f"--record {options.record}: the name must end in .viser")
+    if options.record is not None and options.record.suffix not in (".html", ".viser"):
+        raise _core.ConfigError(f"--record {options.record}: the name must end in .html or .viser")
     for flag, seconds in (("--seconds", options.seconds), ("--warm-up", options.warm_up)):
         if seconds is not None and not 0.0 <= seconds < 1e6:
             raise _core.ConfigError(f"{flag} {seconds} is not a number of seconds")

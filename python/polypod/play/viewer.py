@@ -1,4 +1,4 @@
-"""A frame in the browser, by viser: live, or recorded into a `.viser` file without a browser."""
+"""A frame in the browser, by viser: live, or recorded into a file without a browser."""
 
 from pathlib import Path
 from typing import Any
@@ -63,9 +63,9 @@ class Viewer:
             self._recording.insert_sleep(seconds)
 
     def write(self, path: Path) -> None:
-        """Writes the recording, which viser's client plays. Raises ConfigError where that fails."""
-        data = self._recording.serialize()
-        self._recording = None
+        """Writes the recording: `.html` by itself, `.viser` for viser's client. Raises ConfigError where that fails."""
+        recording, self._recording = self._recording, None
+        data = recording.as_html().encode() if path.suffix == ".html" else recording.serialize()
         try:
             run_dir.write_atomically(path, lambda file: file.write(data))
         except OSError as error:
