@@ -150,9 +150,15 @@ def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> _
     names = list(manifest["robot_sources"] if robots is None else robots)
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides)
-    events = tomllib.loads(sim.resolved_config())["task"].get("events", {})
-    startup = [f"events.{name}.enabled=false" for name, event in events.items() if event.get("mode") == "startup"]
-    return _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *startup])
+    task = tomllib.loads(sim.resolved_config())["task"]
+    changed = [entry["term"] for entry in task["observations"]["policy"] if entry.get("scale") or entry.get("clip")]
+    if changed:
+        raise _core.ConfigError(
+            f"{sim.task_name} scales or clips {', '.join(changed)}, which an export does not write down; "
+            "train on a task without scale and clip"
+        )
+    off = [f"events.{name}.enabled=false" for name in task.get("events", {})]
+    return _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off])
 
 
 def _terms(layout: Sequence[tuple[str, int]]) -> str:

@@ -85,6 +85,8 @@ def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
                 parts.append(box((depth, width, top)).moved(middle, (1.0, 0.0, 0.0, 0.0)))
         case "heightfield":
             parts = [_surface(description["size"], description["heights"])]
+        case "mesh":  # a file of the task's own, which only the simulator reads
+            parts = []
         case _:
             parts = [shape(description)]
     return [part.moved(description["position"], turn) for part in parts]

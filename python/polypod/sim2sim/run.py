@@ -176,10 +176,14 @@ class _Episode:
         self.steps = min(options.steps or self.sim.max_episode_length, self.sim.max_episode_length)
         self.seed = options.seed
         task = tomllib.loads(self.sim.resolved_config())["task"]
-        if task["scene"].get("obstacles") or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6:
+        if (
+            task["scene"].get("obstacles")
+            or task["scene"].get("terrain")
+            or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6
+        ):
             raise _core.ConfigError(
                 f"{self.sim.task_name}: MuJoCo is given level ground and gravity of {reference.GRAVITY} m/s^2; "
-                "compare in a task without obstacles"
+                "compare in a task without obstacles and terrain"
             )
         self.task_dt: float = task["sim"]["dt"]
         friction = _combined_friction(task) if options.friction is None else options.friction
