@@ -184,6 +184,9 @@ def test_a_term_that_cannot_be_folded_is_named():
     strange = type(robot)(**{**vars(robot), "layout": (("height_scan", 187),)})
     with pytest.raises(polypod.ConfigError, match="height_scan"):
         strange.inputs()
+    scaled = type(robot)(**{**vars(robot), "treatment": {"base_ang_vel": (0.25, None)}})
+    with pytest.raises(polypod.ConfigError, match="base_ang_vel"):
+        scaled.inputs()
 
 
 def test_the_command_line(tmp_path, capsys):

@@ -88,6 +88,7 @@ class _Writer:
         formats: Sequence[Format],
     ) -> None:
         self.manifest, self.network, self.out, self.formats = manifest, network, out, formats
+        self.treatment: dict[str, tuple[float, list[float] | None]] = {}
         self.files: list[Path] = []
         self.difference = 0.0
         self.origin = {
@@ -100,6 +101,7 @@ class _Writer:
 
     def write_policy(self, robots: dict[str, RobotInterface]) -> None:
         """The network alone, with a manifest about all robots."""
+        self.treatment = {term: value for robot in robots.values() for term, value in robot.treatment.items()}
         module = self.network.as_jit()
         sizes = {"obs": self.num_obs}
         if "onnx" in self.formats:
@@ -163,7 +165,9 @@ class _Writer:
     def _write_manifest(self, name: str, content: dict[str, Any]) -> None:
         start, layout = 0, []
         for entry in self.manifest["observation_layout"]:
-            layout.append({"term": entry["term"], "size": entry["size"], "start": start})
+            scale, clip = self.treatment.get(entry["term"], (1.0, None))
+            place = {"term": entry["term"], "size": entry["size"], "start": start}
+            layout.append({**place, "scale": scale, "clip": clip})
             start += entry["size"]
         normalizer = self.network.obs_normalizer
         normalized = isinstance(normalizer, EmpiricalNormalization)

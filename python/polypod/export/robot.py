@@ -65,6 +65,8 @@ class RobotInterface:
     """Centre of mass of the base in its frame, m: the task observes its velocity."""
     morphology: Array
     """What the term `morphology` says of the robot; empty where it is not observed."""
+    treatment: Mapping[str, tuple[float, list[float] | None]]
+    """(scale, clip) that the task gives each term after it is measured."""
     info: Mapping[str, Any]
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
 
@@ -75,6 +77,11 @@ class RobotInterface:
                 raise _core.ConfigError(
                     f"the observation term {term!r} cannot be folded into a graph for {self.name}; export without it "
                     "and compute the observation yourself, in the order of the manifest"
+                )
+            if self.treatment.get(term, (1.0, None)) != (1.0, None):
+                raise _core.ConfigError(
+                    f"the task scales or clips the observation term {term!r}, which is not folded; export without "
+                    "folding and compute the observation yourself, as the manifest says"
                 )
         needed = {name for term, _ in self.layout for name in _NEEDS[term]}
         sizes = {"joint_pos": len(self.joint_names), "joint_vel": len(self.joint_names)}
@@ -103,7 +110,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
     Raises:
         ConfigError: for an unknown task or robot, and for a task that has changed since the training.
     """
-    sim = _undisturbed(manifest, robots)
+    sim, treatment = _undisturbed(manifest, robots)
     layout = tuple(sim.observation_layout)
     trained = tuple((entry["term"], entry["size"]) for entry in manifest["observation_layout"])
     if layout != trained:
@@ -128,6 +135,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             action_scale=infos[robot]["action_scale"],
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
             morphology=observation[sim.env_ids(robot)[0], columns].copy(),
+            treatment=treatment,
             info=infos[robot],
         )
         for robot in sim.robots
@@ -145,20 +153,18 @@ def changes(manifest: Mapping[str, Any], robots: Mapping[str, RobotInterface]) -
     return lines
 
 
-def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> _core.VecSim:
-    """One env per robot of the policy's task without noise and randomisation."""
+def _undisturbed(
+    manifest: Mapping[str, Any], robots: Sequence[str] | None
+) -> tuple[_core.VecSim, dict[str, tuple[float, list[float] | None]]]:
+    """One env per robot of the policy's task without noise and events, and scale and clip of each term."""
     names = list(manifest["robot_sources"] if robots is None else robots)
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides)
     task = tomllib.loads(sim.resolved_config())["task"]
-    changed = [entry["term"] for entry in task["observations"]["policy"] if entry.get("scale") or entry.get("clip")]
-    if changed:
-        raise _core.ConfigError(
-            f"{sim.task_name} scales or clips {', '.join(changed)}, which an export does not write down; "
-            "train on a task without scale and clip"
-        )
     off = [f"events.{name}.enabled=false" for name in task.get("events", {})]
-    return _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off])
+    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off])
+    terms = task["observations"]["policy"]
+    return sim, {entry["term"]: (entry.get("scale", 1.0), entry.get("clip")) for entry in terms}
 
 
 def _terms(layout: Sequence[tuple[str, int]]) -> str:
