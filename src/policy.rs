@@ -182,7 +182,7 @@ impl Policy {
     fn run(&self, observations: &[f32]) -> TractResult<Vec<f32>> {
         let input = Tensor::from_shape(&[self.num_envs, self.manifest.num_obs()], observations)?;
         let outputs = self.network.run(tvec!(input.into()))?;
-        let actions = outputs.first().ok_or_else(|| format_err!("it gives nothing"))?;
+        let actions = outputs.first().ok_or_else(|| TractError::msg("it gives nothing"))?;
         Ok(actions.try_as_plain_ram()?.as_slice::<f32>()?.to_vec())
     }
 }
@@ -191,7 +191,7 @@ fn compile(file: &Path, num_envs: usize, manifest: &PolicyManifest) -> TractResu
     let fact = f32::fact([num_envs, manifest.num_obs()]);
     let model = tract_onnx::onnx().model_for_path(file)?.with_input_fact(0, fact.into())?.into_optimized()?;
     if model.output_fact(0)?.shape.as_concrete() != Some(&[num_envs, manifest.num_actions][..]) {
-        bail!("it does not give {} actions", manifest.num_actions);
+        return Err(TractError::msg(format!("it does not give {} actions", manifest.num_actions)));
     }
     model.into_runnable()
 }
