@@ -24,10 +24,14 @@ export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -type f 2>/dev/null)
 
+# The policy that comes along, and how it is filmed.
+SHIPPED := assets/policies/flat_universal/model_666.pt
+FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
+
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 
-.PHONY: help build train eval test bench soak accuracy lint format lock clean
+.PHONY: help build train eval demo film test bench soak accuracy lint format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -39,6 +43,14 @@ train: build ## Train one policy over all robots (ARGS="..." is passed on), then
 
 eval: build ## Evaluate a checkpoint: make eval ARGS="--checkpoint logs/.../model_300.pt"
 	$(BIN)/polypod eval $(ARGS)
+
+demo: build ## Play the policy that comes along: evaluate it on all eight robots and film them, without a display
+	$(BIN)/polypod eval --checkpoint $(SHIPPED) --num-envs 128
+	$(BIN)/polypod play --checkpoint $(SHIPPED) --headless --seconds 20 --command 0.5 0 0
+	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video logs/demo/eight_robots.gif
+
+film: build ## Film the eight robots anew for the README
+	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video docs/media/eight_robots.gif
 
 test: build ## Run the tests of Rust and of Python
 	cargo test --release --locked
@@ -67,7 +79,7 @@ format: $(VENV)/.dependencies ## Format all code
 	$(BIN)/ruff format python tests/python
 
 lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows
-	$(BIN)/uv pip compile pyproject.toml --extra train --extra bench --group dev --universal --python-version 3.10 \
+	$(BIN)/uv pip compile pyproject.toml --extra train --extra bench --extra export --extra play --group dev --universal --python-version 3.10 \
 		--upgrade --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet -o $(LOCK)
 
 clean: ## Remove everything that is built; training runs in logs/ stay

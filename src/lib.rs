@@ -13,6 +13,9 @@ pub mod dynamics;
 pub mod mirrors;
 pub mod morphology;
 mod obstacles;
+pub mod outline;
+#[cfg(feature = "onnx")]
+pub mod policy;
 #[cfg(feature = "python")]
 mod python;
 pub mod robot;

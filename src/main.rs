@@ -25,7 +25,15 @@ fn main() -> ExitCode {
         Err(error) => {
             eprintln!("error: {error:#}");
             // what polypod itself refuses is bad input; anything else is a fault of the machine or of the program
-            ExitCode::from(if error.is::<polypod::SimError>() { 2 } else { 1 })
+            ExitCode::from(if is_bad_input(&error) { 2 } else { 1 })
         }
     }
+}
+
+fn is_bad_input(error: &anyhow::Error) -> bool {
+    #[cfg(feature = "onnx")]
+    if error.is::<polypod::policy::PolicyError>() {
+        return true;
+    }
+    error.is::<polypod::SimError>()
 }

@@ -122,6 +122,28 @@ class VecSim:
     def robot_info(self) -> str:
         """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ..."""
 
+    def robot_shapes(self) -> str:
+        """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.
+
+        {robot: {links, base_com, bodies: [{name, link, group, shapes: [{shape, ..., position, quaternion}]}]}}: sizes
+        in m; `link` is an index into `links`, and a shape's pose is in that link's frame.
+        """
+
+    def qpos(self, robot: str) -> npt.NDArray[np.float64]:
+        """[n, 7 + joints], the present positions of the n envs of `env_ids(robot)`, as in `Simulation.qpos`. A copy.
+
+        The base's position is relative to the env's origin; joints are in the robot's own order.
+        """
+
+    def qvel(self, robot: str) -> npt.NDArray[np.float64]:
+        """[n, 6 + joints], their velocities, as in `Simulation.qvel`. A copy."""
+
+    def link_pose(self, robot: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Positions [n, links, 3], m, and quaternions [n, links, 4] (w, x, y, z) of the links' URDF frames. Copies."""
+
+    def contact_forces(self, robot: str) -> npt.NDArray[np.float64]:
+        """[n, bodies, 3], net force on each contact body in the last physics step, N, world axes. A copy."""
+
     def resolved_config(self) -> str:
         """TOML: the task and its robots after defaults and overrides."""
 

@@ -1,4 +1,4 @@
-"""The command line: `polypod train | eval | check | accuracy | bench | terrain | list | info`."""
+"""The command line: train, eval, export, sim2sim, play, check, accuracy, bench, terrain, list and info."""
 
 import dataclasses
 import functools
@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -20,6 +20,8 @@ _arg = functools.partial(tyro.conf.arg, help_behavior_hint="")
 Name = Annotated[str | None, _arg(metavar="NAME")]
 Count = Annotated[int | None, _arg(metavar="N")]
 Robots = Annotated[str | None, _arg(aliases=("--quadrupeds",), metavar="A,B,C")]
+RobotNames = Annotated[str | None, _arg(aliases=("--robot",), metavar="A,B,C")]
+Velocity = Annotated[tuple[float, float, float] | None, _arg(metavar="VX VY WZ")]
 Overrides = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY=VALUE")]
 
 
@@ -77,6 +79,94 @@ class Eval:
     """Of every random stream."""
     threads: Count = None
     """Threads of the simulator and the policy. Default: one per core."""
+    set: Overrides = ()
+    """Changes the task's configuration, on top of the run's own changes. May be repeated."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json."""
+    out: Annotated[Path | None, _arg(metavar="DIR")] = None
+    """Where to. Default: exported/ beside the checkpoint."""
+    robots: RobotNames = None
+    """Also one graph per robot named here, with commas between, from its sensors to its joint targets."""
+    fold: bool = False
+    """The same for all robots that the policy was trained on."""
+    formats: Annotated[tuple[Literal["onnx", "torchscript"], ...], _arg(metavar="FORMAT")] = ("onnx", "torchscript")
+    """Kinds of files."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sim2sim:
+    """Let the exported policy drive the same robots in MuJoCo, beside polypod; needs the extras export and bench.
+
+    Exit code 3 when a robot falls in more than 5 % of its episodes in MuJoCo, or follows its command by more than
+    0.1 m/s worse than in polypod.
+    """
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json."""
+    robots: RobotNames = None
+    """Names of the robots, with commas between. Default: the run's."""
+    json: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the figures to this file."""
+    num_envs: int = 32
+    """Envs per robot."""
+    steps: Count = None
+    """Control steps per episode. Default: a whole one."""
+    command: Velocity = None
+    """Forward and left velocity (m/s) and yaw rate (rad/s) for all envs. Default: drawn as the task draws them."""
+    dt: Annotated[float | None, _arg(metavar="S")] = None
+    """MuJoCo's physics step, s. Default: the task's."""
+    integrator: Literal["implicitfast", "RK4"] = "implicitfast"
+    """MuJoCo's."""
+    friction: Annotated[float | None, _arg(metavar="MU")] = None
+    """Of the ground in MuJoCo. Default: the task's static friction."""
+    soft_contact: bool = False
+    """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
+    seed: int = 0
+    """Of initial states, commands and delays."""
+    set: Overrides = ()
+    """Changes the task's configuration, on top of the run's own changes. May be repeated."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Play:
+    """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json."""
+    robots: RobotNames = None
+    """Names of the robots, with commas between. Default: the run's."""
+    command: Velocity = None
+    """Forward and left velocity (m/s) and yaw rate (rad/s) for all robots. Default: drawn as the task draws them."""
+    task: Name = None
+    """Name or alias of the task. Default: the run's."""
+    num_envs: int = 1
+    """Envs per robot."""
+    seconds: Annotated[float | None, _arg(metavar="S")] = None
+    """Simulated time. Default: without end in the browser, else 10 s."""
+    warm_up: Annotated[float, _arg(metavar="S")] = 0.0
+    """Simulated before anything is shown, s."""
+    record: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Write a recording: .html opens in any browser, .viser in viser's client."""
+    video: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Write a film: .gif, .webp or .mp4."""
+    fps: int = 25
+    """Of the film."""
+    size: Annotated[tuple[int, int], _arg(metavar="WIDTH HEIGHT")] = (640, 360)
+    """Of the film, pixels."""
+    headless: bool = False
+    """Neither browser nor file: only the table of how the robots did."""
+    port: int = 8080
+    """Of the browser's page."""
+    seed: int = 0
+    """Of every random stream."""
+    threads: Count = None
+    """Threads of the simulator. Default: one per core."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 
@@ -152,6 +242,9 @@ class Info:
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -162,7 +255,10 @@ Command = (
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C."""
+    """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
+
+    `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo.
+    """
     command = tyro.cli(Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments))
     try:
         return _run(command)
@@ -183,12 +279,20 @@ def main(arguments: Sequence[str]) -> int:
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
 
 
-def _run(command: Train | Eval | Check | Accuracy | Bench | Terrain | List | Info) -> int:
+def _run(
+    command: Train | Eval | Export | Sim2sim | Play | Check | Accuracy | Bench | Terrain | List | Info,
+) -> int:
     match command:
         case Train():
             return _train(command)
         case Eval():
             return _eval(command)
+        case Export():
+            return _export(command)
+        case Sim2sim():
+            return _sim2sim(command)
+        case Play():
+            return _play(command)
         case Check():
             print(_core.check(command.file, _package_dirs(command.package_dir)), end="")
         case Accuracy():
@@ -239,7 +343,6 @@ def _eval(command: Eval) -> int:
 
     from polypod.evaluation import evaluate_checkpoint
     from polypod.training.report import Reporter
-    from polypod.training.run_dir import write_text
 
     threads = _positive(command.threads, "--threads")
     if threads is not None:
@@ -256,12 +359,89 @@ def _eval(command: Eval) -> int:
         overrides=list(command.set),
     )
     Reporter().evaluation(evaluation)
-    if command.json is not None:
-        try:
-            write_text(command.json, json.dumps(evaluation.as_dict(), indent=2) + "\n")
-        except OSError as error:
-            raise _core.ConfigError(f"cannot write {command.json}: {error.strerror}; choose another --json") from error
+    _write_json(command.json, evaluation.as_dict())
     return 0
+
+
+def _export(command: Export) -> int:
+    from polypod.export import export_checkpoint
+
+    if not command.formats:
+        raise _core.ConfigError("--formats names none; choose onnx, torchscript or both")
+    done = export_checkpoint(
+        command.checkpoint, command.out, _names(command.robots), fold=command.fold, formats=command.formats
+    )
+    for change in done.changes:
+        print(f"polypod: warning: {change}", file=sys.stderr)
+    for file in done.files:
+        print(file)
+    if "onnx" in command.formats:
+        print(f"onnxruntime differs from torch by at most {done.difference:.1e}")
+    return 0
+
+
+def _sim2sim(command: Sim2sim) -> int:
+    from polypod import sim2sim
+    from polypod.sim2sim.report import Progress, show
+
+    options = sim2sim.Options(
+        envs_per_robot=command.num_envs,
+        steps=command.steps,
+        seed=command.seed,
+        command=command.command,
+        dt=command.dt,
+        integrator=command.integrator,
+        friction=command.friction,
+        soft_contact=command.soft_contact,
+        overrides=command.set,
+    )
+    with Progress() as progress:
+        comparison = sim2sim.compare(command.checkpoint, _names(command.robots), options, progress)
+    show(comparison)
+    _write_json(command.json, comparison.as_dict())
+    return 0 if comparison.transfers else 3
+
+
+def _play(command: Play) -> int:
+    from polypod.play import session
+    from polypod.play.report import show
+
+    player = session.play(
+        session.Options(
+            checkpoint=command.checkpoint,
+            robots=_names(command.robots),
+            command=command.command,
+            task=command.task,
+            envs_per_robot=command.num_envs,
+            seconds=command.seconds,
+            warm_up=command.warm_up,
+            record=command.record,
+            video=command.video,
+            fps=command.fps,
+            size=command.size,
+            headless=command.headless,
+            port=command.port,
+            seed=command.seed,
+            threads=_positive(command.threads, "--threads"),
+            overrides=list(command.set),
+        )
+    )
+    show(player)
+    for file in (command.record, command.video):
+        if file is not None:
+            print(file)
+    return 0
+
+
+def _write_json(path: Path | None, content: dict[str, Any]) -> None:
+    from polypod.training.run_dir import write_text
+
+    if path is None:
+        return
+    try:
+        write_text(path, json.dumps(content, indent=2) + "\n")
+    except OSError as error:
+        raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --json") from error
 
 
 def _package_dirs(pairs: Sequence[str]) -> dict[str, str]:

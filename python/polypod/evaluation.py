@@ -63,8 +63,8 @@ def play_task(task: str) -> str:
     return variant if variant in by_any_name else full_name
 
 
-def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
-    """Builds the deterministic policy of a checkpoint.
+def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
+    """Builds the actor of a checkpoint, ready for inference.
 
     Args:
         checkpoint: what `run_dir.load_checkpoint` returns.
@@ -83,6 +83,12 @@ def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
             f"the checkpoint's weights do not fit its manifest: {str(error).splitlines()[-1].strip()}"
         ) from error
     network.eval()
+    return network
+
+
+def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
+    """The deterministic policy of a checkpoint; arguments and errors are those of `load_network`."""
+    network = load_network(checkpoint, model)
 
     def policy(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         with torch.inference_mode():

@@ -2,6 +2,8 @@
 
 mod check;
 mod inspect;
+#[cfg(feature = "onnx")]
+mod play;
 mod replay;
 mod rollout;
 mod soak;
@@ -26,6 +28,9 @@ pub(crate) struct Cli {
 enum Command {
     /// Steps a task with random or zero actions and reports speed and statistics per robot.
     Rollout(rollout::Rollout),
+    /// Lets an exported policy (`polypod export`) walk and reports how it follows its commands.
+    #[cfg(feature = "onnx")]
+    Play(play::Play),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
     /// Prints what a URDF file is read as, with every warning; it needs no config.
@@ -42,6 +47,8 @@ impl Cli {
     pub(crate) fn run(self) -> anyhow::Result<()> {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
+            #[cfg(feature = "onnx")]
+            Command::Play(play) => play.run(),
             Command::Inspect(inspect) => inspect.run(),
             Command::Check(check) => check.run(),
             Command::Replay(replay) => replay.run(),

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods,
+    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyUntypedArray,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -74,6 +75,12 @@ fn array<'py, T: Element, D: numpy::ndarray::Dimension>(
         return Err(value_error(format!("{name}: not C-contiguous; pass np.ascontiguousarray({name})")));
     }
     Ok(typed.try_readonly()?)
+}
+
+/// Numbers as `count` rows of the same length.
+fn rows(py: Python<'_>, numbers: Vec<f64>, count: usize) -> PyResult<Bound<'_, PyArray2<f64>>> {
+    let width = numbers.len() / count.max(1);
+    PyArray1::from_vec(py, numbers).reshape([count, width])
 }
 
 impl VecSim {
@@ -211,6 +218,41 @@ impl VecSim {
     fn robot_info(&self) -> String {
         let robots: BTreeMap<&str, _> = self.sim.morphologies().iter().map(|m| (m.name(), m.describe())).collect();
         serde_json::to_string(&robots).unwrap_or_default()
+    }
+
+    fn robot_shapes(&self) -> String {
+        let robots: BTreeMap<&str, _> = self.sim.morphologies().iter().map(|m| (m.name(), m.outline())).collect();
+        serde_json::to_string(&robots).unwrap_or_default()
+    }
+
+    fn qpos<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let index = self.robot_index(py, robot)?;
+        rows(py, self.sim.robot_states(index).qpos, self.sim.env_ids(index).len())
+    }
+
+    fn qvel<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let index = self.robot_index(py, robot)?;
+        rows(py, self.sim.robot_states(index).qvel, self.sim.env_ids(index).len())
+    }
+
+    fn link_pose<'py>(
+        &mut self,
+        py: Python<'py>,
+        robot: &str,
+    ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>)> {
+        let index = self.robot_index(py, robot)?;
+        let poses = self.sim.link_pose(index);
+        let (envs, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
+        Ok((
+            PyArray1::from_vec(py, poses.position).reshape([envs, links, 3])?,
+            PyArray1::from_vec(py, poses.quaternion).reshape([envs, links, 4])?,
+        ))
+    }
+
+    fn contact_forces<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let index = self.robot_index(py, robot)?;
+        let (envs, bodies) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].topology.num_bodies);
+        PyArray1::from_vec(py, self.sim.contact_forces(index)).reshape([envs, bodies, 3])
     }
 
     fn resolved_config(&self) -> String {

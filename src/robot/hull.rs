@@ -44,6 +44,14 @@ pub(super) fn hull(vertices: &[DVec3]) -> Hull {
     })
 }
 
+/// Outward triangles of the hull of points, as indices into them; none where they cannot be told.
+pub(crate) fn triangles(points: &[DVec3]) -> Vec<[usize; 3]> {
+    let facets = Frame::new(points).facets(points);
+    let index = |corner: DVec3| points.iter().position(|point| *point == corner);
+    let corners = |[a, b, c]: [DVec3; 3]| Some([index(a)?, index(b)?, index(c)?]);
+    facets.map_or_else(Vec::new, |facets| facets.triangles.into_iter().filter_map(corners).collect())
+}
+
 /// Corners of the hull of `extreme`, chosen so that they leave out little; `None` where the hull cannot be told.
 fn reduced(frame: &Frame, all: &[DVec3], extreme: &[DVec3]) -> Option<Hull> {
     let tolerance = TOLERANCE * frame.size.length();

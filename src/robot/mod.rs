@@ -22,6 +22,7 @@ mod urdf;
 pub use articulation::{Articulation, Site, UNLIMITED, symmetric};
 pub use check::check;
 pub use error::{Diagnosis, RobotError, Warning};
+pub(crate) use hull::triangles as hull_triangles;
 pub(crate) use mesh::{Surface, read_surface};
 pub use model::{Body, Geometry, Joint, JointKind, Link, Model, Shape};
 pub use pose::Pose;

@@ -21,13 +21,12 @@ What is set, and why:
 """
 
 import dataclasses
-import importlib
 from typing import Any, Literal
 
 import numpy as np
 
-from polypod import _core
 from polypod.accuracy.robot import Actuators, Array, Robot
+from polypod.extras import package
 
 Integrator = Literal["implicitfast", "RK4"]
 
@@ -43,16 +42,13 @@ class Ground:
     """Coulomb's coefficient of every contact."""
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Of unit length."""
+    soft: bool = False
+    """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that the step allows."""
 
 
 def mujoco() -> Any:
     """The module. Raises ConfigError where it is not installed."""
-    try:
-        return importlib.import_module("mujoco")
-    except ModuleNotFoundError as error:
-        raise _core.ConfigError(
-            "comparing with MuJoCo needs the package mujoco; install it: pip install 'polypod[bench]'"
-        ) from error
+    return package("mujoco", "comparing with MuJoCo", "bench")
 
 
 def version() -> str:
@@ -204,10 +200,12 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
     for geom in spec.geoms:
         geom.condim = 3
         geom.friction = [ground.friction, 0.0, 0.0]
+        if ground.soft:
+            continue
         geom.solref = [2.0 * dt, 1.0]
         geom.solimp = [0.99, 0.999, 0.001, 0.5, 2.0]
     spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 100.0
+    spec.option.impratio = 100.0  # feet do not creep
 
 
 def _turn_z_to(normal: Array) -> Array:

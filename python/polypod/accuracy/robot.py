@@ -46,19 +46,23 @@ class Actuators:
     """Of a DC motor, rad/s."""
     effort_tables: tuple[Array | None, ...]
     """Rows of (rad, N m) in place of the effort limit."""
+    delay: Array
+    """Fewest and most physics steps by which targets come late, [joints, 2]."""
+    groups: tuple[str, ...]
+    """Name of each joint's group; joints of a group are late together."""
 
     def effort_range(self, position: Array, velocity: Array) -> Array:
-        """Least and most effort [joints, 2] of each actuator at the joints' positions and velocities."""
-        limit = self.effort_limit.copy()
+        """Least and most effort [..., joints, 2] of each actuator at the joints' positions and velocities."""
+        limit = np.broadcast_to(self.effort_limit, position.shape).copy()
         for joint, table in enumerate(self.effort_tables):
             if table is not None:
-                limit[joint] = np.interp(position[joint], table[:, 0], table[:, 1])
+                limit[..., joint] = np.interp(position[..., joint], table[:, 0], table[:, 1])
         motor = np.isfinite(self.saturation_effort)
         stall = np.where(motor, self.saturation_effort, 0.0)
         speed = velocity / self.no_load_speed
         most = np.where(motor, np.clip(stall * (1.0 - speed), 0.0, limit), limit)
         least = np.where(motor, np.clip(-stall * (1.0 + speed), -limit, 0.0), -limit)
-        return np.stack([least, most], axis=1)
+        return np.stack([least, most], axis=-1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,27 +102,30 @@ def names() -> list[str]:
 @functools.cache
 def load(name: str) -> Robot:
     """Reads a robot of the library with its actuators. Raises UnknownNameError."""
-    urdf = _core.robot_urdf(name)
-    sim = _core.VecSim("velocity_flat_play", 1, robots=[name], threads=1)
+    return of(_core.VecSim("velocity_flat_play", 1, robots=[name], threads=1), name, name)
+
+
+def of(sim: _core.VecSim, name: str, source: str) -> Robot:
+    """The robot `name` of a simulation, which was made from `source`: its name, or the path of its config."""
     info = json.loads(sim.robot_info())[name]
-    groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"].values()
+    groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"]
     slots = dict(zip(info["joint_of_slot"], sim.canonical_joint_names, strict=True))
-    rows = [
-        next(group for group in groups if any(fnmatchcase(slots[joint], pattern) for pattern in group["joints"]))
+    of_joint = [
+        next(key for key, group in groups.items() if any(fnmatchcase(slots[joint], p) for p in group["joints"]))
         for joint in range(len(info["joint_names"]))
     ]
     return Robot(
         name=name,
-        urdf=urdf,
+        urdf=_core.robot_urdf(source),
         joint_names=tuple(info["joint_names"]),
         default_position=np.array(info["default_pose"]),
         joint_range=np.stack([info["lower"], info["upper"]], axis=1),
         base_height=info["base_height"],
-        actuators=_actuators(rows),
+        actuators=_actuators([groups[key] for key in of_joint], tuple(of_joint)),
     )
 
 
-def _actuators(rows: list[dict[str, Any]]) -> Actuators:
+def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...]) -> Actuators:
     def column(key: str, default: float) -> Array:
         return np.array([row.get(key, default) for row in rows], dtype=np.float64)
 
@@ -133,4 +140,6 @@ def _actuators(rows: list[dict[str, Any]]) -> Actuators:
         saturation_effort=np.where(motor, column("saturation_effort", np.inf), np.inf),
         no_load_speed=np.where(motor, column("velocity_limit", np.inf), np.inf),
         effort_tables=tuple(np.array(row["effort_table"]) if row.get("effort_table") else None for row in rows),
+        delay=np.array([row.get("delay", [0, 0]) for row in rows], dtype=np.float64),
+        groups=groups,
     )

@@ -74,7 +74,7 @@ class Reporter:
 
     def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:
         """Prints one line per robot about the episodes that ended lately."""
-        table = _table("robot", "reward/s", "falls", "err xy", "err yaw", "length", "episodes")
+        table = table_of("robot", "reward/s", "falls", "err xy", "err yaw", "length", "episodes")
         for robot, values in stats.items():
             table.add_row(
                 robot,
@@ -93,7 +93,7 @@ class Reporter:
             f"deterministic policy, {evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s "
             "(errors in m/s and rad/s; still: of a robot that does not move)"
         )
-        table = _table("robot", "reward/s", "err xy", "still", "err yaw", "still", "falls", "length")
+        table = table_of("robot", "reward/s", "err xy", "still", "err yaw", "still", "falls", "length")
         for robot, result in evaluation.robots.items():
             table.add_row(
                 robot,
@@ -108,7 +108,8 @@ class Reporter:
         self.console.print(table)
 
 
-def _table(name: str, *figures: str) -> Table:
+def table_of(name: str, *figures: str) -> Table:
+    """An empty table: one column of names, then columns of figures."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(name, no_wrap=True)
     for figure in figures:

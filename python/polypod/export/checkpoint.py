@@ -1,0 +1,232 @@
+"""From a checkpoint to files: graphs, manifests, and the comparison of each graph with torch."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
+
+from polypod import _core
+from polypod.evaluation import load_network
+from polypod.export import onnx_graph
+from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, changes, interfaces
+from polypod.export.runtime import OnnxPolicy
+from polypod.export.torch_graph import RobotPolicy, write_torchscript
+from polypod.training import run_dir
+
+Format = Literal["onnx", "torchscript"]
+
+FOLDER = "exported"
+"""Beside the checkpoint, where nothing else is asked for."""
+TOLERANCE = 1e-5
+"""Largest difference from torch's result, relative to numbers beyond 1."""
+_ROWS = 256
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """What was written."""
+
+    files: list[Path]
+    difference: float
+    """Largest difference of an ONNX graph from torch on random inputs, as `TOLERANCE` counts it; 0 without ONNX."""
+    changes: list[str]
+    """What of the robots is no longer as it was in the training."""
+
+
+def export_checkpoint(
+    checkpoint: Path,
+    out: Path | None = None,
+    robots: Sequence[str] | None = None,
+    fold: bool = False,
+    formats: Sequence[Format] = ("onnx", "torchscript"),
+) -> Export:
+    """Writes the policy of a checkpoint, and one graph per robot where robots are named or `fold` is set.
+
+    Args:
+        checkpoint: a `model_<n>.pt` beside its manifest.
+        out: the directory; None: `exported` beside the checkpoint.
+        robots: names or paths of configs to fold the policy for, also of robots that it was not trained on.
+        fold: fold for all robots of the training, where `robots` are not named.
+        formats: kinds of files.
+
+    Raises:
+        ConfigError: for a checkpoint, robot or directory that cannot be used, and where a package is missing.
+        PolypodError: for a graph that does not compute what the checkpoint does.
+    """
+    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
+    network = load_network(state, manifest["policy"])
+    known = interfaces(manifest)
+    asked = known if robots is None and fold else {}
+    if robots is not None:
+        asked = interfaces(manifest, robots)
+    out = checkpoint.parent / FOLDER if out is None else out
+    writer = _Writer(checkpoint, state, manifest, network, out, formats)
+    try:
+        writer.write_policy(known | asked)
+        for robot in asked.values():
+            writer.write_robot(robot)
+    except OSError as error:
+        raise _core.ConfigError(f"cannot write to {out}: {error.strerror}; choose another --out") from error
+    return Export(writer.files, writer.difference, changes(manifest, known | asked))
+
+
+class _Writer:
+    def __init__(
+        self,
+        checkpoint: Path,
+        state: dict[str, Any],
+        manifest: dict[str, Any],
+        network: MLPModel,
+        out: Path,
+        formats: Sequence[Format],
+    ) -> None:
+        self.manifest, self.network, self.out, self.formats = manifest, network, out, formats
+        self.treatment: dict[str, tuple[float, list[float] | None]] = {}
+        self.files: list[Path] = []
+        self.difference = 0.0
+        self.origin = {
+            "file": checkpoint.name,
+            "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
+            "iteration": state.get("iter"),
+        }
+        self.num_obs = manifest["policy"]["num_obs"]
+        self.num_actions = manifest["policy"]["num_actions"]
+
+    def write_policy(self, robots: dict[str, RobotInterface]) -> None:
+        """The network alone, with a manifest about all robots."""
+        self.treatment = {term: value for robot in robots.values() for term, value in robot.treatment.items()}
+        module = self.network.as_jit()
+        sizes = {"obs": self.num_obs}
+        if "onnx" in self.formats:
+            model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, self._metadata("policy"))
+            self._write_onnx("policy", model, module, sizes, ["actions"])
+        if "torchscript" in self.formats:
+            self._write_torchscript("policy", module, sizes)
+        self._write_manifest(
+            "policy",
+            {
+                "kind": "policy",
+                "inputs": [_tensor("obs", self.num_obs, "the observation: see observation_layout")],
+                "outputs": [_tensor("actions", self.num_actions, "the action, in canonical order")],
+                "robots": self.manifest["robot_sources"],
+                "robot_info": {name: self._robot(robot) for name, robot in robots.items()},
+            },
+        )
+
+    def write_robot(self, robot: RobotInterface) -> None:
+        """The graph folded for one robot, with a manifest about it."""
+        name = f"policy_{robot.name}"
+        module = RobotPolicy(self.network, robot).eval()
+        sizes, outputs = robot.inputs(), {"joint_pos_target": len(robot.joint_names), "actions": self.num_actions}
+        if "onnx" in self.formats:
+            model = onnx_graph.robot_model(self.network, robot, self._metadata(name))
+            self._write_onnx(name, model, module, sizes, list(outputs))
+        if "torchscript" in self.formats:
+            self._write_torchscript(name, module, sizes)
+        self._write_manifest(
+            name,
+            {
+                "kind": "robot",
+                "inputs": [_tensor(key, size, INPUTS[key]) for key, size in sizes.items()],
+                "outputs": [_tensor(key, size, OUTPUTS[key]) for key, size in outputs.items()],
+                "robots": [robot.name],
+                "robot_info": {robot.name: self._robot(robot)},
+            },
+        )
+
+    def _write_onnx(
+        self, name: str, model: Any, module: torch.nn.Module, sizes: dict[str, int], outputs: list[str]
+    ) -> None:
+        data = model.SerializeToString()
+        difference = compare(OnnxPolicy(data), module, sizes, outputs)
+        if not difference <= TOLERANCE:
+            raise _core.PolypodError(
+                f"{name}.onnx differs from the checkpoint by {difference:.1e}, more than {TOLERANCE:g}; "
+                "export to torchscript, and report this network"
+            )
+        self.difference = max(self.difference, difference)
+        path = self.out / f"{name}.onnx"
+        run_dir.write_atomically(path, lambda file: file.write(data))
+        self.files.append(path)
+
+    def _write_torchscript(self, name: str, module: torch.nn.Module, sizes: dict[str, int]) -> None:
+        path = self.out / f"{name}.pt"
+        # two rows, so that nothing is taken for a constant
+        write_torchscript(module, tuple(torch.zeros(2, size) for size in sizes.values()), path)
+        self.files.append(path)
+
+    def _write_manifest(self, name: str, content: dict[str, Any]) -> None:
+        start, layout = 0, []
+        for entry in self.manifest["observation_layout"]:
+            scale, clip = self.treatment.get(entry["term"], (1.0, None))
+            place = {"term": entry["term"], "size": entry["size"], "start": start}
+            layout.append({**place, "scale": scale, "clip": clip})
+            start += entry["size"]
+        normalizer = self.network.obs_normalizer
+        normalized = isinstance(normalizer, EmpiricalNormalization)
+        manifest = {
+            "format": 1,
+            **content,
+            "checkpoint": self.origin,
+            "task": self.manifest["task"],
+            "overrides": self.manifest["overrides"],
+            "step_dt": self.manifest["step_dt"],
+            "canonical_joint_names": self.manifest["canonical_joint_names"],
+            "observation_layout": layout,
+            "observation_normalization": {
+                "in_graph": True,
+                "mean": normalizer.mean.tolist(),
+                "std": (normalizer.std + normalizer.eps).tolist(),
+            }
+            if normalized
+            else None,
+            "num_obs": self.num_obs,
+            "num_actions": self.num_actions,
+            "network": {key: self.manifest["policy"][key] for key in ("class_name", "hidden_dims", "activation")},
+            "versions": {"polypod": _core.__version__, "torch": torch.__version__},
+        }
+        path = self.out / f"{name}.json"
+        run_dir.write_text(path, json.dumps(manifest, indent=2) + "\n")
+        self.files.append(path)
+
+    def _robot(self, robot: RobotInterface) -> dict[str, Any]:
+        return {
+            **robot.info,
+            "joint_of_slot": robot.joint_of_slot.tolist(),
+            "base_com": [float(x) for x in robot.base_com],
+            "morphology": [float(x) for x in robot.morphology],
+        }
+
+    def _metadata(self, name: str) -> dict[str, str]:
+        return {
+            "name": name,
+            "task": self.manifest["task"],
+            "checkpoint_sha256": self.origin["sha256"],
+            "step_dt": str(self.manifest["step_dt"]),
+        }
+
+
+def compare(policy: OnnxPolicy, module: torch.nn.Module, sizes: dict[str, int], outputs: Sequence[str]) -> float:
+    """Largest difference of an ONNX graph from its torch module on random inputs, relative to numbers beyond 1."""
+    random = np.random.default_rng(0)
+    inputs = {name: random.standard_normal((_ROWS, size), dtype=np.float32) for name, size in sizes.items()}
+    with torch.inference_mode():
+        found = module(*(torch.from_numpy(value) for value in inputs.values()))
+    wanted = [found.numpy()] if isinstance(found, torch.Tensor) else [value.numpy() for value in found]
+    given = policy(**inputs)
+    differences = (
+        np.abs(given[name] - value) / np.maximum(np.abs(value), 1.0)
+        for name, value in zip(outputs, wanted, strict=True)
+    )
+    return float(max(difference.max() for difference in differences))
+
+
+def _tensor(name: str, size: int, description: str) -> dict[str, Any]:
+    return {"name": name, "dtype": "float32", "shape": ["batch", size], "description": description}

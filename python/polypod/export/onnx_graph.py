@@ -1,0 +1,153 @@
+"""The exported graphs as ONNX models.
+
+They are a dozen nodes, written down here: torch's exporter takes a minute for them and leaves a graph that depends on
+its version. `checkpoint.export_checkpoint` compares every graph with torch before it is done.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
+
+from polypod import _core
+from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
+from polypod.extras import package
+
+OPSET = 17
+"""Of ONNX's default domain: old enough for the runtimes in use."""
+IR_VERSION = 8
+"""The one that came with it."""
+
+
+class Graph:
+    """An ONNX graph in the making; tensors go by their names."""
+
+    def __init__(self, name: str) -> None:
+        """An empty graph."""
+        self.onnx = package("onnx", "exporting to ONNX", "export")
+        self.name = name
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def constant(self, name: str, value: npt.NDArray[Any]) -> str:
+        """Stores an array."""
+        self.constants.append(self.onnx.numpy_helper.from_array(np.ascontiguousarray(value), name))
+        return name
+
+    def node(self, operator: str, *inputs: str, output: str, **attributes: Any) -> str:
+        """Adds a node."""
+        self.nodes.append(self.onnx.helper.make_node(operator, list(inputs), [output], name=output, **attributes))
+        return output
+
+    def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int], metadata: Mapping[str, str]) -> Any:
+        """The checked model; inputs and outputs are float32 [batch, size]."""
+        helper = self.onnx.helper
+
+        def tensors(sizes: Mapping[str, int]) -> list[Any]:
+            kind = self.onnx.TensorProto.FLOAT
+            documents = {**INPUTS, **OUTPUTS}
+            return [
+                helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=documents.get(name, ""))
+                for name, size in sizes.items()
+            ]
+
+        graph = helper.make_graph(self.nodes, self.name, tensors(inputs), tensors(outputs), self.constants)
+        model = helper.make_model(
+            graph,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="polypod",
+            producer_version=_core.__version__,
+        )
+        helper.set_model_props(model, dict(metadata))
+        self.onnx.checker.check_model(model, full_check=True)
+        return model
+
+
+def network_model(network: MLPModel, num_obs: int, num_actions: int, metadata: Mapping[str, str]) -> Any:
+    """The network alone: `obs` [batch, num_obs] to `actions` [batch, num_actions]."""
+    graph = Graph("policy")
+    _add_network(graph, network, "obs", "actions")
+    return graph.model({"obs": num_obs}, {"actions": num_actions}, metadata)
+
+
+def robot_model(network: MLPModel, robot: RobotInterface, metadata: Mapping[str, str]) -> Any:
+    """The network folded for a robot: see `polypod.export.robot` for inputs and outputs."""
+    graph = Graph(f"policy_{robot.name}")
+    inputs = robot.inputs()
+    slots = graph.constant("joint_of_slot", robot.joint_of_slot)
+    default = graph.constant("default_pose", robot.default_pose)
+    columns = []
+    for term, size in robot.layout:
+        column = f"obs_{term}"
+        if term == "base_lin_vel":
+            lever = graph.constant("base_com_lever", robot.lever())
+            turning = graph.node("MatMul", "base_ang_vel", lever, output="base_com_turning")
+            graph.node("Add", "base_lin_vel", turning, output=column)
+        elif term == "joint_pos_rel":
+            offset = graph.node("Sub", "joint_pos", default, output="joint_pos_offset")
+            graph.node("Gather", offset, slots, output=column, axis=1)
+        elif term == "joint_vel_rel":
+            graph.node("Gather", "joint_vel", slots, output=column, axis=1)
+        elif term == "morphology":
+            # as many rows as the inputs have
+            any_input = next(iter(inputs))
+            shape = graph.node("Shape", any_input, output="input_shape")
+            first = graph.constant("first", np.array([0], dtype=np.int64))
+            batch = graph.node("Gather", shape, first, output="batch_size", axis=0)
+            width = graph.constant("morphology_size", np.array([size], dtype=np.int64))
+            wanted = graph.node("Concat", batch, width, output="morphology_shape", axis=0)
+            graph.node("Expand", graph.constant("morphology", robot.morphology), wanted, output=column)
+        else:
+            column = term
+        columns.append(column)
+    observation = graph.node("Concat", *columns, output="obs", axis=1)
+    _add_network(graph, network, observation, "actions")
+    spread = graph.constant("action_spread", robot.spread())
+    graph.node("Gemm", "actions", spread, default, output="joint_pos_target")
+    outputs = {"joint_pos_target": len(robot.joint_names), "actions": len(robot.joint_of_slot)}
+    return graph.model(inputs, outputs, metadata)
+
+
+def _add_network(graph: Graph, network: MLPModel, source: str, target: str) -> None:
+    """Adds the deterministic network from tensor `source` to tensor `target`."""
+    value = source
+    if isinstance(network.obs_normalizer, EmpiricalNormalization):
+        normalizer = network.obs_normalizer
+        mean = graph.constant("obs_mean", _numpy(normalizer.mean))
+        scale = graph.constant("obs_std", _numpy(normalizer.std + normalizer.eps))
+        value = graph.node("Div", graph.node("Sub", value, mean, output="obs_centred"), scale, output="obs_normalized")
+    layers = list(network.mlp)
+    for index, layer in enumerate(layers):
+        output = target if index + 1 == len(layers) else f"layer_{index}"
+        if isinstance(layer, torch.nn.Linear):
+            weight = graph.constant(f"weight_{index}", _numpy(layer.weight))
+            bias = graph.constant(f"bias_{index}", _numpy(layer.bias))
+            value = graph.node("Gemm", value, weight, bias, output=output, transB=1)
+        else:
+            operator, attributes = _activation(layer)
+            value = graph.node(operator, value, output=output, **attributes)
+
+
+def _activation(layer: torch.nn.Module) -> tuple[str, dict[str, float]]:
+    match layer:
+        case torch.nn.ELU() | torch.nn.CELU():
+            return type(layer).__name__.capitalize(), {"alpha": layer.alpha}
+        case torch.nn.LeakyReLU():
+            return "LeakyRelu", {"alpha": layer.negative_slope}
+        case torch.nn.SELU() | torch.nn.ReLU() | torch.nn.Tanh() | torch.nn.Sigmoid() | torch.nn.Softplus():
+            return type(layer).__name__.capitalize(), {}
+        case torch.nn.Identity():
+            return "Identity", {}
+    raise _core.ConfigError(
+        f"the activation {type(layer).__name__} is not exported to ONNX; train with elu, relu, tanh or another of "
+        "ONNX's own, or leave out the format onnx"
+    )
+
+
+def _numpy(tensor: torch.Tensor) -> npt.NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().astype(np.float32)

@@ -1,0 +1,171 @@
+"""What stands between a policy and one robot: from its sensors to the observation, from the action to its joints."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Array = npt.NDArray[np.float32]
+
+INPUTS = {
+    "base_lin_vel": "velocity of the base link's origin, base axes, m/s",
+    "base_ang_vel": "angular velocity of the base, base axes, rad/s",
+    "projected_gravity": "unit vector of gravity in base axes: (0, 0, -1) for a level robot",
+    "velocity_commands": "forward and left velocity, m/s, and yaw rate, rad/s, that the robot is to follow",
+    "joint_pos": "joint positions in the robot's own order, rad",
+    "joint_vel": "joint velocities in the robot's own order, rad/s",
+    "last_action": "the output `actions` of the control step before; zeros at first",
+}
+"""Inputs of a folded graph and what they are, each `[batch, size]`."""
+
+OUTPUTS = {
+    "joint_pos_target": "joint position targets in the robot's own order, rad",
+    "actions": "the action in canonical order: the next step's `last_action`",
+}
+"""Its outputs."""
+
+_NEEDS = {
+    "base_lin_vel": ("base_lin_vel", "base_ang_vel"),
+    "base_ang_vel": ("base_ang_vel",),
+    "projected_gravity": ("projected_gravity",),
+    "velocity_commands": ("velocity_commands",),
+    "joint_pos_rel": ("joint_pos",),
+    "joint_vel_rel": ("joint_vel",),
+    "last_action": ("last_action",),
+    "morphology": (),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotInterface:
+    """One robot's numbers, in the order of its own joints unless said otherwise."""
+
+    name: str
+    layout: tuple[tuple[str, int], ...]
+    """(term, size) of the policy's observation, in order."""
+    joint_names: tuple[str, ...]
+    joint_of_slot: npt.NDArray[np.int64]
+    """Index of the joint in each canonical slot."""
+    default_pose: Array
+    """rad."""
+    action_scale: float
+    """rad per unit of action."""
+    base_com: Array
+    """Centre of mass of the base in its frame, m: the task observes its velocity."""
+    morphology: Array
+    """What the term `morphology` says of the robot; empty where it is not observed."""
+    treatment: Mapping[str, tuple[float, list[float] | None]]
+    """(scale, clip) that the task gives each term after it is measured."""
+    info: Mapping[str, Any]
+    """All that the simulator says of the robot (`VecSim.robot_info`)."""
+
+    def inputs(self) -> dict[str, int]:
+        """Names and sizes of the folded graph's inputs. Raises ConfigError for a term that cannot be folded."""
+        for term, _ in self.layout:
+            if term not in _NEEDS:
+                raise _core.ConfigError(
+                    f"the observation term {term!r} cannot be folded into a graph for {self.name}; export without it "
+                    "and compute the observation yourself, in the order of the manifest"
+                )
+            if self.treatment.get(term, (1.0, None)) != (1.0, None):
+                raise _core.ConfigError(
+                    f"the task scales or clips the observation term {term!r}, which is not folded; export without "
+                    "folding and compute the observation yourself, as the manifest says"
+                )
+        needed = {name for term, _ in self.layout for name in _NEEDS[term]}
+        sizes = {"joint_pos": len(self.joint_names), "joint_vel": len(self.joint_names)}
+        sizes["last_action"] = len(self.joint_of_slot)
+        return {name: sizes.get(name, 3) for name in INPUTS if name in needed}
+
+    def lever(self) -> Array:
+        """[3, 3], `angular velocity @ lever` is the centre of mass' velocity about the base's origin."""
+        x, y, z = self.base_com
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=np.float32)
+
+    def spread(self) -> Array:
+        """[slots, joints], `default_pose + action @ spread` are the joint targets."""
+        spread = np.zeros((len(self.joint_of_slot), len(self.joint_names)), dtype=np.float32)
+        spread[np.arange(len(self.joint_of_slot)), self.joint_of_slot] = self.action_scale
+        return spread
+
+
+def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None) -> dict[str, RobotInterface]:
+    """The interfaces of a policy to robots.
+
+    Args:
+        manifest: that of the checkpoint.
+        robots: names or paths of configs; None: those that the policy was trained on.
+
+    Raises:
+        ConfigError: for an unknown task or robot, and for a task that has changed since the training.
+    """
+    sim, treatment = _undisturbed(manifest, robots)
+    layout = tuple(sim.observation_layout)
+    trained = tuple((entry["term"], entry["size"]) for entry in manifest["observation_layout"])
+    if layout != trained:
+        raise _core.ConfigError(
+            f"{manifest['task']} observes {_terms(layout)}, but the policy was trained on {_terms(trained)}; "
+            "use the version of the task that it was trained on"
+        )
+    infos, shapes = json.loads(sim.robot_info()), json.loads(sim.robot_shapes())
+    columns, start = slice(0, 0), 0
+    for term, size in layout:
+        if term == "morphology":
+            columns = slice(start, start + size)
+        start += size
+    observation = sim.observation
+    return {
+        robot: RobotInterface(
+            name=robot,
+            layout=layout,
+            joint_names=tuple(infos[robot]["joint_names"]),
+            joint_of_slot=np.array(infos[robot]["joint_of_slot"], dtype=np.int64),
+            default_pose=np.array(infos[robot]["default_pose"], dtype=np.float32),
+            action_scale=infos[robot]["action_scale"],
+            base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
+            morphology=observation[sim.env_ids(robot)[0], columns].copy(),
+            treatment=treatment,
+            info=infos[robot],
+        )
+        for robot in sim.robots
+    }
+
+
+def changes(manifest: Mapping[str, Any], robots: Mapping[str, RobotInterface]) -> list[str]:
+    """What of the robots is no longer as it was in the training, one line each."""
+    lines = []
+    for name, robot in robots.items():
+        trained = manifest.get("robot_info", {}).get(name)
+        for key, value in robot.info.items() if trained is not None else ():
+            if key in trained and trained[key] != value:
+                lines.append(f"{name}: {key} is not what the policy was trained on")
+    return lines
+
+
+def _undisturbed(
+    manifest: Mapping[str, Any], robots: Sequence[str] | None
+) -> tuple[_core.VecSim, dict[str, tuple[float, list[float] | None]]]:
+    """One env per robot of the policy's task without noise and events, and scale and clip of each term."""
+    names = list(manifest["robot_sources"] if robots is None else robots)
+    overrides = [*manifest["overrides"], "observations.enable_noise=false"]
+    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides)
+    task = tomllib.loads(sim.resolved_config())["task"]
+    off = [f"events.{name}.enabled=false" for name in task.get("events", {})]
+    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off])
+    terms = task["observations"]["policy"]
+    return sim, {entry["term"]: (entry.get("scale", 1.0), entry.get("clip")) for entry in terms}
+
+
+def _terms(layout: Sequence[tuple[str, int]]) -> str:
+    return ", ".join(f"{term} ({size})" for term, size in layout)

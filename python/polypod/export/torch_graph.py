@@ -1,0 +1,64 @@
+"""The exported graphs as torch modules, and as TorchScript."""
+
+import warnings
+from pathlib import Path
+
+import torch
+from rsl_rl.models import MLPModel
+
+from polypod.export.robot import RobotInterface
+from polypod.training import run_dir
+
+
+class RobotPolicy(torch.nn.Module):
+    """A policy folded for one robot: from the inputs of `RobotInterface.inputs` to joint targets and action."""
+
+    lever: torch.Tensor
+    spread: torch.Tensor
+    default_pose: torch.Tensor
+    joint_of_slot: torch.Tensor
+    morphology: torch.Tensor
+
+    def __init__(self, network: MLPModel, robot: RobotInterface) -> None:
+        """Takes over a copy of the network."""
+        super().__init__()
+        self.network = network.as_jit()
+        self.inputs = list(robot.inputs())
+        self.terms = [term for term, _ in robot.layout]
+        self.register_buffer("lever", torch.from_numpy(robot.lever()))
+        self.register_buffer("spread", torch.from_numpy(robot.spread()))
+        self.register_buffer("default_pose", torch.from_numpy(robot.default_pose))
+        self.register_buffer("joint_of_slot", torch.from_numpy(robot.joint_of_slot))
+        self.register_buffer("morphology", torch.from_numpy(robot.morphology))
+
+    def forward(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """`inputs` in the order of `RobotInterface.inputs`, each [batch, size]."""
+        actions = self.network(self.observe(*inputs))
+        return self.default_pose + actions @ self.spread, actions
+
+    def observe(self, *inputs: torch.Tensor) -> torch.Tensor:
+        """The observation, [batch, num_obs]."""
+        of = dict(zip(self.inputs, inputs, strict=True))
+        columns = []
+        for term in self.terms:
+            if term == "base_lin_vel":
+                columns.append(of["base_lin_vel"] + of["base_ang_vel"] @ self.lever)
+            elif term == "joint_pos_rel":
+                columns.append((of["joint_pos"] - self.default_pose).index_select(-1, self.joint_of_slot))
+            elif term == "joint_vel_rel":
+                columns.append(of["joint_vel"].index_select(-1, self.joint_of_slot))
+            elif term == "morphology":
+                columns.append(self.morphology.expand(inputs[0].shape[0], -1))
+            else:
+                columns.append(of[term])
+        return torch.cat(columns, dim=-1)
+
+
+def write_torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...], path: Path) -> None:
+    """Traces `module` and writes it."""
+    with warnings.catch_warnings():
+        # torch advises against TorchScript; those who load it in C++ still want it
+        warnings.simplefilter("ignore", FutureWarning)
+        warnings.simplefilter("ignore", DeprecationWarning)
+        traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
+        run_dir.write_atomically(path, lambda file: torch.jit.save(traced, file))

@@ -1,0 +1,172 @@
+"""Collision shapes and obstacles as polygons."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+ROUND = 12
+"""Corners of a circle."""
+LARGEST_FACE = 0.15
+"""Edges of flat faces are cut into pieces no longer than this, m, so that faces sort by their distance."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Mesh:
+    """Convex outward polygons of three or four corners."""
+
+    vertices: Array
+    """[n, 3], m."""
+    faces: npt.NDArray[np.intp]
+    """[m, 4], indices counter-clockwise from outside; a triangle repeats its last corner."""
+
+    def moved(self, position: npt.ArrayLike, quaternion: npt.ArrayLike) -> "Mesh":
+        """The same in the parent frame of a pose: m, and (w, x, y, z)."""
+        return Mesh(self.vertices @ rotation(quaternion).T + np.asarray(position, dtype=np.float64), self.faces)
+
+    def triangles(self) -> npt.NDArray[np.uint32]:
+        """[k, 3], the same faces as triangles."""
+        a, b, c, d = self.faces.T
+        both = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)[c != d]])
+        return both.astype(np.uint32)
+
+
+def rotation(quaternion: npt.ArrayLike) -> Array:
+    """The rotation matrix of (w, x, y, z)."""
+    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def shape(description: Mapping[str, Any]) -> Mesh:
+    """The mesh of a shape in its own frame; `description` as in `VecSim.robot_shapes` or a task's obstacles."""
+    match description["shape"]:
+        case "sphere":
+            return _turned(_arc(description["radius"], -90.0, 90.0))
+        case "box":
+            return box(description["size"])
+        case "cylinder":
+            half, radius = 0.5 * description["length"], description["radius"]
+            return _turned([(-half, 0.0), (-half, radius), (half, radius), (half, 0.0)])
+        case "capsule":
+            half, radius = 0.5 * description["length"], description["radius"]
+            lower = [(a - half, r) for a, r in _arc(radius, -90.0, 0.0)]
+            return _turned([*lower, *((a + half, r) for a, r in _arc(radius, 0.0, 90.0))])
+        case "hull":
+            faces = np.array(description["triangles"], dtype=np.intp).reshape(-1, 3)
+            return Mesh(np.array(description["points"], dtype=np.float64), faces[:, [0, 1, 2, 2]])
+    raise ValueError(f"no shape {description['shape']!r}")
+
+
+def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
+    """The meshes of an obstacle of a task's scene, in the env's frame."""
+    roll, pitch, yaw = description.get("rpy", (0.0, 0.0, 0.0))
+    turn = _quaternion(roll, pitch, yaw)
+    match description["shape"]:
+        case "ramp":
+            parts = [_ramp(description["size"])]
+        case "stairs":
+            depth, width, height = description["size"]
+            count = description["steps"]
+            parts = []
+            for step in range(count):
+                top = height * (step + 1)
+                middle = ((step + 0.5 - 0.5 * count) * depth, 0.0, 0.5 * top)
+                parts.append(box((depth, width, top)).moved(middle, (1.0, 0.0, 0.0, 0.0)))
+        case "heightfield":
+            parts = [_surface(description["size"], description["heights"])]
+        case "mesh":  # a file of the task's own, which only the simulator reads
+            parts = []
+        case _:
+            parts = [shape(description)]
+    return [part.moved(description["position"], turn) for part in parts]
+
+
+def box(size: Sequence[float]) -> Mesh:
+    """A box about the origin with these edge lengths, m; large faces are cut up."""
+    half = 0.5 * np.asarray(size, dtype=np.float64)
+    meshes = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        pieces = [max(1, math.ceil(2.0 * half[i] / LARGEST_FACE)) for i in (u, v)]
+        for sign in (-1.0, 1.0):
+            # counter-clockwise from outside on either side
+            along, across = (u, v) if sign > 0.0 else (v, u)
+            counts = pieces if sign > 0.0 else pieces[::-1]
+            a = np.linspace(-half[along], half[along], counts[0] + 1)
+            b = np.linspace(-half[across], half[across], counts[1] + 1)
+            grid = np.zeros((len(a), len(b), 3))
+            grid[..., axis], grid[..., along], grid[..., across] = sign * half[axis], a[:, None], b[None, :]
+            meshes.append(_grid(grid))
+    return _joined(meshes)
+
+
+def _ramp(size: Sequence[float]) -> Mesh:
+    x, y, z = 0.5 * size[0], 0.5 * size[1], size[2]
+    corners = [[-x, -y, 0], [-x, y, 0], [x, -y, 0], [x, y, 0], [x, -y, z], [x, y, z]]
+    faces = [[0, 4, 5, 1], [2, 3, 5, 4], [0, 1, 3, 2], [0, 2, 4, 4], [1, 5, 3, 3]]
+    return Mesh(np.array(corners, dtype=np.float64), np.array(faces, dtype=np.intp))
+
+
+def _surface(size: Sequence[float], heights: Sequence[Sequence[float]]) -> Mesh:
+    table = np.array(heights, dtype=np.float64)
+    grid = np.zeros((*table.shape, 3))
+    grid[..., 0] = np.linspace(-0.5 * size[0], 0.5 * size[0], table.shape[0])[:, None]
+    grid[..., 1] = np.linspace(-0.5 * size[1], 0.5 * size[1], table.shape[1])[None, :]
+    grid[..., 2] = table
+    return _grid(grid)
+
+
+def _arc(radius: float, start: float, stop: float) -> list[tuple[float, float]]:
+    """Points (height, distance from the axis) of a meridian between two latitudes, degrees."""
+    count = max(2, round(ROUND * (stop - start) / 360.0)) + 1
+    angles = np.radians(np.linspace(start, stop, count))
+    return [(radius * float(np.sin(a)), radius * max(0.0, float(np.cos(a)))) for a in angles]
+
+
+def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
+    """The solid that a profile (height, distance), from bottom to top, makes when it turns about z."""
+    angles = np.linspace(0.0, 2.0 * np.pi, ROUND + 1)
+    heights, radii = np.array(profile).T
+    grid = np.zeros((ROUND + 1, len(profile), 3))
+    grid[..., 0] = np.cos(angles)[:, None] * radii
+    grid[..., 1] = np.sin(angles)[:, None] * radii
+    grid[..., 2] = heights
+    return _grid(grid)
+
+
+def _grid(points: Array) -> Mesh:
+    """Quadrilaterals between points [n, m, 3]."""
+    rows, columns = points.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    corners = (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+    return Mesh(points.reshape(-1, 3), np.stack([corner.ravel() for corner in corners], axis=1))
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+
+def _quaternion(roll: float, pitch: float, yaw: float) -> Array:
+    """Of rotations about the fixed x, y and z axes, in this order."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in (roll, pitch, yaw))
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )

@@ -1,0 +1,136 @@
+"""A frame in the browser, by viser: live, or recorded into a file without a browser."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+from polypod.extras import package
+from polypod.play.player import Frame, Player
+from polypod.play.raster import COLORS, COMMAND, FORCE, FORCE_LENGTH, OBSTACLE
+from polypod.training import run_dir
+
+_HIDDEN = np.array([[[0.0, 0.0, -10.0], [0.0, 0.0, -10.001]]], dtype=np.float32)
+"""An arrow below the ground, where there is nothing to show."""
+
+
+class Viewer:
+    """The scene of a player; robots are made of their collision shapes."""
+
+    def __init__(self, player: Player, port: int = 8080, host: str = "127.0.0.1") -> None:
+        """Opens the server; the next free port is taken where `port` is not.
+
+        Raises:
+            ConfigError: where viser is missing or no port is free.
+        """
+        viser = package("viser", "the viewer", "play")
+        self.player = player
+        try:
+            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+        except OSError as error:
+            raise _core.ConfigError(f"--port {port} cannot be opened: {error.strerror}; choose another") from error
+        self._recording: Any = None
+        self._links: dict[tuple[int, int], Any] = {}
+        self._arrows: list[tuple[Any, Any]] = []
+        self._build(player.frame())
+
+    @property
+    def url(self) -> str:
+        """Where the scene is to be seen."""
+        return f"http://{self._server.get_host()}:{self._server.get_port()}"
+
+    def show(self, frame: Frame) -> None:
+        """Moves everything to where it is in a frame."""
+        with self._server.atomic():
+            for index, robot in enumerate(frame.robots):
+                for link, (position, quaternion) in enumerate(zip(robot.position, robot.quaternion, strict=True)):
+                    handle = self._links[index, link]
+                    handle.position, handle.wxyz = position, quaternion
+                forces, command = self._arrows[index]
+                lines = [[point, point + FORCE_LENGTH * force / robot.weight] for point, force in robot.forces]
+                forces.points = np.array(lines, dtype=np.float32) if lines else _HIDDEN
+                command.points = _command_arrow(robot.position[0], robot.quaternion[0], robot.command)
+
+    def record(self) -> None:
+        """Keeps all frames from now on; a `tick` between two sets their distance in time."""
+        self._recording = self._server.get_scene_serializer()
+
+    def tick(self, seconds: float) -> None:
+        """Lets time pass in the recording."""
+        if self._recording is not None:
+            self._recording.insert_sleep(seconds)
+
+    def write(self, path: Path) -> None:
+        """Writes the recording: `.html` by itself, `.viser` for viser's client. Raises ConfigError where that fails."""
+        recording, self._recording = self._recording, None
+        data = recording.as_html().encode() if path.suffix == ".html" else recording.serialize()
+        try:
+            run_dir.write_atomically(path, lambda file: file.write(data))
+        except OSError as error:
+            raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --record") from error
+
+    def controls(self) -> tuple[Any, Any]:
+        """Adds a pause box and sliders for a command of one's own; returns the pause box and the box that uses them."""
+        gui = self._server.gui
+        pause = gui.add_checkbox("pause", initial_value=False)
+        own = gui.add_checkbox("own command", initial_value=False)
+        names = (("forward (m/s)", 1.0), ("left (m/s)", 1.0), ("turn (rad/s)", 1.0))
+        sliders = [gui.add_slider(name, min=-most, max=most, step=0.05, initial_value=0.0) for name, most in names]
+
+        def use(_: Any) -> None:
+            if own.value:
+                self.player.command([slider.value for slider in sliders])
+            else:
+                self.player.sim.set_command(None)
+
+        for handle in (own, *sliders):
+            handle.on_update(use)
+        return pause, own
+
+    def close(self) -> None:
+        """Ends the server."""
+        self._server.stop()
+
+    def _build(self, frame: Frame) -> None:
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        scene.add_grid("/ground", infinite_grid=True, cell_size=0.5, section_size=1.0)
+        for index, robot in enumerate(frame.robots):
+            root = f"/{index}_{robot.name}"
+            for link in range(len(robot.position)):
+                name = f"{root}/{link}"
+                self._links[index, link] = scene.add_frame(name, show_axes=False)
+            for number, part in enumerate(self.player.parts[robot.name]):
+                scene.add_mesh_simple(
+                    f"{root}/{part.link}/{number}",
+                    part.mesh.vertices.astype(np.float32),
+                    part.mesh.triangles(),
+                    color=COLORS[part.group],
+                    flat_shading=True,
+                )
+            for number, obstacle in enumerate(self.player.obstacles):
+                vertices = (obstacle.vertices + robot.place).astype(np.float32)
+                scene.add_mesh_simple(
+                    f"{root}/obstacle_{number}", vertices, obstacle.triangles(), color=OBSTACLE, flat_shading=True
+                )
+            scene.add_label(f"{root}/0/label", robot.name, position=(0.0, 0.0, 0.5))
+            forces = scene.add_arrows(f"{root}_forces", _HIDDEN, colors=FORCE)
+            command = scene.add_arrows(f"{root}_command", _HIDDEN, colors=COMMAND)
+            self._arrows.append((forces, command))
+        self.show(frame)
+
+
+def _command_arrow(
+    position: npt.NDArray[np.float64], quaternion: npt.NDArray[np.float64], command: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
+    """[1, 2, 3], above the base, along the commanded velocity."""
+    w, x, y, z = quaternion
+    angle = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    forward, left = 0.6 * command[:2]
+    along = np.array([forward * np.cos(angle) - left * np.sin(angle), forward * np.sin(angle) + left * np.cos(angle)])
+    start = position + np.array([0.0, 0.0, 0.35])
+    if np.linalg.norm(along) < 1e-3:
+        return _HIDDEN
+    return np.array([[start, start + np.array([*along, 0.0])]], dtype=np.float32)

@@ -1,0 +1,30 @@
+"""The exported policy on the same robots in MuJoCo, beside polypod's own simulation of the same commands.
+
+A policy that walks in a second simulator has not learned the first one's mistakes. `polypod sim2sim` runs it; it needs
+the `export` and `bench` extras.
+"""
+
+from polypod.sim2sim.commands import Commands
+from polypod.sim2sim.run import (
+    MAX_FALL_RATE,
+    MAX_VELOCITY_DIFFERENCE,
+    Comparison,
+    Figures,
+    Options,
+    RobotComparison,
+    compare,
+)
+from polypod.sim2sim.twin import Physics, Twin
+
+__all__ = [
+    "MAX_FALL_RATE",
+    "MAX_VELOCITY_DIFFERENCE",
+    "Commands",
+    "Comparison",
+    "Figures",
+    "Options",
+    "Physics",
+    "RobotComparison",
+    "Twin",
+    "compare",
+]

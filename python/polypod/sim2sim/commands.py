@@ -1,0 +1,86 @@
+"""The commands of an evaluation, drawn once and given to every simulator alike."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Commands:
+    """What the envs are to follow: as the task draws it, with its heading controller."""
+
+    linear: Array
+    """[draws, envs, 2], forward and left velocity, m/s."""
+    heading: Array
+    """[draws, envs], to turn to, rad."""
+    turning: Array
+    """[draws, envs], yaw rate where no heading is held, rad/s."""
+    holds_heading: npt.NDArray[np.bool_]
+    """[draws, envs]."""
+    standing: npt.NDArray[np.bool_]
+    """[draws, envs]."""
+    steps_per_draw: int
+    stiffness: float
+    """Yaw rate per heading error, 1/s."""
+    turn_range: tuple[float, float]
+    """rad/s."""
+
+    @classmethod
+    def draw(cls, config: dict[str, Any], num_envs: int, steps: int, step_dt: float, seed: int) -> "Commands":
+        """Draws for `steps` control steps; `config` is the task's `[commands.base_velocity]`."""
+        random = np.random.default_rng(seed)
+        steps_per_draw = max(1, round(config["resampling_time_s"] / step_dt))
+        shape = (-(-steps // steps_per_draw), num_envs)
+
+        def uniform(key: str) -> Array:
+            low, high = config[key]
+            return random.uniform(low, high, size=shape)
+
+        holds = config["heading_command"] & (random.uniform(size=shape) < config["rel_heading_envs"])
+        return cls(
+            linear=np.stack([uniform("lin_vel_x"), uniform("lin_vel_y")], axis=-1),
+            heading=uniform("heading"),
+            turning=uniform("ang_vel_z"),
+            holds_heading=holds,
+            standing=random.uniform(size=shape) < config["rel_standing_envs"],
+            steps_per_draw=steps_per_draw,
+            stiffness=config["heading_control_stiffness"],
+            turn_range=(config["ang_vel_z"][0], config["ang_vel_z"][1]),
+        )
+
+    @classmethod
+    def constant(cls, command: npt.ArrayLike, num_envs: int) -> "Commands":
+        """The same forward velocity, left velocity (m/s) and yaw rate (rad/s) for all envs at all times."""
+        x, y, turn = np.asarray(command, dtype=np.float64)
+        no = np.zeros((1, num_envs), dtype=np.bool_)
+        return cls(
+            linear=np.tile([x, y], (1, num_envs, 1)),
+            heading=np.zeros((1, num_envs)),
+            turning=np.full((1, num_envs), turn),
+            holds_heading=no,
+            standing=no,
+            steps_per_draw=np.iinfo(np.int64).max,
+            stiffness=0.0,
+            turn_range=(turn, turn),
+        )
+
+    def at(self, step: int, heading: Array) -> npt.NDArray[np.float32]:
+        """[envs, 3], the commanded velocity in a control step, for robots that head to `heading` [envs], rad."""
+        draw = step // self.steps_per_draw
+        error = (self.heading[draw] - heading + np.pi) % (2.0 * np.pi) - np.pi
+        turning = np.where(
+            self.holds_heading[draw], np.clip(self.stiffness * error, *self.turn_range), self.turning[draw]
+        )
+        command = np.column_stack([self.linear[draw], turning])
+        command[self.standing[draw]] = 0.0
+        return command.astype(np.float32)
+
+
+def heading_of(qpos: Array) -> Array:
+    """Heading of the base's x axis in the world, rad, of positions [envs, nq]."""
+    w, x, y, z = qpos[:, 3:7].T
+    return np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))

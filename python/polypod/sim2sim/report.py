@@ -1,0 +1,76 @@
+"""What a user of `polypod sim2sim` sees: progress, and a table with both simulators side by side."""
+
+import sys
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+
+from polypod.sim2sim.run import MAX_FALL_RATE, MAX_VELOCITY_DIFFERENCE, Comparison
+from polypod.training.report import table_of
+
+
+class Progress:
+    """A bar per simulator and robot on a terminal, nothing elsewhere."""
+
+    def __init__(self) -> None:
+        """Looks at standard error."""
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bars = Bars(*columns, console=console) if console.is_terminal else None
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> "Progress":
+        """Shows the bars."""
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leaves them as they are."""
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, name: str, done: int, total: int) -> None:
+        """Moves a bar."""
+        if self._bars is None:
+            return
+        if name not in self._tasks:
+            self._tasks[name] = self._bars.add_task(name if name == "polypod" else f"mujoco {name}", total=total)
+        self._bars.update(self._tasks[name], completed=done)
+
+
+def show(comparison: Comparison) -> None:
+    """Prints the figures."""
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    physics = comparison.physics
+    console.print(
+        f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
+        f"MuJoCo {comparison.mujoco_version}, {physics.integrator} at {1e3 * physics.dt:g} ms, "
+        f"friction {physics.friction:g}{', soft contact' if physics.soft_contact else ''} (errors in m/s and rad/s)",
+        markup=False,
+    )
+    columns = ("err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
+    table = table_of("robot", *columns)
+    for name, robot in comparison.robots.items():
+        ours, theirs = robot.polypod, robot.mujoco
+        table.add_row(
+            name,
+            f"{ours.error_vel_xy:.3f}",
+            f"{theirs.error_vel_xy:.3f}",
+            f"{ours.error_vel_yaw:.3f}",
+            f"{theirs.error_vel_yaw:.3f}",
+            f"{ours.fall_rate:.1%}",
+            f"{theirs.fall_rate:.1%}",
+            "yes" if robot.transfers else "no",
+        )
+    console.print(table)
+    if not comparison.transfers:
+        console.print(
+            f"transfers: falls at most {MAX_FALL_RATE:.0%} in MuJoCo, err xy at most {MAX_VELOCITY_DIFFERENCE:g} m/s "
+            "above polypod's",
+            markup=False,
+        )

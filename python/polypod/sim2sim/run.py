@@ -1,0 +1,312 @@
+"""Both simulators over the same episodes: same initial states, same commands, same falls, same errors."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+from polypod.accuracy import reference
+from polypod.accuracy import robot as accuracy_robot
+from polypod.evaluation import Policy, load_network, load_policy, play_task
+from polypod.export import onnx_graph
+from polypod.export.robot import RobotInterface, interfaces
+from polypod.export.runtime import OnnxPolicy
+from polypod.sim2sim.commands import Array, Commands, heading_of
+from polypod.sim2sim.twin import Observed, Physics, Twin
+from polypod.training import run_dir
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MAX_FALL_RATE = 0.05
+"""Of a policy that is taken to transfer."""
+MAX_VELOCITY_DIFFERENCE = 0.1
+"""Of the velocity errors in the two simulators, m/s."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with a robot, the control steps done and those to do."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    envs_per_robot: int = 32
+    steps: int | None = None
+    """Control steps per episode. None: a whole one."""
+    seed: int = 0
+    command: tuple[float, float, float] | None = None
+    """Forward and left velocity, m/s, and yaw rate, rad/s, for all envs. None: drawn as the task draws them."""
+    dt: float | None = None
+    """MuJoCo's physics step, s. None: the task's."""
+    integrator: reference.Integrator = "implicitfast"
+    friction: float | None = None
+    """Of the ground in MuJoCo. None: the task's static one."""
+    soft_contact: bool = False
+    """See `Physics.soft_contact`."""
+    overrides: tuple[str, ...] = ()
+    """`key=value` changes to the task, on top of the run's own."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Figures:
+    """One robot in one simulator: means over its envs, each over the time until it fell."""
+
+    error_vel_xy: float
+    """m/s, between commanded and actual planar velocity of the base's centre of mass."""
+    error_vel_yaw: float
+    """rad/s."""
+    fall_rate: float
+    """Share of the episodes in which the base touched the ground."""
+    episode_length_s: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotComparison:
+    """One robot in both simulators."""
+
+    polypod: Figures
+    mujoco: Figures
+
+    @property
+    def transfers(self) -> bool:
+        """Whether the robot falls as seldom and follows as closely in MuJoCo as it has to."""
+        difference = self.mujoco.error_vel_xy - self.polypod.error_vel_xy
+        return self.mujoco.fall_rate <= MAX_FALL_RATE and difference <= MAX_VELOCITY_DIFFERENCE
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """All robots, and what they were measured on."""
+
+    task: str
+    envs_per_robot: int
+    seed: int
+    duration_s: float
+    mujoco_version: str
+    physics: Physics
+    robots: dict[str, RobotComparison]
+
+    @property
+    def transfers(self) -> bool:
+        """Whether all robots do."""
+        return all(robot.transfers for robot in self.robots.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same, for JSON."""
+        robots = {
+            name: {**dataclasses.asdict(robot), "transfers": robot.transfers} for name, robot in self.robots.items()
+        }
+        return {**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots}
+
+
+def compare(
+    checkpoint: Path,
+    robots: Sequence[str] | None = None,
+    options: Options | None = None,
+    progress: Progress = lambda robot, done, total: None,
+) -> Comparison:
+    """Runs the policy of a checkpoint in both simulators.
+
+    polypod draws the initial states of the task's Play variant; both simulators begin in them. The commands are drawn
+    once, and a heading is held by the same controller from each simulator's own heading.
+
+    Args:
+        checkpoint: a `model_<n>.pt` beside its manifest.
+        robots: names or paths of configs; None: those that the policy was trained on.
+        options: see `Options`.
+        progress: told how far the run is.
+
+    Raises:
+        ConfigError: for a checkpoint, robot or option that cannot be used, for a task with obstacles, and where
+            MuJoCo, ONNX or onnxruntime is missing.
+    """
+    options = options or Options()
+    for name, count in (("num_envs", options.envs_per_robot), ("steps", options.steps)):
+        if count is not None and count < 1:
+            raise _core.ConfigError(f"{name} = {count} must be at least 1")
+    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
+    network = load_network(state, manifest["policy"])
+    sources = list(manifest["robot_sources"] if robots is None else robots)
+    known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
+    episode = _Episode(manifest, sources, options)
+    physics = episode.physics
+    for name in known:
+        _check_steps(physics, episode.step_dt, name)
+    in_polypod = _run_polypod(episode, load_policy(state, manifest["policy"]), progress)
+    results = {}
+    for source, (name, interface) in zip(sources, known.items(), strict=True):
+        model = onnx_graph.robot_model(network, interface, {})
+        policy = OnnxPolicy(model.SerializeToString())
+        theirs = _run_mujoco(episode, name, source, interface, policy, progress)
+        results[name] = RobotComparison(polypod=in_polypod[name], mujoco=theirs)
+    return Comparison(
+        task=episode.sim.task_name,
+        envs_per_robot=options.envs_per_robot,
+        seed=options.seed,
+        duration_s=episode.steps * episode.step_dt,
+        mujoco_version=reference.version(),
+        physics=physics,
+        robots=results,
+    )
+
+
+class _Episode:
+    """What both simulators are given."""
+
+    def __init__(self, manifest: dict[str, Any], sources: list[str], options: Options) -> None:
+        self.sim = _core.VecSim(
+            play_task(manifest["task"]),
+            options.envs_per_robot * len(sources),
+            robots=sources,
+            seed=options.seed,
+            overrides=[*manifest["overrides"], *options.overrides],
+            autoreset="disabled",
+        )
+        self.envs_per_robot = options.envs_per_robot
+        self.step_dt = self.sim.step_dt
+        self.steps = min(options.steps or self.sim.max_episode_length, self.sim.max_episode_length)
+        self.seed = options.seed
+        task = tomllib.loads(self.sim.resolved_config())["task"]
+        if (
+            task["scene"].get("obstacles")
+            or task["scene"].get("terrain")
+            or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6
+        ):
+            raise _core.ConfigError(
+                f"{self.sim.task_name}: MuJoCo is given level ground and gravity of {reference.GRAVITY} m/s^2; "
+                "compare in a task without obstacles and terrain"
+            )
+        self.task_dt: float = task["sim"]["dt"]
+        friction = _combined_friction(task) if options.friction is None else options.friction
+        self.physics = Physics(options.dt or self.task_dt, options.integrator, friction, options.soft_contact)
+        if options.command is not None:
+            self.commands = Commands.constant(options.command, self.sim.num_envs)
+        else:
+            config = task["commands"]["base_velocity"]
+            self.commands = Commands.draw(config, self.sim.num_envs, self.steps, self.step_dt, options.seed)
+        self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
+        self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
+
+    def commands_of(self, name: str) -> Commands:
+        """The commands of one robot's envs."""
+        envs = slice(*self.sim.env_ids(name))
+        fields = ("linear", "heading", "turning", "holds_heading", "standing")
+        return dataclasses.replace(self.commands, **{key: getattr(self.commands, key)[:, envs] for key in fields})
+
+    def delays(self, robot: accuracy_robot.Robot) -> Array:
+        """Delays [envs, joints] in physics steps, one draw per env and group of actuators."""
+        random = np.random.default_rng((self.seed, 1))
+        delays = np.zeros((self.envs_per_robot, robot.num_joints))
+        groups = np.array(robot.actuators.groups)
+        for group in dict.fromkeys(robot.actuators.groups):
+            joints = np.flatnonzero(groups == group)
+            fewest, most = robot.actuators.delay[joints[0]]
+            delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
+        return delays
+
+
+class _Sums:
+    """Errors of envs until they fall."""
+
+    def __init__(self, num_envs: int, step_dt: float) -> None:
+        self.step_dt = step_dt
+        self.active = np.ones(num_envs, dtype=np.bool_)
+        self.fell = np.zeros(num_envs, dtype=np.bool_)
+        self.steps, self.xy, self.yaw = (np.zeros(num_envs) for _ in range(3))
+
+    def add(self, commands: npt.NDArray[np.float32], seen: Observed) -> None:
+        self.steps += self.active
+        self.xy += np.where(self.active, np.linalg.norm(commands[:, :2] - seen.velocity, axis=1), 0.0)
+        self.yaw += np.where(self.active, np.abs(commands[:, 2] - seen.yaw_rate), 0.0)
+        self.fell |= self.active & seen.fell
+        self.active &= ~seen.fell
+
+    def figures(self, envs: slice) -> Figures:
+        steps = self.steps[envs]
+        return Figures(
+            error_vel_xy=float(np.mean(self.xy[envs] / steps)),
+            error_vel_yaw=float(np.mean(self.yaw[envs] / steps)),
+            fall_rate=float(self.fell[envs].mean()),
+            episode_length_s=float(steps.mean() * self.step_dt),
+        )
+
+
+def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[str, Figures]:
+    sim = episode.sim
+    columns, start = {}, 0
+    for term, size in sim.observation_layout:
+        columns[term], start = slice(start, start + size), start + size
+    missing = {"base_lin_vel", "base_ang_vel", "velocity_commands"} - columns.keys()
+    if missing:
+        raise _core.ConfigError(f"task {sim.task_name} does not observe {', '.join(sorted(missing))}; add the terms")
+    sums = _Sums(sim.num_envs, episode.step_dt)
+    for step in range(episode.steps):
+        heading = np.concatenate([heading_of(sim.qpos(name)) for name in sim.robots])
+        commands = episode.commands.at(step, heading)
+        sim.set_command(commands)
+        observation = sim.observation.copy()
+        observation[:, columns["velocity_commands"]] = commands
+        sim.step(policy(observation))
+        seen = sim.observation
+        sums.add(
+            commands,
+            Observed(
+                velocity=seen[:, columns["base_lin_vel"]][:, :2].astype(np.float64),
+                yaw_rate=seen[:, columns["base_ang_vel"]][:, 2].astype(np.float64),
+                fell=sim.terminated.copy(),
+            ),
+        )
+        progress("polypod", step + 1, episode.steps)
+    return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
+
+
+def _run_mujoco(
+    episode: _Episode,
+    name: str,
+    source: str,
+    interface: RobotInterface,
+    policy: OnnxPolicy,
+    progress: Progress,
+) -> Figures:
+    robot = accuracy_robot.of(episode.sim, name, source)
+    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] == "base"]
+    twin = Twin(
+        robot,
+        interface,
+        policy,
+        bodies,
+        step_dt=episode.step_dt,
+        physics_dt=episode.task_dt,
+        physics=episode.physics,
+        delays=episode.delays(robot),
+    )
+    twin.reset(*episode.start[name])
+    commands = episode.commands_of(name)
+    sums = _Sums(twin.num_envs, episode.step_dt)
+    for step in range(episode.steps):
+        wanted = commands.at(step, heading_of(twin.qpos))
+        sums.add(wanted, twin.step(wanted, sums.active))
+        progress(name, step + 1, episode.steps)
+    return sums.figures(slice(None))
+
+
+def _combined_friction(task: dict[str, Any]) -> float:
+    """Static friction of a robot's nominal surface on the ground."""
+    ground, robot = task["scene"]["ground"], task["robot_material"]
+    a, b = ground["static_friction"], robot["static_friction"]
+    rules = {"multiply": a * b, "average": 0.5 * (a + b), "min": min(a, b), "max": max(a, b)}
+    return float(rules[ground["friction_combine"]])
+
+
+def _check_steps(physics: Physics, step_dt: float, name: str) -> None:
+    if physics.dt <= 0.0 or abs(step_dt / physics.dt - round(step_dt / physics.dt)) > 1e-6:
+        raise _core.ConfigError(f"dt = {physics.dt} s does not divide the control step of {step_dt} s ({name})")

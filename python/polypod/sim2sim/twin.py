@@ -1,0 +1,190 @@
+"""Envs of one robot in MuJoCo, driven as a real robot would be: from its sensors through the exported policy.
+
+Nothing of polypod's simulator is used but its description of the robot: MuJoCo compiles the URDF (see
+`polypod.accuracy.reference` for what is set), and sensors, actuators and terminations are computed here from MuJoCo's
+state.
+
+- The PD law is MuJoCo's position actuator with the robot's gains. Limits of effort, the torque-speed line of DC motors,
+  tables over the joint angle and delays are applied here, anew in every physics step.
+- Shapes touch the ground with the task's friction; the robot's own links pass through each other.
+- Contacts are as stiff as the step allows, or MuJoCo's default ones (time constant 20 ms), by choice.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod.accuracy.reference import Ground, Integrator, Reference, mujoco
+from polypod.accuracy.robot import Robot
+from polypod.export.robot import RobotInterface
+from polypod.export.runtime import OnnxPolicy
+from polypod.sim2sim.commands import Array
+
+FALL_FORCE = 1.0
+"""Normal force on a shape of the base from which a robot has fallen, N: the task's own threshold."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Physics:
+    """How MuJoCo steps."""
+
+    dt: float = 0.005
+    """Physics step, s."""
+    integrator: Integrator = "implicitfast"
+    friction: float = 0.8
+    """Of feet and links on the ground."""
+    soft_contact: bool = False
+    """MuJoCo's default contacts, in which feet sink in, in place of the stiffest ones that the step allows."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Observed:
+    """What one control step showed, per env."""
+
+    velocity: Array
+    """[envs, 2], of the base's centre of mass, base axes, m/s."""
+    yaw_rate: Array
+    """[envs], rad/s."""
+    fell: npt.NDArray[np.bool_]
+    """[envs], in this control step."""
+
+
+class Twin:
+    """`num_envs` robots of one kind, each in a world of its own."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        interface: RobotInterface,
+        policy: OnnxPolicy,
+        base_bodies: Sequence[str],
+        *,
+        step_dt: float,
+        physics_dt: float,
+        physics: Physics,
+        delays: Array,
+    ) -> None:
+        """Compiles the model.
+
+        Args:
+            robot: URDF and actuators.
+            interface: between policy and robot.
+            policy: folded for the robot.
+            base_bodies: links that must not touch the ground.
+            step_dt: control step, s.
+            physics_dt: the physics step that delays are counted in, s.
+            physics: how MuJoCo steps.
+            delays: [envs, joints], of the targets, in physics steps.
+        """
+        ground = Ground(physics.friction, soft=physics.soft_contact)
+        self.reference = Reference.of(robot, dt=physics.dt, integrator=physics.integrator, ground=ground)
+        self.robot, self.interface, self.policy = robot, interface, policy
+        self.step_dt, self.physics_dt = step_dt, physics_dt
+        self.substeps = round(step_dt / physics.dt)
+        self.delays = delays * physics_dt
+        self.num_envs = len(delays)
+        self._mj = mujoco()
+        model = self.reference.model
+        model.actuator_forcelimited[:] = 1
+        names = [model.body(body).name for body in model.geom_bodyid]
+        self._is_base = np.array([name in base_bodies for name in names])
+        self._data = [self._mj.MjData(model) for _ in range(self.num_envs)]
+        self._wrench = np.zeros(6)
+        ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / step_dt - 1e-9))
+        self._targets = np.zeros((ages, self.num_envs, robot.num_joints))
+        self._fresh = True
+        self.actions = np.zeros((self.num_envs, len(interface.joint_of_slot)), dtype=np.float32)
+        self.qpos = np.zeros((self.num_envs, 7 + robot.num_joints))
+        """In polypod's order of joints."""
+        self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))
+
+    def reset(self, qpos: Array, qvel: Array) -> None:
+        """Begins in these states, [envs, nq] and [envs, nv]."""
+        for data, q, v in zip(self._data, qpos, qvel, strict=True):
+            self._mj.mj_resetData(self.reference.model, data)
+            data.qpos[self.reference.q], data.qvel[self.reference.v] = q, v
+            self._mj.mj_forward(self.reference.model, data)
+        self.actions[:] = 0.0
+        self._fresh = True
+        self._read()
+
+    def step(self, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
+        """One control step towards `commands` [envs, 3]; envs that are not `active` are left alone."""
+        sensors = self.sensors()
+        inputs = {name: value for name, value in sensors.items() if name in self.policy.inputs}
+        outputs = self.policy(**inputs | {"velocity_commands": commands})
+        self.actions = outputs["actions"]
+        self._targets = np.roll(self._targets, 1, axis=0)
+        self._targets[0] = outputs["joint_pos_target"]
+        if self._fresh:
+            self._targets[:] = self._targets[0]
+            self._fresh = False
+        fell = np.zeros(self.num_envs, dtype=np.bool_)
+        envs = np.flatnonzero(active)
+        for substep in range(self.substeps):
+            self._physics_step(substep, envs, fell)
+        velocity, rate = self.base_velocity()
+        return Observed(velocity[:, :2] + (rate @ self.interface.lever())[:, :2], rate[:, 2], fell)
+
+    def sensors(self) -> dict[str, Array]:
+        """What the robot's sensors read, named as the folded graph's inputs, [envs, size]."""
+        velocity, rate = self.base_velocity()
+        return {
+            "base_lin_vel": velocity,
+            "base_ang_vel": rate,
+            "projected_gravity": -_rotation(self.qpos)[:, 2, :],
+            "joint_pos": self.qpos[:, 7:],
+            "joint_vel": self.qvel[:, 6:],
+            "last_action": self.actions.astype(np.float64),
+        }
+
+    def base_velocity(self) -> tuple[Array, Array]:
+        """Velocity of the base's origin, m/s, and its angular velocity, rad/s, both [envs, 3] in base axes."""
+        velocity = np.einsum("eji,ej->ei", _rotation(self.qpos), self.qvel[:, :3])
+        return velocity, self.qvel[:, 3:6]
+
+    def _physics_step(self, substep: int, envs: npt.NDArray[np.intp], fell: npt.NDArray[np.bool_]) -> None:
+        model = self.reference.model
+        since = substep * self.step_dt / self.substeps
+        # a target that is late by less than the time since it was given is seen
+        age = np.ceil(np.maximum(self.delays - since, 0.0) / self.step_dt - 1e-9).astype(np.intp)
+        targets = np.take_along_axis(self._targets, age[None], axis=0)[0]
+        ranges = self.robot.actuators.effort_range(self.qpos[:, 7:], self.qvel[:, 6:])
+        for env in envs:
+            data = self._data[env]
+            model.actuator_forcerange[:] = ranges[env]
+            data.ctrl[:] = targets[env]
+            self._mj.mj_step(model, data)
+            self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
+            fell[env] |= self._touches_with_base(data)
+        # nor is a state that is none any more a stand
+        fell |= ~np.isfinite(self.qpos).all(axis=1)
+
+    def _touches_with_base(self, data: Any) -> bool:
+        """Whether the base pressed on the ground in the last physics step."""
+        contacts = np.flatnonzero(self._is_base[data.contact.geom].any(axis=1)) if data.ncon else ()
+        for index in contacts:
+            self._mj.mj_contactForce(self.reference.model, data, index, self._wrench)
+            if self._wrench[0] > FALL_FORCE:
+                return True
+        return False
+
+    def _read(self) -> None:
+        for env, data in enumerate(self._data):
+            self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
+
+
+def _rotation(qpos: Array) -> Array:
+    """Rotation matrices [envs, 3, 3] of the base."""
+    w, x, y, z = qpos[:, 3:7].T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=-2,
+    )

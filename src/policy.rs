@@ -1,0 +1,197 @@
+//! Policies as ONNX files, run by tract: no Python is needed.
+//!
+//! `polypod export` writes such a file and its manifest, `policy.onnx` and `policy.json`. The network takes observations
+//! `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in the order of the task that it was trained on.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::Deserialize;
+use tract_onnx::prelude::*;
+
+use crate::app::Sim;
+use crate::robot::CANONICAL_JOINT_NAMES;
+
+/// A policy could not be read, or does not fit a simulation.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {element}: {problem}; {remedy}", file.display())]
+pub struct PolicyError {
+    /// The policy or its manifest.
+    pub file: PathBuf,
+    /// Which part of it.
+    pub element: String,
+    /// What is wrong.
+    pub problem: String,
+    /// What to do.
+    pub remedy: String,
+}
+
+/// What `polypod export` says of a policy; the manifest holds more.
+#[derive(Clone, Debug, Deserialize)]
+pub struct PolicyManifest {
+    /// Of the manifest's layout; 1.
+    pub format: u32,
+    /// Which of the exported graphs it describes: `policy`, or `robot` for one that is folded for a robot.
+    pub kind: String,
+    /// Name of the task that the policy was trained on.
+    pub task: String,
+    /// Its changes to the task, `key=value`.
+    #[serde(default)]
+    pub overrides: Vec<String>,
+    /// Robots that it was trained on: names, or paths of configs.
+    pub robots: Vec<String>,
+    /// Seconds between control steps.
+    pub step_dt: f64,
+    /// The action's slots.
+    pub canonical_joint_names: Vec<String>,
+    /// Terms of the observation, in order.
+    pub observation_layout: Vec<TermLayout>,
+    /// Length of an action.
+    pub num_actions: usize,
+}
+
+/// A term of an observation.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
+pub struct TermLayout {
+    /// Its name.
+    pub term: String,
+    /// How many numbers.
+    pub size: usize,
+}
+
+/// A network for a fixed number of envs.
+pub struct Policy {
+    /// What its manifest says.
+    pub manifest: PolicyManifest,
+    file: PathBuf,
+    network: Arc<TypedRunnableModel>,
+    num_envs: usize,
+}
+
+impl fmt::Debug for Policy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Policy").field("file", &self.file).field("num_envs", &self.num_envs).finish_non_exhaustive()
+    }
+}
+
+impl PolicyManifest {
+    /// Reads the manifest beside a policy: the same name, ending in `.json`.
+    ///
+    /// # Errors
+    /// It is missing or broken, or describes another kind of graph.
+    pub fn beside(policy: &Path) -> Result<Self, PolicyError> {
+        let file = policy.with_extension("json");
+        let failure = |element: &str, problem: String, remedy: &str| PolicyError {
+            file: file.clone(),
+            element: element.into(),
+            problem,
+            remedy: remedy.into(),
+        };
+        let text = std::fs::read_to_string(&file).map_err(|error| {
+            failure("manifest", format!("cannot be read: {error}"), "keep a policy beside the manifest of its export")
+        })?;
+        let manifest: Self = serde_json::from_str(&text).map_err(|error| {
+            failure("manifest", format!("is not one of an export: {error}"), "export the policy again: polypod export")
+        })?;
+        if manifest.format != 1 {
+            let problem = format!("is {}, not 1", manifest.format);
+            return Err(failure("format", problem, "export the policy again with this version of polypod"));
+        }
+        if manifest.kind != "policy" {
+            let problem = format!("is `{}`: the graph is folded for one robot and takes its sensors", manifest.kind);
+            return Err(failure("kind", problem, "pass policy.onnx of the same export, which takes observations"));
+        }
+        if manifest.canonical_joint_names != CANONICAL_JOINT_NAMES {
+            let problem = "are in another order than this version's".to_string();
+            return Err(failure("canonical_joint_names", problem, "export the policy again with this version"));
+        }
+        Ok(manifest)
+    }
+
+    /// Length of an observation.
+    pub fn num_obs(&self) -> usize {
+        self.observation_layout.iter().map(|term| term.size).sum()
+    }
+}
+
+impl Policy {
+    /// Reads `policy.onnx` and the manifest beside it, for batches of `num_envs`.
+    ///
+    /// # Errors
+    /// A file is missing or broken, or the graph does not take and give what the manifest says.
+    pub fn load(file: &Path, num_envs: usize) -> Result<Self, PolicyError> {
+        let manifest = PolicyManifest::beside(file)?;
+        let network = compile(file, num_envs, &manifest).map_err(|error| PolicyError {
+            file: file.to_path_buf(),
+            element: "graph".into(),
+            problem: format!("is not the network of the manifest: {error:#}"),
+            remedy: "export the policy again: polypod export".into(),
+        })?;
+        Ok(Self { manifest, file: file.to_path_buf(), network, num_envs })
+    }
+
+    /// Whether the simulation observes what the policy was trained on.
+    ///
+    /// # Errors
+    /// Terms, sizes or the control step differ.
+    pub fn check(&self, sim: &Sim) -> Result<(), PolicyError> {
+        let failure = |element: &str, problem: String| PolicyError {
+            file: self.file.with_extension("json"),
+            element: element.into(),
+            problem,
+            remedy: format!("run it in its own task, {}", self.manifest.task),
+        };
+        let task = sim.task();
+        let layout: Vec<TermLayout> =
+            task.observations.iter().map(|term| TermLayout { term: term.name.clone(), size: term.size }).collect();
+        if layout != self.manifest.observation_layout {
+            let names = |layout: &[TermLayout]| {
+                layout.iter().map(|t| format!("{} ({})", t.term, t.size)).collect::<Vec<_>>().join(", ")
+            };
+            let problem = format!(
+                "is {}, and {} observes {}",
+                names(&self.manifest.observation_layout),
+                task.config.name,
+                names(&layout)
+            );
+            return Err(failure("observation_layout", problem));
+        }
+        let step_dt = task.config.sim.step_dt();
+        if (step_dt - self.manifest.step_dt).abs() > 1e-9 {
+            let problem =
+                format!("is {} s, and a control step of {} {step_dt} s", self.manifest.step_dt, task.config.name);
+            return Err(failure("step_dt", problem));
+        }
+        Ok(())
+    }
+
+    /// Actions, row-major `[num_envs, num_actions]`, for observations `[num_envs, num_obs]`.
+    ///
+    /// # Errors
+    /// Another number of observations.
+    pub fn act(&self, observations: &[f32]) -> Result<Vec<f32>, PolicyError> {
+        self.run(observations).map_err(|error| PolicyError {
+            file: self.file.clone(),
+            element: "graph".into(),
+            problem: format!("cannot be run: {error:#}"),
+            remedy: format!("pass {} observations of {} numbers", self.num_envs, self.manifest.num_obs()),
+        })
+    }
+
+    fn run(&self, observations: &[f32]) -> TractResult<Vec<f32>> {
+        let input = Tensor::from_shape(&[self.num_envs, self.manifest.num_obs()], observations)?;
+        let outputs = self.network.run(tvec!(input.into()))?;
+        let actions = outputs.first().ok_or_else(|| TractError::msg("it gives nothing"))?;
+        Ok(actions.try_as_plain_ram()?.as_slice::<f32>()?.to_vec())
+    }
+}
+
+fn compile(file: &Path, num_envs: usize, manifest: &PolicyManifest) -> TractResult<Arc<TypedRunnableModel>> {
+    let fact = f32::fact([num_envs, manifest.num_obs()]);
+    let model = tract_onnx::onnx().model_for_path(file)?.with_input_fact(0, fact.into())?.into_optimized()?;
+    if model.output_fact(0)?.shape.as_concrete() != Some(&[num_envs, manifest.num_actions][..]) {
+        return Err(TractError::msg(format!("it does not give {} actions", manifest.num_actions)));
+    }
+    model.into_runnable()
+}

@@ -1,0 +1,213 @@
+"""Exported graphs compute what the checkpoint does, from a robot's own sensors to its own joints."""
+
+import hashlib
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+import polypod
+import polypod.cli
+from polypod.evaluation import load_policy
+from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
+from polypod.export.checkpoint import compare
+from polypod.training import run_dir
+
+POLICY = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal"
+CHECKPOINT = POLICY / "model_666.pt"
+EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
+TASK = "Velocity-Flat-Universal-Play-v0"
+ROBOTS = [entry["name"] for entry in polypod.robots()]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    out = tmp_path_factory.mktemp("exported")
+    return out, export_checkpoint(CHECKPOINT, out, fold=True)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return load_policy(run_dir.load_checkpoint(CHECKPOINT), run_dir.read_manifest(CHECKPOINT)["policy"])
+
+
+def read(path):
+    return json.loads(path.read_text())
+
+
+def test_every_robot_gets_its_files(exported):
+    out, done = exported
+    names = ["policy", *(f"policy_{robot}" for robot in ROBOTS)]
+    assert {path.name for path in out.iterdir()} == {
+        f"{name}.{kind}" for name in names for kind in ("onnx", "pt", "json")
+    }
+    assert set(done.files) == set(out.iterdir())
+    assert done.difference <= 1e-5
+
+
+def test_the_network_acts_as_torch_does(exported, trained):
+    out, _ = exported
+    observations = np.random.default_rng(1).normal(size=(500, 83)).astype(np.float32)
+    wanted = trained(observations)
+    np.testing.assert_allclose(OnnxPolicy(out / "policy.onnx")(obs=observations)["actions"], wanted, atol=1e-5)
+    script = torch.jit.load(str(out / "policy.pt"))
+    np.testing.assert_allclose(script(torch.from_numpy(observations)).detach().numpy(), wanted, atol=1e-5)
+
+
+def test_the_rust_test_expects_these_actions(trained):
+    """`tests/policies_run_without_python.rs` holds tract against them; POLYPOD_WRITE_EXPECTED=1 writes them anew."""
+    if os.environ.get("POLYPOD_WRITE_EXPECTED"):
+        sim = polypod.VecSim(TASK, 16, seed=1, threads=1)
+        for _ in range(25):
+            sim.step(trained(sim.observation))
+        observations = sim.observation.copy()
+        content = {"observations": observations.tolist(), "actions": trained(observations).tolist()}
+        EXPECTED.write_text(json.dumps(content) + "\n")
+    expected = read(EXPECTED)
+    observations = np.array(expected["observations"], dtype=np.float32)
+    np.testing.assert_allclose(trained(observations), expected["actions"], atol=1e-5)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_folded_graph_goes_from_sensors_to_targets(exported, trained, robot):
+    """On states of the simulator: its observation and its targets are the reference."""
+    out, _ = exported
+    sim = polypod.VecSim(TASK, 8, robots=[robot], seed=3, threads=1)
+    random = np.random.default_rng(0)
+    action = np.zeros((8, 12), dtype=np.float32)
+    for _ in range(10):
+        action = random.normal(size=(8, 12)).astype(np.float32)
+        sim.step(action)
+    running = sim.episode_length == 10
+    assert running.sum() > 2
+    qpos, qvel = sim.qpos(robot), sim.qvel(robot)
+    w, x, y, z = qpos[:, 3:7].T
+    up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    rows = [quaternion_to_matrix(q).T @ v for q, v in zip(qpos[:, 3:7], qvel[:, :3], strict=True)]
+    inputs = {
+        "base_lin_vel": np.array(rows),
+        "base_ang_vel": qvel[:, 3:6],
+        "projected_gravity": -up,
+        "velocity_commands": sim.command,
+        "joint_pos": qpos[:, 7:],
+        "joint_vel": qvel[:, 6:],
+        "last_action": action,
+    }
+    graph = OnnxPolicy(out / f"policy_{robot}.onnx")
+    manifest = read(out / f"policy_{robot}.json")
+    assert list(graph.inputs) == [entry["name"] for entry in manifest["inputs"]] == list(inputs)
+    found = graph(**inputs)
+    wanted = trained(sim.observation)
+    np.testing.assert_allclose(found["actions"][running], wanted[running], atol=2e-4)
+    info = manifest["robot_info"][robot]
+    targets = np.tile(np.array(info["default_pose"]), (8, 1))
+    for slot, joint in enumerate(info["joint_of_slot"]):
+        targets[:, joint] += info["action_scale"] * found["actions"][:, slot]
+    np.testing.assert_allclose(found["joint_pos_target"], targets, atol=1e-5)
+    assert [info["joint_names"][joint] for joint in info["joint_of_slot"]] == [name for name, _ in sim.joint_map(robot)]
+
+    script = torch.jit.load(str(out / f"policy_{robot}.pt"))
+    tensors = [torch.from_numpy(np.asarray(value, dtype=np.float32)) for value in inputs.values()]
+    target, actions = script(*tensors)
+    np.testing.assert_allclose(actions.detach().numpy(), found["actions"], atol=1e-5)
+    np.testing.assert_allclose(target.detach().numpy(), found["joint_pos_target"], atol=1e-5)
+
+
+def quaternion_to_matrix(quaternion):
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_the_manifest_says_what_a_deployment_needs(exported):
+    manifest = read(exported[0] / "policy.json")
+    assert manifest["checkpoint"]["sha256"] == hashlib.sha256(CHECKPOINT.read_bytes()).hexdigest()
+    layout = manifest["observation_layout"]
+    assert sum(entry["size"] for entry in layout) == manifest["num_obs"] == 83
+    assert [entry["start"] for entry in layout] == [0, 3, 6, 9, 12, 24, 36, 48]
+    assert manifest["observation_normalization"] is None
+    assert manifest["step_dt"] == 0.02
+    assert set(manifest["robot_info"]) == set(ROBOTS)
+    for info in manifest["robot_info"].values():
+        for key in ("joint_names", "default_pose", "stiffness", "damping", "effort_limit", "lower", "upper"):
+            assert len(info[key]) == 12
+        assert len(info["morphology"]) == 35
+        assert info["action_scale"] > 0.0
+
+
+def test_the_shipped_export_is_that_of_the_shipped_checkpoint(trained):
+    manifest = read(POLICY / "exported" / "policy.json")
+    assert manifest["checkpoint"]["sha256"] == hashlib.sha256(CHECKPOINT.read_bytes()).hexdigest()
+    observations = np.random.default_rng(2).normal(size=(100, 83)).astype(np.float32)
+    actions = OnnxPolicy(POLICY / "exported" / "policy.onnx")(obs=observations)["actions"]
+    np.testing.assert_allclose(actions, trained(observations), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "activation", ["elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "identity"]
+)
+def test_networks_of_every_activation(activation):
+    network = build(activation, normalized=activation == "tanh")
+    model = onnx_graph.network_model(network, 7, 3, {})
+    assert compare(OnnxPolicy(model.SerializeToString()), network.as_jit(), {"obs": 7}, ["actions"]) <= 1e-5
+
+
+def test_an_activation_that_onnx_lacks_is_refused():
+    with pytest.raises(polypod.ConfigError, match="GELU"):
+        onnx_graph.network_model(build("gelu"), 7, 3, {})
+
+
+def build(activation, normalized=False):
+    torch.manual_seed(0)
+    like = TensorDict({"policy": torch.zeros(1, 7)}, batch_size=[1])
+    network = MLPModel(like, {"actor": ["policy"]}, "actor", 3, [16, 16], activation, obs_normalization=normalized)
+    if normalized:
+        network.train()
+        network.update_normalization(TensorDict({"policy": 2.0 + 3.0 * torch.randn(200, 7)}, batch_size=[200]))
+        assert network.obs_normalizer.std.min() > 2.0
+    return network.eval()
+
+
+def test_a_term_that_cannot_be_folded_is_named():
+    robot = interfaces(run_dir.read_manifest(CHECKPOINT), ["spot"])["spot"]
+    strange = type(robot)(**{**vars(robot), "layout": (("height_scan", 187),)})
+    with pytest.raises(polypod.ConfigError, match="height_scan"):
+        strange.inputs()
+    scaled = type(robot)(**{**vars(robot), "treatment": {"base_ang_vel": (0.25, None)}})
+    with pytest.raises(polypod.ConfigError, match="base_ang_vel"):
+        scaled.inputs()
+
+
+def test_the_command_line(tmp_path, capsys):
+    arguments = ["export", "--checkpoint", str(CHECKPOINT), "--out", str(tmp_path), "--robot", "spot"]
+    assert polypod.cli.main([*arguments, "--formats", "onnx"]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "policy.onnx",
+        "policy.json",
+        "policy_spot.onnx",
+        "policy_spot.json",
+    }
+    assert "policy_spot.onnx" in capsys.readouterr().out
+    assert polypod.cli.main([*arguments[:-1], "spott"]) == 2
+    assert "spot" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", ["onnx", "onnxruntime"])
+def test_the_missing_extra_is_named(monkeypatch, tmp_path, capsys, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    assert polypod.cli.main(["export", "--checkpoint", str(CHECKPOINT), "--out", str(tmp_path)]) == 2
+    errors = capsys.readouterr().err
+    assert f"needs the package {module}" in errors
+    assert "pip install 'polypod[export]'" in errors
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,171 @@
+"""The exported policy walks in MuJoCo as it does in polypod, through sensors and actuators of its own."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import polypod
+import polypod.cli
+from polypod import sim2sim
+from polypod.accuracy import robot as accuracy_robot
+from polypod.evaluation import load_network
+from polypod.export import OnnxPolicy, interfaces, onnx_graph
+from polypod.export.torch_graph import RobotPolicy
+from polypod.sim2sim import commands, twin
+from polypod.training import run_dir
+
+CHECKPOINT = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal" / "model_666.pt"
+TASK = "Velocity-Flat-Universal-Play-v0"
+
+
+def make_twin(robot, num_envs=4, delay=0):
+    manifest, state = run_dir.read_manifest(CHECKPOINT), run_dir.load_checkpoint(CHECKPOINT)
+    network = load_network(state, manifest["policy"])
+    interface = interfaces(manifest, [robot])[robot]
+    policy = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
+    sim = polypod.VecSim(TASK, num_envs, robots=[robot], seed=5, threads=1, autoreset="disabled")
+    described = accuracy_robot.of(sim, robot, robot)
+    bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
+    made = twin.Twin(
+        described,
+        interface,
+        policy,
+        bodies,
+        step_dt=0.02,
+        physics_dt=0.005,
+        physics=twin.Physics(),
+        delays=np.full((num_envs, 12), float(delay)),
+    )
+    return sim, made, RobotPolicy(network, interface)
+
+
+@pytest.mark.parametrize("robot", ["spot", "unitree_a1"])
+def test_its_sensors_read_what_the_simulator_observes(robot):
+    sim, mujoco, policy = make_twin(robot)
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        sim.step(random.normal(size=(4, 12)).astype(np.float32))
+    mujoco.reset(sim.qpos(robot), sim.qvel(robot))
+    sensors = mujoco.sensors() | {"velocity_commands": sim.command}
+    inputs = [torch.from_numpy(np.asarray(sensors[name], dtype=np.float32)) for name in policy.inputs]
+    observed = policy.observe(*inputs).numpy()
+    wanted = sim.observation.copy()
+    wanted[:, 36:48] = 0.0  # no action has been taken yet in MuJoCo
+    np.testing.assert_allclose(observed, wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize("robot", ["spot", "anymal_c"])
+def test_efforts_stay_within_the_actuators_limits(robot):
+    """Towards targets far away: the motor's torque-speed line, or the table over the joint angle."""
+    sim, mujoco, _ = make_twin(robot)
+    mujoco.reset(sim.qpos(robot), sim.qvel(robot))
+    mujoco._targets[:] = 20.0
+    actuators = mujoco.robot.actuators
+    saturated = 0
+    for _ in range(20):
+        position, velocity = mujoco.qpos[:, 7:].copy(), mujoco.qvel[:, 6:].copy()
+        allowed = actuators.effort_range(position, velocity)
+        mujoco._physics_step(0, np.arange(4), np.zeros(4, dtype=np.bool_))
+        effort = np.array([data.actuator_force for data in mujoco._data])
+        assert (effort >= allowed[..., 0] - 1e-9).all()
+        assert (effort <= allowed[..., 1] + 1e-9).all()
+        saturated += int((effort > allowed[..., 1] - 1e-6).sum())
+    assert saturated > 100
+    limits = actuators.effort_range(np.full((1, 12), -2.0), np.zeros((1, 12)))[0, :, 1]
+    if robot == "spot":
+        tables = [table for table in actuators.effort_tables if table is not None]
+        assert limits.max() == pytest.approx(np.interp(-2.0, tables[0][:, 0], tables[0][:, 1]))
+    else:
+        # no torque is left at the motor's speed without load
+        assert actuators.effort_range(np.zeros(12), actuators.no_load_speed)[:, 1].max() == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3, 4])
+def test_targets_come_as_late_as_the_delay(delay):
+    """The second step's target is seen after `delay` physics steps; the first one has no past."""
+    sim, mujoco, _ = make_twin("spot", num_envs=1, delay=delay)
+    mujoco.reset(sim.qpos("spot"), sim.qvel("spot"))
+    seen = []
+    step = mujoco._mj.mj_step
+
+    class Spy:
+        def __getattr__(self, name):
+            return getattr(mujoco_module, name)
+
+        def mj_step(self, model, data):
+            seen.append(data.ctrl.copy())
+            step(model, data)
+
+    mujoco_module, mujoco._mj = mujoco._mj, Spy()
+    for _ in range(2):
+        mujoco.step(np.array([[0.5, 0.0, 0.0]], dtype=np.float32), np.ones(1, dtype=np.bool_))
+    first, second = seen[0], mujoco._targets[0, 0]
+    assert not np.allclose(first, second)
+    for substep, target in enumerate(seen[:4] + seen[4:]):
+        late = substep < 4 + delay
+        np.testing.assert_array_equal(target, first if late else second)
+
+
+def test_commands_follow_the_heading():
+    config = {
+        "lin_vel_x": [-1.0, 1.0],
+        "lin_vel_y": [-1.0, 1.0],
+        "ang_vel_z": [-1.0, 1.0],
+        "heading": [-3.0, 3.0],
+        "heading_command": True,
+        "heading_control_stiffness": 0.5,
+        "rel_heading_envs": 1.0,
+        "rel_standing_envs": 0.1,
+        "resampling_time_s": 2.0,
+    }
+    drawn = commands.Commands.draw(config, 400, 250, 0.02, seed=0)
+    assert drawn.linear.shape == (3, 400, 2)
+    at_goal = drawn.at(0, drawn.heading[0])
+    np.testing.assert_allclose(at_goal[:, 2], 0.0, atol=1e-6)
+    off = drawn.at(120, drawn.heading[1] + 0.4)
+    standing = drawn.standing[1]
+    assert 10 < standing.sum() < 80
+    np.testing.assert_allclose(off[~standing, 2], -0.2, atol=1e-6)
+    np.testing.assert_array_equal(off[standing], 0.0)
+    np.testing.assert_allclose(off[~standing, :2], drawn.linear[1][~standing], atol=1e-6)
+
+
+def test_it_walks_in_both_simulators(tmp_path, capsys):
+    arguments = ["sim2sim", "--checkpoint", str(CHECKPOINT), "--robots", "unitree_go2,anymal_d", "--num-envs", "4"]
+    code = polypod.cli.main([*arguments, "--steps", "150", "--json", str(tmp_path / "figures.json")])
+    output = capsys.readouterr().out
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert code == 0, output
+    assert figures["transfers"]
+    assert set(figures["robots"]) == {"unitree_go2", "anymal_d"}
+    for robot in figures["robots"].values():
+        assert robot["mujoco"]["fall_rate"] == 0.0
+        assert abs(robot["mujoco"]["error_vel_xy"] - robot["polypod"]["error_vel_xy"]) < sim2sim.MAX_VELOCITY_DIFFERENCE
+        assert robot["mujoco"]["episode_length_s"] == pytest.approx(3.0)
+    assert "unitree_go2" in output
+
+
+def test_a_robot_that_slips_does_not_transfer(capsys):
+    """On ice in MuJoCo alone; the exit code says so."""
+    arguments = ["sim2sim", "--checkpoint", str(CHECKPOINT), "--robots", "unitree_go2", "--num-envs", "4"]
+    assert polypod.cli.main([*arguments, "--steps", "100", "--friction", "0.02", "--command", "1", "0", "0"]) == 3
+    assert "no" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--num-envs", "0"), "num_envs"),
+        (("--dt", "0.003"), "does not divide"),
+        (("--robots", "spott"), "spot"),
+        (("--set", 'scene.obstacles=[{shape="box", size=[1.0, 1.0, 0.1], position=[2.0, 0.0, 0.05]}]'), "obstacles"),
+    ],
+)
+def test_mistakes_get_one_line(capsys, arguments, message):
+    assert polypod.cli.main(["sim2sim", "--checkpoint", str(CHECKPOINT), *arguments]) == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
