@@ -136,7 +136,8 @@ impl<S: Real> ContactWork<S> {
     /// Memory for a topology.
     pub fn new(topology: &Topology) -> Self {
         let z = S::zero();
-        let stride = topology.max_contact_path();
+        // at least one: a robot may have no joints
+        let stride = topology.max_contact_path().max(1);
         let (contacts, joints) = (topology.num_impulses(), topology.num_joints());
         let blocks = topology.bound_blocks().len();
         Self {
