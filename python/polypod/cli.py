@@ -45,6 +45,8 @@ class Train:
     """Where the curves go."""
     resume: Annotated[str | None, _arg(metavar="RUN")] = None
     """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
+    init: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Begin with the networks of this checkpoint, of a run with the same observation and sizes of networks."""
     run_name: Name = None
     """Added to the name of the run's directory."""
     log_dir: Path = Path("logs")
@@ -329,6 +331,7 @@ def _train(command: Train) -> int:
             train_config=command.train_config,
             logger=command.logger,
             resume=command.resume,
+            init=command.init,
             run_name=command.run_name,
             log_dir=command.log_dir,
             device=command.device,

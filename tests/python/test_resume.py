@@ -1,7 +1,9 @@
 """Training that was interrupted and resumed equals training that never stopped, bit for bit."""
 
+import pytest
 import torch
 
+import polypod
 import polypod.evaluation
 from polypod.training import run_dir, session
 
@@ -49,3 +51,23 @@ def test_evaluation_is_deterministic(tmp_path):
     checkpoint = train(tmp_path, max_iterations=1, **OPTIONS)
     first, second = (polypod.evaluation.evaluate_checkpoint(checkpoint, num_envs=32, steps=40) for _ in range(2))
     assert first == second
+
+
+def test_a_run_may_begin_with_another_runs_networks(tmp_path):
+    first = train(tmp_path / "first", max_iterations=1, **OPTIONS)
+    # a learning rate of zero would leave them as they are; one iteration leaves them near
+    second = train(tmp_path / "second", max_iterations=1, init=first, **{**OPTIONS, "seed": 6})
+    fresh = train(tmp_path / "fresh", max_iterations=1, **{**OPTIONS, "seed": 6})
+    weights = [run_dir.load_checkpoint(path)["actor_state_dict"]["mlp.0.weight"] for path in (first, second, fresh)]
+    assert (weights[0] - weights[1]).abs().mean() < 0.1 * (weights[0] - weights[2]).abs().mean()
+    assert second.parent != first.parent
+    assert second.name == "model_1.pt"
+
+
+def test_networks_that_do_not_fit_are_refused(tmp_path):
+    first = train(tmp_path / "first", max_iterations=1, **OPTIONS)
+    other = {**OPTIONS, "task": "velocity_flat_universal"}
+    with pytest.raises(polypod.ConfigError, match="--init"):
+        train(tmp_path / "second", max_iterations=1, init=first, **other)
+    with pytest.raises(polypod.ConfigError, match="--init"):
+        train(tmp_path / "first", resume=str(first), init=first)

@@ -153,6 +153,17 @@ class Runner(OnPolicyRunner):
         self.current_learning_iteration = state["iter"]
         return infos
 
+    def start_from(self, path: Path) -> None:
+        """Takes over a checkpoint's networks and nothing else. Raises ConfigError where they do not fit."""
+        state = run_dir.load_checkpoint(path, self.device)
+        try:
+            self.alg.load(state, {"actor": True, "critic": True}, True)
+        except (RuntimeError, KeyError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise _core.ConfigError(
+                f"--init {path} does not fit this run's networks, {reason}: use its task and its train config's sizes"
+            ) from error
+
     @contextlib.contextmanager
     def _stop_on_interrupt(self) -> Iterator[None]:
         """Lets Ctrl-C end the training after the iteration under way; a second one ends it at once."""

@@ -30,6 +30,7 @@ class Options:
     train_config: str | None = None
     logger: str = "tensorboard"
     resume: str | None = None
+    init: Path | None = None
     run_name: str | None = None
     log_dir: Path = Path("logs")
     device: str = "auto"
@@ -78,6 +79,8 @@ def train(options: Options) -> int:
     runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(), run, device, reporter)
     if plan.checkpoint is not None:
         runner.load(str(plan.checkpoint))
+    elif options.init is not None:
+        runner.start_from(options.init)
     iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
     reporter.message(
         f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
@@ -122,6 +125,7 @@ def _resumed_plan(options: Options) -> _Plan:
         "--seed": options.seed,
         "--train-config": options.train_config,
         "--run-name": options.run_name,
+        "--init": options.init,
         "--set": options.overrides or None,
     }
     given = [flag for flag, value in fixed.items() if value is not None]
