@@ -212,6 +212,9 @@ class VecSim:
             ConfigError: with any autoreset but "disabled".
         """
 
+    def terrain_tiles(self) -> tuple[npt.NDArray[np.int64], list[str]]:
+        """Level and type of the tile of each env, [num_envs]; zeros and an empty list without generated terrain."""
+
     @property
     def episode_length(self) -> npt.NDArray[np.int64]:
         """[num_envs], control steps of the current episodes so far. A copy."""

@@ -21,6 +21,22 @@ Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 """Observations [num_envs, num_obs] to actions [num_envs, num_actions]."""
 
 
+FOLLOWS = 0.5, 0.2
+"""An episode succeeds if the robot stays up and its planar velocity error, averaged over the episode, is at most this
+share of a standing robot's, or this much (m/s)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TileResult:
+    """One robot's episodes that began on tiles of one type and level."""
+
+    level: int
+    episodes: int
+    success: float
+    """Share of the episodes without a fall in which the robot followed its commands, see `FOLLOWS`."""
+    fall_rate: float
+
+
 @dataclasses.dataclass(frozen=True)
 class RobotResult:
     """One robot's figures. Errors are time averages per env, averaged over envs; every env counts once."""
@@ -38,6 +54,19 @@ class RobotResult:
     fall_rate: float
     """Share of the episodes that terminated before the time limit."""
     episode_length_s: float
+    terrain: dict[str, list[TileResult]] = dataclasses.field(default_factory=dict)
+    """By type of tile, easiest level first; empty where the ground is no generated terrain."""
+
+    def success(self, kind: str | None = None, level: int | None = None) -> float:
+        """Share of the successful episodes on tiles of a type and level, or of all; NaN without any."""
+        tiles = [
+            tile
+            for name, tiles in self.terrain.items()
+            for tile in tiles
+            if kind in (None, name) and level in (None, tile.level)
+        ]
+        episodes = sum(tile.episodes for tile in tiles)
+        return sum(tile.success * tile.episodes for tile in tiles) / episodes if episodes else float("nan")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,9 +166,10 @@ def evaluate(
     runs = []
     for episode in range(episodes):
         sim.reset(seed + episode)
-        runs.append(_episode(sim, policy, length))
+        levels, kinds = sim.terrain_tiles()
+        runs.append({**_episode(sim, policy, length), "level": levels.astype(np.float64)})
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
-    results = {robot: _result(figures, slice(*sim.env_ids(robot)), sim.step_dt) for robot in sim.robots}
+    results = {robot: _result(figures, slice(*sim.env_ids(robot)), sim.step_dt, kinds) for robot in sim.robots}
     return Evaluation(sim.task_name, sim.num_envs, seed, length * sim.step_dt, results)
 
 
@@ -180,8 +210,26 @@ def _columns(sim: _core.VecSim, term: str) -> slice:
     raise _core.ConfigError(f"task {sim.task_name} does not observe {term!r}, which an evaluation reads; add the term")
 
 
-def _result(figures: dict[str, npt.NDArray[np.float64]], envs: slice, step_dt: float) -> RobotResult:
-    """`figures` are sums per episode and env, [episodes, num_envs]."""
+def _tiles(of_robot: dict[str, npt.NDArray[np.float64]], kinds: Sequence[str]) -> dict[str, list[TileResult]]:
+    """By type and level; `kinds` are the types of the robot's envs."""
+    fell = of_robot["fell"] > 0
+    share, slack = FOLLOWS
+    allowed = np.maximum(share * of_robot["still_xy"], slack * of_robot["steps"])
+    success = ~fell & (of_robot["xy"] <= allowed)
+    result: dict[str, list[TileResult]] = {}
+    for kind in dict.fromkeys(kinds):
+        on_kind = np.broadcast_to(np.array([kind == other for other in kinds]), fell.shape)
+        for level in np.unique(of_robot["level"][on_kind]):
+            here = on_kind & (of_robot["level"] == level)
+            tile = TileResult(int(level), int(here.sum()), float(success[here].mean()), float(fell[here].mean()))
+            result.setdefault(kind, []).append(tile)
+    return result
+
+
+def _result(
+    figures: dict[str, npt.NDArray[np.float64]], envs: slice, step_dt: float, kinds: Sequence[str]
+) -> RobotResult:
+    """`figures` are sums per episode and env, [episodes, num_envs]; `kinds` the types of the envs' tiles, if any."""
     of_robot = {key: value[:, envs] for key, value in figures.items()}
     steps = of_robot["steps"]
 
@@ -197,6 +245,7 @@ def _result(figures: dict[str, npt.NDArray[np.float64]], envs: slice, step_dt: f
         still_error_vel_yaw=time_average("still_yaw"),
         fall_rate=float(of_robot["fell"].mean()),
         episode_length_s=float(steps.mean() * step_dt),
+        terrain=_tiles(of_robot, kinds[envs]),
     )
 
 

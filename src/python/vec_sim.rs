@@ -12,10 +12,11 @@ use pyo3::types::PyBytes;
 
 use super::exceptions::{to_python, type_error, value_error};
 use crate::app::{Sim, SimOptions};
-use crate::components::{Command, EnvId, Episode};
+use crate::components::{Command, EnvId, EnvOrigin, Episode};
 use crate::morphology::Morphologies;
 use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::systems::{Autoreset, CompiledTask, Logs, StateField};
+use crate::world::Ground;
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {
@@ -328,6 +329,22 @@ impl VecSim {
         let batch = self.sim.batch();
         fill(py, &self.arrays.terminated, &batch.terminated)?;
         fill(py, &self.arrays.truncated, &batch.truncated)
+    }
+
+    /// Level and type of each env's tile.
+    fn terrain_tiles<'py>(&mut self, py: Python<'py>) -> (Bound<'py, PyArray1<i64>>, Vec<String>) {
+        let (mut levels, mut names) = (vec![0; self.sim.num_envs()], Vec::new());
+        let layout = self.sim.world().resource::<Ground>().layout.clone();
+        if let Some(layout) = layout {
+            names = vec![String::new(); self.sim.num_envs()];
+            let world = self.sim.world_mut();
+            for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+                levels[env.0 as usize] = i64::from(origin.terrain_level);
+                let kind = layout.column_types[origin.terrain_column as usize];
+                names[env.0 as usize].clone_from(&layout.type_names[kind]);
+            }
+        }
+        (PyArray1::from_vec(py, levels), names)
     }
 
     #[getter]

@@ -68,3 +68,27 @@ def test_figures_are_those_of_the_simulation():
 def test_counts_are_positive(name):
     with pytest.raises(polypod.ConfigError, match=name):
         evaluation.evaluate(still, TASK, **{name: 0})
+
+
+def test_rough_ground_is_told_by_type_and_level():
+    """Robots that hold their pose stay up on every platform and follow nothing."""
+    found = evaluation.evaluate(still, "velocity_rough", robots=["unitree_a1"], num_envs=40, steps=100, seed=1)
+    (result,) = found.robots.values()
+    assert set(result.terrain) == {
+        *("pyramid_stairs", "pyramid_stairs_inv", "boxes", "random_rough", "hf_pyramid_slope", "hf_pyramid_slope_inv")
+    }
+    tiles = [tile for tiles in result.terrain.values() for tile in tiles]
+    assert sum(tile.episodes for tile in tiles) == 40
+    assert all(0 <= tile.level < 5 and tile.fall_rate == 0.0 for tile in tiles)
+    assert [tile.level for tile in result.terrain["boxes"]] == sorted(tile.level for tile in result.terrain["boxes"])
+    # only those that were told to go slower than 0.2 m/s or to stand have done as they were told
+    assert result.success() < 0.3
+    assert result.success("boxes") == pytest.approx(
+        np.average([t.success for t in result.terrain["boxes"]], weights=[t.episodes for t in result.terrain["boxes"]])
+    )
+    assert np.isnan(result.success("boxes", level=7))
+
+
+def test_a_plane_has_no_tiles():
+    (result,) = evaluation.evaluate(still, TASK, robots=["spot"], num_envs=2, overrides=SHORT).robots.values()
+    assert result.terrain == {}

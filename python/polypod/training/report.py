@@ -106,6 +106,14 @@ class Reporter:
                 f"{result.episode_length_s:.1f} s",
             )
         self.console.print(table)
+        kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
+        if not kinds:
+            return
+        self.message("success by type of tile, all levels: no fall, and the commands were followed")
+        table = table_of("robot", *kinds, "all")
+        for robot, result in evaluation.robots.items():
+            table.add_row(robot, *(f"{result.success(kind):.0%}" for kind in kinds), f"{result.success():.0%}")
+        self.console.print(table)
 
 
 def table_of(name: str, *figures: str) -> Table:
