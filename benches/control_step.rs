@@ -1,5 +1,5 @@
 //! Speed of the physics alone, in env-physics-steps per second, and of whole control steps, in env-steps per second.
-//! `cargo bench`; `make bench ARGS=physics` for one group.
+//! `cargo bench`; `cargo bench -- physics` for one group.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use polypod::components::EnvRng;
