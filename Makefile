@@ -68,7 +68,7 @@ soak: build ## Step all robots for an hour of simulated time under random target
 lint: $(VENV)/.dependencies ## Check formatting, lints and types
 	cargo fmt --check
 	cargo clippy --release --locked --all-targets -- -D warnings
-	cargo clippy --release --locked --lib --features python -- -D warnings
+	cargo clippy --release --locked --lib --no-default-features --features python -- -D warnings
 	$(BIN)/ruff check python tests/python
 	$(BIN)/ruff format --check python tests/python
 	$(BIN)/mypy
