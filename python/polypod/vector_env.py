@@ -177,6 +177,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             self._needs_reset[:] = False
         else:
             self._check_mask(mask)
+            # `terminated` itself, which the reset writes to, may be the mask
+            mask = mask.copy()
             sim.reset(seed, mask)
             self._needs_reset[mask] = False
         return self._handed_out(sim.observation), {}

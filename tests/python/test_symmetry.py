@@ -91,6 +91,9 @@ def test_an_observation_without_a_known_mirror_is_refused(monkeypatch: pytest.Mo
         def robot_info(self) -> str:
             return info
 
+        def resolved_config(self) -> str:
+            return "[task]"
+
     monkeypatch.setattr(env, "unwrapped", type("Env", (), {"sim": Sim()})())
     with pytest.raises(polypod.ConfigError, match="smell"):
         Mirror(env, "cpu")
