@@ -126,6 +126,7 @@ fn assert_independent(columns: &[Column]) {
 }
 
 /// Everything that startup events but `body_variation` and resets draw, of robots of one kind.
+#[expect(clippy::approx_constant, reason = "the task says 3.14")]
 fn columns(sim: &mut Sim) -> Vec<Column> {
     let model: MorphologyModel = sim.morphologies()[0].clone();
     let (nominal, ranges, reset) = (&model.nominal, &model.config.randomization, &model.config.reset);

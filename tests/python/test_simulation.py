@@ -75,7 +75,6 @@ def test_shapes(name, fixed):
         ({"robot": "nowhere.urdf"}, polypod.RobotError, "nowhere.urdf"),
         ({"engine": "bullet"}, polypod.ConfigError, "articulated"),
         ({"engine": "avian", "dtype": "float64"}, polypod.ConfigError, "articulated"),
-        ({"engine": "avian", "self_collision": True}, polypod.ConfigError, "self_collision"),
         ({"ground": "sea"}, polypod.ConfigError, "plane"),
         ({"ground_normal": (0, 0, 0)}, polypod.ConfigError, "ground_normal"),
         ({"dtype": "float16"}, polypod.ConfigError, "float64"),
