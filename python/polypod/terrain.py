@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw
 
-from polypod import _core
+from polypod import _core, extras
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _MOST_PIXELS = 2400
 _SUN = np.array([-0.5, 0.4, 0.77])
@@ -50,8 +53,9 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
     )
 
 
-def picture(ground: "_core.TerrainEntry") -> Image.Image:
+def picture(ground: "_core.TerrainEntry") -> "Image.Image":
     """A map of the heights, lit from the upper left; the types of tiles are written beside their columns."""
+    images, drawing = (extras.package(f"PIL.{name}", "a picture", "play") for name in ("Image", "ImageDraw"))
     heights = ground["heights"]
     step = max(1, -(-max(heights.shape) // _MOST_PIXELS))
     coarse = heights[::step, ::step]
@@ -63,8 +67,8 @@ def picture(ground: "_core.TerrainEntry") -> Image.Image:
     share = ((coarse - low) / max(high - low, 1e-6))[..., None]
     shaded = (_LOW + (_HIGH - _LOW) * share) * (0.35 + 0.65 * light)
     # x to the right, y upwards
-    image = Image.fromarray(np.ascontiguousarray(shaded.transpose(1, 0, 2)[::-1]).astype(np.uint8))
-    draw = ImageDraw.Draw(image)
+    image: Image.Image = images.fromarray(np.ascontiguousarray(shaded.transpose(1, 0, 2)[::-1]).astype(np.uint8))
+    draw = drawing.Draw(image)
     for _, column, name, (x, y) in ground["tiles"]:
         first = min(x for _, other, _, (x, _) in ground["tiles"] if other == column)
         if x == first:
