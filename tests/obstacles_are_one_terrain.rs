@@ -1,5 +1,7 @@
 //! The grid that the articulated engine stands on is what Avian's rays see, and robots stand on what it holds.
 
+mod common;
+
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId, EnvRng, Feet};
@@ -46,14 +48,7 @@ fn the_grid_is_what_rays_see() {
         let seen = height(x, y);
         // what is steeper than 45 degrees within a cell and a half is a wall
         let pitch = 0.25 * grid.cell;
-        let wall = (-6..6).any(|i| {
-            (-6..6).any(|j| {
-                let at = |i: i32, j: i32| height(x + pitch * i as f32, y + pitch * j as f32);
-                let here = at(i, j);
-                (at(i + 1, j) - here).abs().max((at(i, j + 1) - here).abs()) > pitch
-            })
-        });
-        if wall {
+        if common::near_a_step(&height, [x, y], pitch, pitch) {
             continue;
         }
         compared += 1;

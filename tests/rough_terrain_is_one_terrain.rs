@@ -1,5 +1,7 @@
 //! Generated terrain: its figures, the grid that the articulated engine stands on, and what robots meet of it.
 
+mod common;
+
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
 use polypod::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, EnvRng, Feet, HeightScan};
@@ -54,14 +56,7 @@ fn the_grid_is_what_rays_see_on_every_type_of_tile() {
                 // within a cell and a half, what is steeper than 45 degrees is a wall, and any step of a surface that is level
                 let pitch = 0.25 * heights.cell;
                 let step = if name.starts_with("hf_") || name == "random_rough" { pitch } else { 1e-4 };
-                let wall = (-6..6).any(|i| {
-                    (-6..6).any(|j| {
-                        let at = |i: i32, j: i32| height(x + pitch * i as f32, y + pitch * j as f32);
-                        let here = at(i, j);
-                        (at(i + 1, j) - here).abs().max((at(i, j + 1) - here).abs()) > step
-                    })
-                });
-                if wall {
+                if common::near_a_step(&height, [x, y], pitch, step) {
                     continue;
                 }
                 compared += 1;

@@ -128,3 +128,14 @@ pub fn ended(sim: &Sim) -> usize {
     let batch = sim.batch();
     batch.terminated.iter().zip(&batch.truncated).filter(|(terminated, truncated)| **terminated || **truncated).count()
 }
+
+/// Whether heights on a grid of `pitch`, six of it to each side of a place, rise or fall by more than `step` between neighbours.
+pub fn near_a_step(height: &impl Fn(f32, f32) -> f32, [x, y]: [f32; 2], pitch: f32, step: f32) -> bool {
+    (-6..6).any(|i| {
+        (-6..6).any(|j| {
+            let at = |i: i32, j: i32| height(x + pitch * i as f32, y + pitch * j as f32);
+            let here = at(i, j);
+            (at(i + 1, j) - here).abs().max((at(i, j + 1) - here).abs()) > step
+        })
+    })
+}
