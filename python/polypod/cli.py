@@ -474,7 +474,6 @@ def _accuracy(command: Accuracy) -> int:
 
 def _bench(command: Bench) -> int:
     from polypod import bench
-    from polypod.training.run_dir import write_text
 
     for value, flag in (
         (command.num_envs, "--num-envs"),
@@ -493,11 +492,7 @@ def _bench(command: Bench) -> int:
     )
     result = bench.measure(options, functools.partial(print, file=sys.stderr, flush=True))
     print(bench.table(result))
-    if command.json is not None:
-        try:
-            write_text(command.json, json.dumps(result, indent=2) + "\n")
-        except OSError as error:
-            raise _core.ConfigError(f"cannot write {command.json}: {error.strerror}; choose another --json") from error
+    _write_json(command.json, result)
     if command.plot is not None:
         bench.picture(result, command.plot)
     return 0

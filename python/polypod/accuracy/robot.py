@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import json
-import sys
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -11,11 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from polypod.compat import tomllib
 
 Array = npt.NDArray[np.float64]
 

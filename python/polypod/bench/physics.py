@@ -5,7 +5,6 @@ settings of solver and contacts, which are its fastest. Targets are drawn every 
 the robots tread on the spot.
 """
 
-import importlib
 import json
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +15,7 @@ from polypod import _core
 from polypod.accuracy import robot as robots
 from polypod.accuracy.reference import Ground, Reference, mujoco
 from polypod.bench.sampling import Sample
+from polypod.extras import package
 
 DT = 0.005
 """Physics step, s."""
@@ -63,7 +63,7 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
         iterations: of MuJoCo's solver; None: its standard, until it has converged.
     """
     mj = mujoco()
-    mj_rollout = importlib.import_module("mujoco.rollout")
+    mj_rollout = package("mujoco.rollout", "comparing with MuJoCo", "bench")
     robot = robots.load(name)
     reference = Reference.of(robot, dt=DT, integrator="implicitfast", ground=Ground(FRICTION))
     model = reference.model

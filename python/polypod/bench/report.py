@@ -1,14 +1,13 @@
 """What is measured, and how it is shown."""
 
 import dataclasses
-import importlib
 import os
 import platform
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from polypod import _core
+from polypod import _core, extras
 from polypod.accuracy import reference
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
@@ -162,12 +161,8 @@ def picture(result: Mapping[str, Any], out: Path) -> None:
     """Plots the scaling. Raises ConfigError without matplotlib, after --quick, or where it cannot be written."""
     if "scaling_num_envs" not in result:
         raise _core.ConfigError("--plot shows the scaling, which --quick leaves out; run without --quick")
-    try:
-        matplotlib = importlib.import_module("matplotlib")
-    except ModuleNotFoundError as error:
-        raise _core.ConfigError("--plot needs matplotlib; install it: pip install 'polypod[bench]'") from error
-    matplotlib.use("Agg")
-    pyplot = importlib.import_module("matplotlib.pyplot")
+    extras.package("matplotlib", "--plot", "bench").use("Agg")
+    pyplot = extras.package("matplotlib.pyplot", "--plot", "bench")
     figure, axes = pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")
     for axis, (key, label) in zip(
         axes,
@@ -176,7 +171,7 @@ def picture(result: Mapping[str, Any], out: Path) -> None:
     ):
         values = result[key]
         axis.plot([int(x) for x in values], list(values.values()), marker="o")
-        axis.set(xlabel=label, ylabel="env-steps/s", xscale="log", ylim=(0, None))
+        axis.set(xlabel=label, ylabel="env-steps/s", ylim=(0, None))
         axis.set_xscale("log", base=2)
         axis.grid(alpha=0.3)
     figure.suptitle(f"polypod {result['polypod']}, {result['cpu']}, {result['simd']}")

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,11 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from polypod.compat import tomllib
 
 Array = npt.NDArray[np.float32]
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.compat import tomllib
 from polypod.evaluation import load_policy, play_task
 from polypod.play import mesh
 from polypod.play.mesh import Array, Mesh
 from polypod.training import run_dir
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 SPACING = 1.2
 """Between robots that walk side by side, m."""

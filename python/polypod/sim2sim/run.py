@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
+from polypod.compat import tomllib
 from polypod.evaluation import Policy, load_network, load_policy, play_task
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
@@ -20,11 +20,6 @@ from polypod.export.runtime import OnnxPolicy
 from polypod.sim2sim.commands import Array, Commands, heading_of
 from polypod.sim2sim.twin import Observed, Physics, Twin
 from polypod.training import run_dir
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 MAX_FALL_RATE = 0.05
 """Of a policy that is taken to transfer."""

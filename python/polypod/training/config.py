@@ -2,16 +2,11 @@
 
 import dataclasses
 import difflib
-import sys
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from polypod import _core
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from polypod.compat import tomllib
 
 OBSERVATION_GROUP = "policy"
 """Name of the observation group that actor and critic read."""

@@ -5,19 +5,14 @@ every sample is also seen mirrored.
 """
 
 import json
-import sys
 
 import torch
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.compat import tomllib
 from polypod.rsl_rl import VecEnv
 from polypod.training.config import OBSERVATION_GROUP
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 _VECTOR = [(0, 1.0), (1, -1.0), (2, 1.0)]
 _PSEUDOVECTOR = [(0, -1.0), (1, 1.0), (2, -1.0)]
