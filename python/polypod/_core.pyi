@@ -34,6 +34,14 @@ class RobotEntry(TypedDict):
     name: str
     title: str
 
+class RobotDraft(TypedDict):
+    """A robot config as text."""
+
+    name: str
+    toml: str
+    notes: list[str]
+    """What was assumed, one line each."""
+
 class TerrainEntry(TypedDict):
     """The ground of a task, lengths in m."""
 
@@ -543,6 +551,20 @@ def check(path: str | os.PathLike[str], package_dirs: Mapping[str, str | os.Path
     """What the URDF file at `path` is read as: links, joints, contact bodies, legs, and every warning.
 
     `package_dirs` names the folder of each ROS package in `package://` names. Raises RobotError.
+    """
+
+def draft_robot(
+    path: str | os.PathLike[str],
+    *,
+    name: str | None = ...,
+    urdf: str | None = ...,
+    package_dirs: Mapping[str, str | os.PathLike[str]] = ...,
+    gain_factor: float = ...,
+) -> RobotDraft:
+    """A first config for the quadruped of the URDF file at `path`: roles, standing pose, gains, ranges.
+
+    `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder of
+    each ROS package in `package://` names; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

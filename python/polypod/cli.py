@@ -1,4 +1,4 @@
-"""The command line: train, eval, export, sim2sim, play, check, accuracy, bench, terrain, list and info."""
+"""The command line: train, eval, export, sim2sim, play, check, robot, accuracy, bench, terrain, list and info."""
 
 import dataclasses
 import functools
@@ -184,6 +184,24 @@ class Check:
 
 
 @dataclasses.dataclass(frozen=True)
+class Robot:
+    """Write a first config for a quadruped of which there is only a URDF: `polypod robot new FILE.urdf`."""
+
+    action: Annotated[Literal["new"], tyro.conf.Positional]
+    """new: find the legs and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""
+    file: Annotated[Path, tyro.conf.Positional]
+    """The URDF file."""
+    name: Name = None
+    """The robot's name in configs. Default: that of --out, of the URDF, or of its file."""
+    out: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """The TOML to write. Default: <name>.toml beside the URDF."""
+    package_dir: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="NAME=DIR")] = ()
+    """Where a ROS package of `package://` names lies. May be repeated."""
+    force: bool = False
+    """Write over a file that is there."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Accuracy:
     """Compare the physics with MuJoCo on the same URDFs."""
 
@@ -248,6 +266,7 @@ Command = (
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Robot, tyro.conf.subcommand("robot")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Terrain, tyro.conf.subcommand("terrain")]
@@ -282,7 +301,7 @@ _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinar
 
 
 def _run(
-    command: Train | Eval | Export | Sim2sim | Play | Check | Accuracy | Bench | Terrain | List | Info,
+    command: Train | Eval | Export | Sim2sim | Play | Check | Robot | Accuracy | Bench | Terrain | List | Info,
 ) -> int:
     match command:
         case Train():
@@ -297,6 +316,8 @@ def _run(
             return _play(command)
         case Check():
             print(_core.check(command.file, _package_dirs(command.package_dir)), end="")
+        case Robot():
+            return _new_robot(command)
         case Accuracy():
             return _accuracy(command)
         case Bench():
@@ -455,6 +476,32 @@ def _package_dirs(pairs: Sequence[str]) -> dict[str, str]:
             raise _core.ConfigError(f"--package-dir {pair} is not NAME=DIR")
         folders[name] = folder
     return folders
+
+
+def _new_robot(command: Robot) -> int:
+    from polypod import new_robot
+
+    new = new_robot.new_robot(
+        command.file, command.out, command.name, _package_dirs(command.package_dir), force=command.force
+    )
+    print(new.path)
+    for note in new.notes:
+        print(f"  {note}")
+    standing, envs = new.standing, new_robot.NUM_ENVS
+    print(
+        f"{new.name}: {envs - standing.falls} of {envs} stand for {new_robot.SECONDS:g} s, the base {standing.height:.3f} m "
+        f"high, joints at most {standing.sag:.2f} rad from the default pose"
+    )
+    if new.gain_factor > 1.0:
+        print(f"  gains are {new.gain_factor:.2f} times what weight and leg length ask for: softer ones gave way")
+    if not standing.holds:
+        print(
+            f"polypod: warning: {new.name} does not hold its default pose; look at [default_pose] and [actuators] in "
+            f"{new.path}",
+            file=sys.stderr,
+        )
+    print(f"train it:  polypod train --robots {new.path}")
+    return 0
 
 
 def _accuracy(command: Accuracy) -> int:

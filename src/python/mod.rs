@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::config::Library;
+use crate::draft::{DraftOptions, draft};
 use crate::dynamics::Simd;
 use crate::morphology::MorphologyError;
 use crate::robot::{self, LoadOptions};
@@ -60,6 +61,25 @@ fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>)
 }
 
 #[pyfunction]
+#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), gain_factor=1.0))]
+fn draft_robot(
+    py: Python<'_>,
+    path: PathBuf,
+    name: Option<String>,
+    urdf: Option<PathBuf>,
+    package_dirs: BTreeMap<String, PathBuf>,
+    gain_factor: f64,
+) -> PyResult<Bound<'_, PyDict>> {
+    let options = DraftOptions { name, urdf, package_dirs, gain_factor: Some(gain_factor) };
+    let draft = draft(&path, &options).map_err(|error| to_python(py, MorphologyError::from(error).into()))?;
+    let dict = PyDict::new(py);
+    dict.set_item("name", draft.name)?;
+    dict.set_item("toml", draft.toml)?;
+    dict.set_item("notes", draft.notes)?;
+    Ok(dict)
+}
+
+#[pyfunction]
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("version", env!("CARGO_PKG_VERSION"))?;
@@ -79,6 +99,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
+    module.add_function(wrap_pyfunction!(draft_robot, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
     module.add_function(wrap_pyfunction!(terrain::terrain, module)?)?;
     Ok(())

@@ -1,14 +1,11 @@
 """The two engines stand, respond and hold together alike, and what `polypod accuracy` tells of them is so."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from polypod import _core
 from polypod.accuracy import engines, robot, standing
-from polypod.training.config import tomllib
 
 ROBOT = "unitree_go2"
 
@@ -56,26 +53,19 @@ def test_the_articulated_engine_is_the_faster_one(both: engines.Engines) -> None
 
 
 def test_torques_are_compared_with_the_largest() -> None:
-    one = engines.Engine("articulated", 0.3, 0.0, 1.0, np.array([1.0, -10.0]), 0.0, 0.0, 0.0, 0.0, 0.0)
-    other = dataclasses.replace(one, torque=np.array([1.5, -10.0]))
-    assert engines.Engines("any", one, other).torque_difference == pytest.approx(0.05)
+    torque = np.array([1.0, -10.0])
+    one = engines.Engine("articulated", 0.3, 0.0, 1.0, torque, torque, 0.0, 0.0, 0.0, 0.0, 0.0)
+    other = dataclasses.replace(one, torque=np.array([1.5, -10.0]), frictionless_torque=np.array([1.1, -10.0]))
+    both = engines.Engines("any", one, other)
+    assert both.torque_difference == pytest.approx(0.01)
+    assert both.torque_difference_with_friction == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("name", robot.names())
-def test_torques_agree_where_they_are_determined(name: str, tmp_path: Path) -> None:
+def test_torques_agree_where_they_are_determined(name: str) -> None:
     """Within 3 %, without dry friction: a joint at rest may hold any torque within its friction."""
-    sim = _core.VecSim("velocity_flat_play", 1, robots=[name], threads=1)
-    groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"]
-    config = tmp_path / f"{name}.toml"
-    tables = "".join(f"[actuators.{group}]\nfriction = 0.0\n" for group in groups)
-    config.write_text(f'extends = "{name}"\nname = "{name}"\ntitle = "without friction"\n{tables}')
     known = robot.load(name)
-    torques = {}
-    for engine in ("articulated", "avian"):
-        simulation = _core.Simulation(config, engine=engine, friction=0.8, self_collision=False, threads=1)
-        simulation.set_state(standing.pose(known, 0.0))
-        simulation.step(targets=known.default_position, n=2000)
-        torques[engine] = simulation.joint_torque[0]
-    largest = np.abs(torques["articulated"]).max()
+    articulated, avian = (engines.frictionless_torque(known, engine) for engine in engines.SPEED_STEPS)
+    largest = np.abs(articulated).max()
     assert largest > 1.0
-    assert np.abs(torques["avian"] - torques["articulated"]).max() < 0.03 * largest
+    assert np.abs(avian - articulated).max() < 0.03 * largest

@@ -18,6 +18,7 @@ ARTICULATED = engines.Engine(
     pitch=-0.03,
     force=1.0,
     torque=np.array([4.0, -40.0]),
+    frictionless_torque=np.array([4.0, -40.0]),
     response_max=3e-3,
     response_rms=2e-4,
     drift=0.0,
@@ -28,6 +29,7 @@ AVIAN = dataclasses.replace(
     ARTICULATED,
     engine="avian",
     torque=np.array([5.0, -40.5]),
+    frictionless_torque=np.array([4.2, -40.1]),
     response_max=4e-4,
     response_rms=6e-5,
     drift=5e-7,
@@ -75,6 +77,6 @@ def test_every_measurement_has_its_row() -> None:
     )
     text = tables(measured)
     assert text.count("| spot |") == 7
-    assert "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
+    assert "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 0.50 % | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
     assert "MuJoCo x.y" in text
     assert "MuJoCo x.y" in summary(measured)

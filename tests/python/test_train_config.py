@@ -38,6 +38,11 @@ def test_a_file_extends_a_shipped_one(tmp_path):
         ('extends = "flat"\n[actor]\nhidden_dims = [1.5]\n', r"hidden_dims\[0\] = 1.5"),
         ('extends = "flat"\n[algorithm]\nschedule = "warm"\n', "adaptive, fixed"),
         ('extends = "flatt"\n', "flat"),
+        (
+            'extends = "flat"\n[run]\nnormalize_advantage_per_robot = true\n'
+            "[algorithm]\nnormalize_advantage_per_mini_batch = true\n",
+            "exclude each other",
+        ),
         ("[run]\nnum_envs = 1\n", "extends"),
         ("[run\n", "not valid TOML"),
     ],

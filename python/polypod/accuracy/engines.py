@@ -3,15 +3,19 @@
 import dataclasses
 import math
 import statistics
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
 import polypod
+from polypod import _core
 from polypod.accuracy import motion
 from polypod.accuracy.reference import GRAVITY
 from polypod.accuracy.robot import Array, Robot
 from polypod.accuracy.standing import DT, FRICTION, SETTLE_TIME, hold, pitch, pose
+from polypod.compat import tomllib
 
 STEPS = (0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.0125, 0.016, 0.02, 0.025, 0.04, 0.05, 0.1, 0.125, 0.25)
 """Physics steps that are tried, s."""
@@ -47,6 +51,8 @@ class Engine:
     """Sum of the vertical contact forces then, over the weight."""
     torque: Array
     """Of the actuators then, N m."""
+    frictionless_torque: Array
+    """The same of a robot whose joints have no dry friction, N m."""
     response_max: float
     """Largest deviation of a joint from MuJoCo's converged answer to a jump of a target by 0.1 rad, in 1 s, rad."""
     response_rms: float
@@ -69,9 +75,16 @@ class Engines:
 
     @property
     def torque_difference(self) -> float:
-        """Largest difference of the engines' torques on the standing robot, over the largest torque."""
-        largest = float(np.abs(self.articulated.torque).max())
-        return float(np.abs(self.avian.torque - self.articulated.torque).max()) / largest
+        """Largest difference of the engines' torques on the standing robot, over the largest torque.
+
+        A joint at rest may be held by any torque within its dry friction: what is compared are robots without it.
+        """
+        return _apart(self.articulated.frictionless_torque, self.avian.frictionless_torque)
+
+    @property
+    def torque_difference_with_friction(self) -> float:
+        """The same of the robots as they are."""
+        return _apart(self.articulated.torque, self.avian.torque)
 
 
 def compare_engines(robot: Robot) -> Engines:
@@ -79,6 +92,10 @@ def compare_engines(robot: Robot) -> Engines:
     targets = motion.jumps(robot)
     converged = motion.mujoco_tracks(robot, targets, motion.CONVERGED, "RK4")
     return Engines(robot.name, *(_measure(robot, engine, targets, converged) for engine in SPEED_STEPS))
+
+
+def _apart(torque: Array, other: Array) -> float:
+    return float(np.abs(other - torque).max()) / float(np.abs(torque).max())
 
 
 def stands(robot: Robot, engine: str, dt: float) -> bool:
@@ -108,12 +125,30 @@ def _measure(robot: Robot, engine: str, targets: Array, converged: Array) -> Eng
         pitch=pitch(sim.qpos[0]),
         force=float(sim.contact_forces[0, :, 2].sum()) / (sim.total_mass * GRAVITY),
         torque=sim.joint_torque[0],
+        frictionless_torque=frictionless_torque(robot, engine),
         response_max=float(np.abs(deviation).max()),
         response_rms=float(np.sqrt(np.mean(deviation**2))),
         drift=drift,
         largest_step=_largest_step(robot, engine),
         steps_per_second=_speed(robot, engine),
     )
+
+
+def frictionless_torque(robot: Robot, engine: str) -> Array:
+    """The actuators' torques on the robot as it stands after `SETTLE_TIME`, its joints without dry friction, N m."""
+    task = _core.VecSim("velocity_flat_play", 1, robots=[robot.name], threads=1)
+    groups = tomllib.loads(task.resolved_config())["robots"][robot.name]["actuators"]
+    changes = "".join(f"[actuators.{group}]\nfriction = 0.0\n" for group in groups)
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / f"{robot.name}.toml"
+        identity = f'extends = "{robot.name}"\nname = "{robot.name}"\ntitle = "without dry friction"\n'
+        config.write_text(identity + changes, encoding="utf-8")
+        sim = polypod.Simulation(
+            str(config), dt=DT, engine=engine, friction=FRICTION, self_collision=False, threads=1
+        )
+        sim.set_state(pose(robot, 0.0))
+        hold(sim, robot, SETTLE_TIME)
+    return sim.joint_torque[0]
 
 
 def _largest_step(robot: Robot, engine: str) -> float:

@@ -118,13 +118,13 @@ _ENGINES = """#### The two engines
 
 Each robot under `physics.engine = "articulated"` and `"avian"`, both at {dt:g} ms with 8 sweeps or substeps.
 *Standing*: set on its feet in the default pose, on its own gains, friction {friction:g}; base, vertical contact
-forces over the weight, and the largest difference of the engines' joint torques over the largest torque, after 10 s.
+forces over the weight, and the largest difference of the engines' joint torques over the largest torque, after 10 s;
+first without the joints' dry friction, then with it: a joint at rest may be held by any torque within it (A1, Spot).
 *Response*: the step responses above, against the same converged answer of MuJoCo, over all jumps, joints and times.
 *Drift*: how far a link's origin was at most from where base pose and joint positions put it while the robot stood;
 zero by construction in reduced coordinates. *Largest step*: up to which the robot stands calmly for 2 s, of {steps}
 ms. *Steps per second*: physics steps of an env in a second of one core's time, {speed_envs} standing envs, median of
-{timings} timings, on the machine that wrote this table ({simd}); on another they differ. Where joints have dry
-friction (A1, Spot), the torque that holds one is not determined within it.
+{timings} timings, on the machine that wrote this table ({simd}); on another they differ.
 """
 
 _CONE = """#### The friction cone
@@ -243,6 +243,7 @@ def _engines(report: Report) -> str:
         "pitch (rad)",
         "force / weight",
         "torques apart",
+        "with dry friction",
         "response, max (mrad)",
         "rms (mrad)",
         "drift (mm)",
@@ -259,6 +260,7 @@ def _engines(report: Report) -> str:
                 f"{r.pitch:+.4f}",
                 f"{r.force:.5f}",
                 f"{100 * both.torque_difference:.2f} %" if r is both.avian else "",
+                f"{100 * both.torque_difference_with_friction:.2f} %" if r is both.avian else "",
                 f"{1e3 * r.response_max:.2f}",
                 f"{1e3 * r.response_rms:.3f}",
                 f"{1e3 * r.drift:.4f}",

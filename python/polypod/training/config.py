@@ -22,6 +22,7 @@ class RunConfig:
     num_steps_per_env: int
     save_interval: int
     normalize_reward_per_robot: bool
+    normalize_advantage_per_robot: bool
     symmetry: bool
 
 
@@ -100,6 +101,7 @@ class TrainConfig:
             "num_steps_per_env": self.run.num_steps_per_env,
             "save_interval": self.run.save_interval,
             "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
+            "normalize_advantage_per_robot": self.run.normalize_advantage_per_robot,
             "symmetry": self.run.symmetry,
             "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
             "algorithm": {"class_name": "PPO", **algorithm},
@@ -206,6 +208,11 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         raise _core.ConfigError(
             f"{source}: {run.num_envs} envs x {run.num_steps_per_env} steps do not fill "
             f"{algorithm.num_mini_batches} mini-batches; raise num_envs"
+        )
+    if run.normalize_advantage_per_robot and algorithm.normalize_advantage_per_mini_batch:
+        raise _core.ConfigError(
+            f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude each "
+            "other; set one of them to false"
         )
     choices = {"schedule": ("adaptive", "fixed"), "mixed_precision": ("off", "on", "auto")}
     for key, allowed in choices.items():

@@ -18,6 +18,7 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.rsl_rl import VecEnv
 from polypod.training import run_dir
+from polypod.training.advantages import normalize_per_robot
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
@@ -59,11 +60,11 @@ class Runner(OnPolicyRunner):
         self.run = run
         self.reporter = reporter
         self.interrupted = False
+        sim = env.unwrapped.sim
+        self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
-            sim = env.unwrapped.sim
-            blocks = [sim.env_ids(robot) for robot in sim.robots]
-            self.reward_scale = RewardScale(blocks, cfg["algorithm"]["gamma"], device)
+            self.reward_scale = RewardScale(self.blocks, cfg["algorithm"]["gamma"], device)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Runs `num_learning_iterations` more iterations, or fewer after Ctrl-C, which sets `interrupted`.
@@ -94,6 +95,8 @@ class Runner(OnPolicyRunner):
             observations = self._collect(observations)
             collected = time.perf_counter()
             self.alg.compute_returns(observations)
+            if self.cfg["normalize_advantage_per_robot"]:
+                normalize_per_robot(self.alg.storage.advantages, self.blocks)
         loss = self.alg.update()
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1

@@ -1,0 +1,125 @@
+"""A config for a robot of which only the URDF is known: drafted, written, and tried out."""
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from polypod import _core
+from polypod.training.run_dir import write_text
+from polypod.vector_env import make
+
+TASK = "velocity_flat_play"
+SECONDS = 4.0
+NUM_ENVS = 16
+SAG = 0.25
+"""Largest mean distance of a standing robot's joint from the default pose, rad."""
+STIFFER = 1.5
+"""Factor on the gains for the next try."""
+TRIES = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """How a robot holds its default pose."""
+
+    falls: int
+    """Of `NUM_ENVS` robots."""
+    sag: float
+    """Mean distance of the joint that gives way most from the default pose, rad."""
+    height: float
+    """Of the base's frame above the ground, mean, m."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether nobody fell and no joint gave way."""
+        return self.falls == 0 and self.sag <= SAG
+
+
+@dataclasses.dataclass(frozen=True)
+class NewRobot:
+    """What was written."""
+
+    name: str
+    path: Path
+    """Of the TOML."""
+    notes: list[str]
+    """What was assumed, one line each."""
+    standing: Standing
+    gain_factor: float
+    """On the gains that follow from weight and leg length."""
+
+
+def new_robot(
+    urdf: Path,
+    out: Path | None = None,
+    name: str | None = None,
+    package_dirs: Mapping[str, str | os.PathLike[str]] | None = None,
+    force: bool = False,
+) -> NewRobot:
+    """Drafts a config for the quadruped of a URDF file and lets it stand; stiffer where it gives way.
+
+    Args:
+        urdf: the URDF file.
+        out: the TOML to write; None: `<name>.toml` beside the URDF. Its stem is the robot's name.
+        name: the robot's name; None: that of `out`, of the URDF, or of its file.
+        package_dirs: ROS package -> folder, for `package://` names of meshes.
+        force: write over a file that is there.
+
+    Raises:
+        RobotError: where the URDF cannot be read or is no quadruped's.
+        ConfigError: where the file is there already, cannot be written, or has another name than the robot.
+    """
+    if name is None and out is not None:
+        name = out.stem
+    folders = {package: Path(folder).resolve() for package, folder in (package_dirs or {}).items()}
+    draft = _core.draft_robot(urdf, name=name, package_dirs=folders)
+    path = urdf.with_name(f"{draft['name']}.toml") if out is None else out
+    if path.suffix != ".toml" or path.stem != draft["name"]:
+        raise _core.ConfigError(f"--out {path}: the file of a robot `{draft['name']}` is {draft['name']}.toml")
+    if path.exists() and not force:
+        raise _core.ConfigError(f"{path} is there already; pass --force to write over it, or choose another --out")
+
+    factor = 1.0
+    for attempt in range(TRIES):
+        draft = _core.draft_robot(
+            urdf, name=name, urdf=_relative(urdf, path.parent), package_dirs=folders, gain_factor=factor
+        )
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, draft["toml"])
+        except OSError as error:
+            raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --out") from error
+        standing = stand(str(path))
+        if standing.holds or attempt + 1 == TRIES:
+            break
+        factor *= STIFFER
+    return NewRobot(draft["name"], path, draft["notes"], standing, factor)
+
+
+def stand(robot: str) -> Standing:
+    """Lets a robot hold its default pose on flat ground for `SECONDS`."""
+    env = make(TASK, NUM_ENVS, robots=[robot], seed=0, autoreset="disabled")
+    try:
+        env.reset()
+        actions = np.zeros((NUM_ENVS, 12), dtype=np.float32)
+        fallen = np.zeros(NUM_ENVS, dtype=np.bool_)
+        for _ in range(round(SECONDS / env.step_dt)):
+            fallen |= env.step(actions)[2]
+            if fallen.any():
+                break
+        up = ~fallen if not fallen.all() else np.ones_like(fallen)
+        gap = np.abs(env.state.joint_pos - env.state.default_joint_pos)[up].mean(axis=0)
+        height = float(env.state.base_pos[up, 2].mean())
+        return Standing(int(fallen.sum()), float(gap.max()), height)
+    finally:
+        env.close()
+
+
+def _relative(file: Path, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return file.resolve().as_posix()

@@ -1,0 +1,236 @@
+//! A pose to stand in, found from the URDF alone.
+
+use std::ops::RangeInclusive;
+
+use glam::{DMat3, DVec3};
+
+use crate::robot::{LEGS, Model, Pose, Roles};
+
+/// Share of thigh and shank together by which the foot lies below the hip.
+const CROUCH: f64 = 0.8;
+/// Share of each joint's range that the pose keeps away from either end.
+const MARGIN: f64 = 0.05;
+/// What a joint without limits is searched over, rad.
+const TURN: f64 = std::f64::consts::PI;
+/// Angles of thigh and knee that the search begins with, each.
+const STARTS: u32 = 24;
+const ITERATIONS: u32 = 60;
+/// Times that the feet are moved below the centre of mass, which moves as they do.
+const ROUNDS: u32 = 3;
+/// A foot that comes this near is where it should be, m.
+pub(super) const REACHED: f64 = 1e-3;
+/// Standard gravity, m/s^2.
+pub(super) const GRAVITY: f64 = 9.81;
+
+/// A pose with bent knees in which all feet stand level, below the hips, about the centre of mass.
+pub(super) struct Stance {
+    /// Joint angles by canonical slot, rad.
+    pub angles: [f64; 12],
+    /// Distance of each foot from where it should be, m.
+    pub misses: [f64; 4],
+    /// Height of the base frame above the feet's soles, m.
+    pub height: f64,
+    /// Mean length of thigh and shank together, m.
+    pub leg_length: f64,
+    /// Largest torque that the joints of each role bear while each foot carries a quarter of the weight, N m.
+    pub torques: [f64; 3],
+}
+
+impl Stance {
+    pub fn find(model: &Model, roles: &Roles) -> Self {
+        let legs: [Leg; 4] = std::array::from_fn(|leg| Leg::new(model, roles, leg));
+        // the shortest leg says how high the robot stands
+        let ground = legs
+            .iter()
+            .map(|leg| leg.hip.z - CROUCH * leg.length - leg.radius)
+            .fold(f64::NEG_INFINITY, f64::max);
+        let hips = legs.iter().map(|leg| leg.hip.x).sum::<f64>() / 4.0;
+        let leg_length = legs.iter().map(|leg| leg.length).sum::<f64>() / 4.0;
+        let mut q = vec![0.0; model.joints.len()];
+        let mut misses = [0.0; 4];
+        let mut shift = 0.0;
+        for _ in 0..ROUNDS {
+            for (leg, miss) in legs.iter().zip(&mut misses) {
+                let target = DVec3::new(leg.hip.x + shift, leg.track, ground + leg.radius);
+                *miss = leg.solve(model, target, &mut q);
+            }
+            let furthest = 0.2 * leg_length;
+            shift = (centre_of_mass(model, &q).x - hips).clamp(-furthest, furthest);
+        }
+        let angles = roles.joint_of_slot.map(|joint| q[joint]);
+        Self { angles, misses, height: -ground, leg_length, torques: torques(model, &legs, &q) }
+    }
+}
+
+/// A leg and where its foot should stand.
+struct Leg {
+    joints: [usize; 3],
+    foot_link: usize,
+    foot_point: DVec3,
+    radius: f64,
+    /// The hip flexion joint with the leg hanging as in the URDF's zero pose, base frame, m.
+    hip: DVec3,
+    /// Thigh and shank, m.
+    length: f64,
+    /// Where the foot is to the left of the base when the leg stands upright, m.
+    track: f64,
+}
+
+impl Leg {
+    fn new(model: &Model, roles: &Roles, leg: usize) -> Self {
+        let joints = [leg, leg + 4, leg + 8].map(|slot| roles.joint_of_slot[slot]);
+        let foot = &model.bodies[roles.foot_body[leg]];
+        let zero = model.forward_kinematics(&[]);
+        let at = joints.map(|joint| zero[joint + 1].translation);
+        let tip = zero[foot.link].transform_point(roles.foot_point[leg]);
+        // in the plane that thigh and shank move in
+        let across = zero[joints[1] + 1].rotation * model.joints[joints[1]].axis;
+        let across = across * across.y.signum();
+        let sideways = (tip - at[0]).dot(across);
+        let flat = |v: DVec3| (v - across * v.dot(across)).length();
+        Self {
+            joints,
+            foot_link: foot.link,
+            foot_point: roles.foot_point[leg],
+            radius: roles.foot_radius[leg],
+            hip: DVec3::new(at[1].x, at[0].y, at[0].z),
+            length: flat(at[2] - at[1]) + flat(tip - at[2]),
+            track: at[0].y + sideways,
+        }
+    }
+
+    fn foot(&self, links: &[Pose]) -> DVec3 {
+        links[self.foot_link].transform_point(self.foot_point)
+    }
+
+    /// Angles for which the foot is nearest to `target`, written to `q`; knees bend to the rear where they can. Returns the
+    /// distance that is left, m.
+    fn solve(&self, model: &Model, target: DVec3, q: &mut [f64]) -> f64 {
+        let ranges = self.joints.map(|joint| range(model, joint));
+        let mut solutions: Vec<(bool, f64, [f64; 3])> = Vec::new();
+        for rear in [true, false] {
+            let start = self.start(model, target, &ranges, rear, q);
+            if let Some(start) = start {
+                let (angles, miss) = self.refine(model, target, &ranges, start, q);
+                self.joints.iter().zip(angles).for_each(|(&joint, angle)| q[joint] = angle);
+                solutions.push((self.knee_is_behind(&model.forward_kinematics(q)), miss, angles));
+            }
+        }
+        let reached = |solution: &&(bool, f64, [f64; 3])| solution.1 < REACHED;
+        let best = solutions
+            .iter()
+            .filter(reached)
+            .find(|(rear, ..)| *rear)
+            .or_else(|| solutions.iter().min_by(|a, b| a.1.total_cmp(&b.1)));
+        // the search over the whole of both ranges always finds a nearest start
+        let (_, miss, angles) = best.copied().unwrap_or((true, f64::INFINITY, [0.0; 3]));
+        self.joints.iter().zip(angles).for_each(|(&joint, angle)| q[joint] = angle);
+        miss
+    }
+
+    fn knee_is_behind(&self, links: &[Pose]) -> bool {
+        let [_, hip, knee] = self.joints.map(|joint| links[joint + 1].translation);
+        let foot = self.foot(links);
+        // to the rear of the line from hip to foot
+        let along = (knee.z - hip.z) / (foot.z - hip.z).min(-1e-9);
+        knee.x < hip.x + along * (foot.x - hip.x)
+    }
+
+    /// The nearest of a grid of angles with the knee on the wanted side.
+    fn start(
+        &self,
+        model: &Model,
+        target: DVec3,
+        ranges: &[RangeInclusive<f64>; 3],
+        rear: bool,
+        q: &[f64],
+    ) -> Option<[f64; 3]> {
+        let mut q = q.to_vec();
+        let mut best: Option<(f64, [f64; 3])> = None;
+        let abduction = 0.0_f64.clamp(*ranges[0].start(), *ranges[0].end());
+        for i in 0..=STARTS {
+            for j in 0..=STARTS {
+                let angles = [abduction, at(&ranges[1], i), at(&ranges[2], j)];
+                self.joints.iter().zip(angles).for_each(|(&joint, angle)| q[joint] = angle);
+                let links = model.forward_kinematics(&q);
+                let miss = self.foot(&links).distance(target);
+                if self.knee_is_behind(&links) == rear && best.is_none_or(|(least, _)| miss < least) {
+                    best = Some((miss, angles));
+                }
+            }
+        }
+        best.map(|(_, angles)| angles)
+    }
+
+    /// Damped Gauss-Newton steps within the ranges.
+    fn refine(
+        &self,
+        model: &Model,
+        target: DVec3,
+        ranges: &[RangeInclusive<f64>; 3],
+        start: [f64; 3],
+        q: &[f64],
+    ) -> ([f64; 3], f64) {
+        let mut q = q.to_vec();
+        let mut miss_at = |angles: [f64; 3]| {
+            self.joints.iter().zip(angles).for_each(|(&joint, angle)| q[joint] = angle);
+            let links = model.forward_kinematics(&q);
+            let foot = self.foot(&links);
+            let columns = self.joints.map(|joint| {
+                let link = &links[joint + 1];
+                (link.rotation * model.joints[joint].axis).cross(foot - link.translation)
+            });
+            (target - foot, DMat3::from_cols(columns[0], columns[1], columns[2]))
+        };
+        let (mut angles, mut damping) = (start, 1e-3);
+        let (mut error, mut jacobian) = miss_at(angles);
+        for _ in 0..ITERATIONS {
+            let normal = jacobian.transpose() * jacobian + DMat3::IDENTITY * (damping * self.length * self.length);
+            let step = (normal.inverse() * (jacobian.transpose() * error)).to_array();
+            let next = std::array::from_fn(|i| (angles[i] + step[i]).clamp(*ranges[i].start(), *ranges[i].end()));
+            let (next_error, next_jacobian) = miss_at(next);
+            if next_error.length() < error.length() {
+                (angles, error, jacobian) = (next, next_error, next_jacobian);
+                damping *= 0.1;
+            } else {
+                damping *= 10.0;
+            }
+        }
+        (angles, error.length())
+    }
+}
+
+/// Where a joint may be put, rad.
+pub(super) fn range(model: &Model, joint: usize) -> RangeInclusive<f64> {
+    let joint = &model.joints[joint];
+    let (lower, upper) = (joint.lower.max(-TURN), joint.upper.min(TURN));
+    if lower > upper {
+        // limits beyond a turn
+        return joint.lower.max(joint.upper.min(0.0))..=joint.lower.max(joint.upper.min(0.0));
+    }
+    let margin = MARGIN * (upper - lower);
+    lower + margin..=upper - margin
+}
+
+fn at(range: &RangeInclusive<f64>, step: u32) -> f64 {
+    range.start() + (range.end() - range.start()) * f64::from(step) / f64::from(STARTS)
+}
+
+/// In the base frame, m.
+fn centre_of_mass(model: &Model, q: &[f64]) -> DVec3 {
+    let links = model.forward_kinematics(q);
+    let moment: DVec3 = model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass).sum();
+    moment / model.total_mass()
+}
+
+fn torques(model: &Model, legs: &[Leg; 4], q: &[f64]) -> [f64; 3] {
+    let links = model.forward_kinematics(q);
+    let force = DVec3::Z * (model.total_mass() * GRAVITY / LEGS.len() as f64);
+    let of = |leg: &Leg, role: usize| {
+        let joint = leg.joints[role];
+        let link = &links[joint + 1];
+        let axis = link.rotation * model.joints[joint].axis;
+        axis.dot((leg.foot(&links) - link.translation).cross(force)).abs()
+    };
+    std::array::from_fn(|role| legs.iter().map(|leg| of(leg, role)).fold(0.0, f64::max))
+}

@@ -1,0 +1,96 @@
+//! The default pose that `draft` finds for a URDF: all feet on one plane, the centre of mass between them, knees bent,
+//! joints within their limits.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use polypod::draft::{Draft, DraftOptions, draft};
+use polypod::robot::{CANONICAL_JOINT_NAMES, LoadOptions, Model, Roles, detect, load};
+use toml::Table;
+
+fn assets() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots");
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path().join("robot.urdf")).collect();
+    files.retain(|file| file.is_file());
+    files.sort();
+    assert_eq!(files.len(), 8);
+    files
+}
+
+struct Stood {
+    model: Model,
+    roles: Roles,
+    /// Joint positions, rad.
+    q: Vec<f64>,
+}
+
+fn stood(file: &Path) -> Stood {
+    let Draft { toml, .. } = draft(file, &DraftOptions::default()).unwrap();
+    let table: Table = toml.parse().unwrap();
+    let locked: BTreeMap<String, f64> = table
+        .get("locked_joints")
+        .and_then(|locked| locked.as_table())
+        .into_iter()
+        .flatten()
+        .map(|(joint, position)| (joint.clone(), position.as_float().unwrap()))
+        .collect();
+    let model = load(file, &LoadOptions { locked_joints: locked, ..LoadOptions::default() }).unwrap();
+    let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap();
+    let mut q = vec![0.0; model.joints.len()];
+    for (slot, name) in CANONICAL_JOINT_NAMES.iter().enumerate() {
+        q[roles.joint_of_slot[slot]] = table["default_pose"][*name].as_float().unwrap();
+    }
+    Stood { model, roles, q }
+}
+
+impl Stood {
+    /// The lowest point of each foot, base frame, m.
+    fn soles(&self) -> [DVec3; 4] {
+        let links = self.model.forward_kinematics(&self.q);
+        std::array::from_fn(|leg| {
+            let link = self.model.bodies[self.roles.foot_body[leg]].link;
+            links[link].transform_point(self.roles.foot_point[leg]) - DVec3::Z * self.roles.foot_radius[leg]
+        })
+    }
+
+    fn centre_of_mass(&self) -> DVec3 {
+        let links = self.model.forward_kinematics(&self.q);
+        let moments = self.model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass);
+        moments.sum::<DVec3>() / self.model.total_mass()
+    }
+}
+
+#[test]
+fn feet_are_level_about_the_centre_of_mass() {
+    for file in assets() {
+        let stood = stood(&file);
+        let soles = stood.soles();
+        let middle = soles.iter().sum::<DVec3>() / 4.0;
+        for sole in soles {
+            assert!((sole.z - middle.z).abs() < 2e-3, "{}: {soles:?}", file.display());
+        }
+        let centre = stood.centre_of_mass();
+        assert!((centre - middle).truncate().length() < 1e-2, "{}: {centre} over {middle}", file.display());
+        // to the front and to the rear, to the left and to the right of it
+        assert!(soles[0].x > centre.x && soles[1].x < centre.x && soles[0].y > centre.y && soles[2].y < centre.y);
+    }
+}
+
+#[test]
+fn knees_are_bent_and_joints_within_their_limits() {
+    for file in assets() {
+        let stood = stood(&file);
+        for (joint, q) in stood.model.joints.iter().zip(&stood.q) {
+            assert!(joint.lower < *q && *q < joint.upper, "{}: {} at {q}", file.display(), joint.name);
+        }
+        let links = stood.model.forward_kinematics(&stood.q);
+        for (leg, sole) in stood.soles().into_iter().enumerate() {
+            let [hip, knee] = [leg + 4, leg + 8].map(|slot| links[stood.roles.joint_of_slot[slot] + 1].translation);
+            let straight = hip.distance(knee) + knee.distance(sole);
+            let share = hip.distance(sole) / straight;
+            assert!((0.6..0.95).contains(&share), "{}: leg {leg} at {share} of its length", file.display());
+        }
+    }
+}

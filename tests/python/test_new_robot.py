@@ -1,0 +1,155 @@
+"""A ninth robot: from a URDF of one's own to training with `polypod robot new`, and no source file changed."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import polypod
+from polypod import _core
+from polypod.new_robot import new_robot
+
+ROOT = Path(__file__).parents[2]
+ROBOTS = sorted(path.name for path in (ROOT / "assets/robots").iterdir() if (path / "robot.urdf").is_file())
+QUICK = ("--num-envs", "16", "--max-iterations", "2", "--logger", "none", "--set", "sim.episode_length_s=0.4")
+
+
+def link(name, mass, size, at=(0.0, 0.0, 0.0), shape=None):
+    """A link whose mass is spread over a box of `size` about `at`, m."""
+    x, y, z = size
+    inertia = [mass / 12 * s for s in (y * y + z * z, x * x + z * z, x * x + y * y)]
+    origin = f'<origin xyz="{at[0]} {at[1]} {at[2]}"/>'
+    shape = shape or f'<box size="{x} {y} {z}"/>'
+    return f"""<link name="{name}">
+  <inertial>{origin}<mass value="{mass}"/>
+    <inertia ixx="{inertia[0]}" iyy="{inertia[1]}" izz="{inertia[2]}" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision>{origin}<geometry>{shape}</geometry></collision></link>"""
+
+
+def joint(name, parent, child, at, axis, limits=None):
+    limit = "" if limits is None else '<limit lower="{}" upper="{}" effort="{}" velocity="{}"/>'.format(*limits)
+    kind = "fixed" if axis is None else "revolute"
+    axis = "" if axis is None else f'<axis xyz="{axis}"/>'
+    return f"""<joint name="{name}" type="{kind}"><origin xyz="{at[0]} {at[1]} {at[2]}"/>
+  <parent link="{parent}"/><child link="{child}"/>{axis}{limit}</joint>"""
+
+
+def quadruped(mass=22.0, thigh=0.26, shank=0.3, length=0.6, antenna=False, effort=60.0):
+    """A URDF with names that say nothing about corners, knees that bend to one side only, and a trunk heavier in front."""
+    parts = [link("trunk", 0.7 * mass, (length, 0.24, 0.14), at=(0.02, 0.0, 0.0))]
+    for number, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
+        a, b, c, foot = (f"{part}{number}" for part in ("a", "b", "c", "pad"))
+        legs = 0.3 * mass / 4
+        parts += [
+            link(a, 0.3 * legs, (0.08, 0.08, 0.08)),
+            link(b, 0.5 * legs, (0.05, 0.04, thigh), at=(0.0, 0.0, -thigh / 2)),
+            link(c, 0.18 * legs, (0.03, 0.03, 0.8 * shank), at=(0.0, 0.0, -0.4 * shank)),
+            link(foot, 0.02 * legs, (0.03, 0.03, 0.03), shape='<sphere radius="0.025"/>'),
+            joint(f"m{number}1", "trunk", a, (x * 0.4 * length, y * 0.1, 0.0), "1 0 0", (-0.8, 0.8, effort, 20.0)),
+            joint(f"m{number}2", a, b, (0.0, y * 0.07, 0.0), "0 1 0", (-1.5, 2.5, effort, 20.0)),
+            joint(f"m{number}3", b, c, (0.0, 0.0, -thigh), "0 1 0", (-2.6, -0.3, 1.5 * effort, 14.0)),
+            joint(f"f{number}", c, foot, (0.0, 0.0, -shank), None),
+        ]
+    if antenna:
+        parts += [
+            link("antenna", 0.2, (0.02, 0.02, 0.3), at=(0.0, 0.0, 0.15)),
+            joint("wag", "trunk", "antenna", (0.0, 0.0, 0.07), "0 1 0", (0.2, 1.0, 1.0, 1.0)),
+        ]
+    return f'<robot name="Test Fox">{"".join(parts)}</robot>'
+
+
+@pytest.fixture
+def fox(tmp_path):
+    file = tmp_path / "fox" / "description.urdf"
+    file.parent.mkdir()
+    file.write_text(quadruped(antenna=True))
+    return file
+
+
+def test_from_urdf_to_training(cli, tmp_path, fox):
+    done = cli("robot", "new", "fox/description.urdf")
+    assert done.returncode == 0, done.stderr
+    assert "16 of 16 stand" in done.stdout
+    assert "wag is no leg's" in done.stdout
+    config = tomllib.loads((fox.parent / "test_fox.toml").read_text())
+    assert config["urdf"] == "description.urdf"
+    assert config["joint_roles"]["LF_HAA"] == "m01"
+    assert config["joint_roles"]["RH_KFE"] == "m33"
+    assert config["feet"] == {"LF": "pad0", "RF": "pad1", "LH": "pad2", "RH": "pad3"}
+    assert config["locked_joints"] == {"wag": 0.2}
+    assert config["actuators"]["knees"]["effort_limit"] == 90.0
+    done = cli("train", *QUICK, "--robots", "fox/test_fox.toml,spot")
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.glob("logs/rsl_rl/*/*/model_2.pt"))
+
+
+def test_by_name_with_tasks_of_its_own(cli, tmp_path, fox, monkeypatch):
+    done = cli("robot", "new", str(fox), "--out", "mine/configs/robots/swift_fox.toml")
+    assert done.returncode == 0, done.stderr
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "mine"))
+    assert "Velocity-Flat-Swift-Fox-v0" in cli("list").stdout
+    done = cli("train", *QUICK, "--task", "Velocity-Flat-Swift-Fox-v0")
+    assert done.returncode == 0, done.stderr
+    (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_2.pt")
+    done = cli("eval", "--checkpoint", str(checkpoint), "--steps", "20", "--num-envs", "4")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_file_that_is_there_is_kept(cli, fox):
+    kept = fox.with_name("test_fox.toml")
+    kept.write_text("mine")
+    done = cli("robot", "new", str(fox))
+    assert done.returncode == 2
+    assert "--force" in done.stderr
+    assert kept.read_text() == "mine"
+    assert cli("robot", "new", str(fox), "--force").returncode == 0
+    assert kept.read_text() != "mine"
+
+
+def test_what_is_no_quadruped_is_refused(cli, tmp_path):
+    done = cli("robot", "new", str(ROOT / "tests/data/urdf/mixed.urdf"), "--out", str(tmp_path / "cart.toml"))
+    assert done.returncode == 2
+    assert "0 legs were found instead of 4" in done.stderr
+    assert not (tmp_path / "cart.toml").exists()
+
+
+def test_a_name_that_is_not_the_files(fox):
+    with pytest.raises(_core.ConfigError, match=r"the file of a robot `wolf` is wolf\.toml"):
+        new_robot(fox, fox.with_name("fox.toml"), name="wolf")
+
+
+def test_missing_limits_are_told(tmp_path):
+    file = tmp_path / "robot.urdf"
+    file.write_text(quadruped().replace('effort="60.0"', 'effort="0"'))
+    notes = new_robot(file).notes
+    assert sum("no effort limit for m" in note for note in notes) == 8
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_urdfs_that_come_along_make_robots_that_stand(tmp_path, robot):
+    made = new_robot(ROOT / "assets/robots" / robot / "robot.urdf", tmp_path / "draft.toml")
+    assert made.standing.holds
+    assert made.gain_factor == 1.0
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    mass=st.floats(4.0, 90.0),
+    thigh=st.floats(0.12, 0.4),
+    shank=st.floats(0.12, 0.4),
+    length=st.floats(0.35, 0.9),
+)
+def test_quadrupeds_of_any_size_stand(tmp_path, mass, thigh, shank, length):
+    file = tmp_path / "robot.urdf"
+    file.write_text(quadruped(mass, thigh, shank, length, effort=400.0))
+    made = new_robot(file, force=True)
+    assert made.standing.holds
+    assert made.standing.height == pytest.approx(0.8 * (thigh + shank) + 0.025, rel=0.1)
+    env = polypod.make("velocity_flat", 4, robots=[str(made.path)], seed=0)
+    env.reset()
+    for _ in range(20):
+        observations = env.step(np.ones((4, 12), dtype=np.float32))[0]
+    assert np.isfinite(observations).all()
