@@ -6,7 +6,7 @@ import polypod
 from polypod.training import config
 
 
-@pytest.mark.parametrize("name", ["flat", "rough", "quick"])
+@pytest.mark.parametrize("name", ["flat", "flat_universal", "rough", "quick"])
 def test_shipped_configs_are_complete(name):
     cfg = config.load(name).rsl_rl_cfg()
     assert cfg["algorithm"]["class_name"] == "PPO"
