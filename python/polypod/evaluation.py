@@ -13,6 +13,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.networks import build_actor
 from polypod.training import run_dir
 
 ENVS_PER_ROBOT = 64
@@ -100,11 +101,9 @@ def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
         model: the manifest's `policy`: sizes and constructor arguments.
 
     Raises:
-        ConfigError: when the weights do not fit the manifest.
+        ConfigError: when the weights do not fit the manifest, and for a network that is not known.
     """
-    arguments = {key: value for key, value in model.items() if key not in ("num_obs", "num_actions", "class_name")}
-    like = TensorDict({"policy": torch.zeros(1, model["num_obs"])}, batch_size=[1])
-    network = MLPModel(like, {"actor": ["policy"]}, "actor", model["num_actions"], **arguments)
+    network = build_actor(model)
     try:
         network.load_state_dict(checkpoint["actor_state_dict"])
     except RuntimeError as error:

@@ -43,6 +43,15 @@ def test_a_file_extends_a_shipped_one(tmp_path):
             "[algorithm]\nnormalize_advantage_per_mini_batch = true\n",
             "exclude each other",
         ),
+        ('extends = "flat"\n[actor]\nclass_name = "UrmaModel"\n', "'UrmaModel' is not one of MLPModel, polypod"),
+        ('extends = "flat"\n[actor]\nnum_heads = 4\n', r"\[actor\] num_heads is of networks of joints"),
+        (f'extends = "flat"\n[actor]\nclass_name = "{config.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
+        (
+            f'extends = "flat"\n[critic]\nclass_name = "{config.URMA}"\njoint_dim = 8\nnum_heads = 4\n'
+            "obs_normalization = true\n",
+            "obs_normalization",
+        ),
+        ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),
         ("[run]\nnum_envs = 1\n", "extends"),
         ("[run\n", "not valid TOML"),
     ],
@@ -52,6 +61,14 @@ def test_errors(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(polypod.ConfigError, match=message):
         config.load(str(path))
+
+
+def test_a_config_of_an_older_run_is_that_of_a_perceptron():
+    """Manifests from before there was a choice name no class."""
+    tables = config.load("flat").as_dict()
+    for section in ("actor", "critic"):
+        del tables[section]["class_name"]
+    assert config.parse(tables, "manifest") == config.load("flat")
 
 
 def test_a_file_cannot_extend_itself(tmp_path):

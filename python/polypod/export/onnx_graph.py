@@ -1,10 +1,10 @@
 """The exported graphs as ONNX models.
 
-They are a dozen nodes, written down here: torch's exporter takes a minute for them and leaves a graph that depends on
-its version. `checkpoint.export_checkpoint` compares every graph with torch before it is done.
+They are a few dozen nodes at most, written down here: torch's exporter takes a minute for them and leaves a graph that
+depends on its version. `checkpoint.export_checkpoint` compares every graph with torch before it is done.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from rsl_rl.modules import EmpiricalNormalization
 from polypod import _core
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
 from polypod.extras import package
+from polypod.networks import JointNetwork
 
 OPSET = 17
 """Of ONNX's default domain: old enough for the runtimes in use."""
@@ -121,16 +122,75 @@ def _add_network(graph: Graph, network: MLPModel, source: str, target: str) -> N
         mean = graph.constant("obs_mean", _numpy(normalizer.mean))
         scale = graph.constant("obs_std", _numpy(normalizer.std + normalizer.eps))
         value = graph.node("Div", graph.node("Sub", value, mean, output="obs_centred"), scale, output="obs_normalized")
-    layers = list(network.mlp)
+    if isinstance(network.mlp, JointNetwork):
+        _add_joint_network(graph, network.mlp, value, target)
+    else:
+        _add_layers(graph, list(network.mlp), value, target, "layer")
+
+
+def _add_layers(graph: Graph, layers: Sequence[torch.nn.Module], source: str, target: str, name: str) -> None:
+    """Adds layers one after the other; tensors between them go by `name`."""
+    value = source
     for index, layer in enumerate(layers):
-        output = target if index + 1 == len(layers) else f"layer_{index}"
+        output = target if index + 1 == len(layers) else f"{name}_{index}"
         if isinstance(layer, torch.nn.Linear):
-            weight = graph.constant(f"weight_{index}", _numpy(layer.weight))
-            bias = graph.constant(f"bias_{index}", _numpy(layer.bias))
-            value = graph.node("Gemm", value, weight, bias, output=output, transB=1)
+            value = _add_gemm(graph, layer, value, output)
         else:
-            operator, attributes = _activation(layer)
-            value = graph.node(operator, value, output=output, **attributes)
+            value = _add_activation(graph, layer, value, output)
+
+
+def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target: str) -> None:
+    """Adds what `JointNetwork.forward` does, with the layers of all joints written out."""
+    joints, joint_dim = network.num_joints, network.state.out_features
+
+    def shape(name: str, *sizes: int) -> str:
+        return graph.constant(name, np.array(sizes, dtype=np.int64))
+
+    def of_each_joint(name: str, matrix: torch.Tensor, offset: torch.Tensor) -> str:
+        weight, bias = graph.constant(f"{name}_weight", _numpy(matrix)), graph.constant(f"{name}_bias", _numpy(offset))
+        encoded = graph.node("Gemm", source, weight, bias, output=f"{name}_encoded")
+        active = _add_activation(graph, network.activation, encoded, f"{name}_active")
+        return graph.node("Reshape", active, shape(f"{name}_shape", 0, joints, joint_dim), output=name)
+
+    def linear(layer: torch.nn.Linear, value: str, name: str) -> str:
+        weight = graph.constant(f"{name}_weight", _numpy(layer.weight.t()))
+        product = graph.node("MatMul", value, weight, output=f"{name}_product")
+        return graph.node("Add", product, graph.constant(f"{name}_bias", _numpy(layer.bias)), output=name)
+
+    descriptions = of_each_joint("descriptions", *network.description_layer())
+    states = of_each_joint("states", *network.state_layer())
+    by_place = graph.constant("attention_by_place", _numpy(network.place_attention(network.place)))
+    attention = linear(network.attention, descriptions, "attention_by_description")
+    attention = graph.node("Add", attention, by_place, output="attention")
+    weights = graph.node("Softmax", attention, output="attention_weights", axis=1)
+    heads = graph.node("Transpose", weights, output="attention_heads", perm=[0, 2, 1])
+    gathered = graph.node("MatMul", heads, states, output="gathered_heads")
+    flat = shape("gathered_shape", 0, network.attention.out_features * joint_dim)
+    gathered = graph.node("Reshape", gathered, flat, output="gathered")
+    general = graph.node(
+        "Gather", source, shape("general_columns", *network.general.tolist()), output="general", axis=1
+    )
+    whole = graph.node("Concat", gathered, general, output="body_0", axis=1)
+    _add_layers(graph, list(network.body), whole, "body", "body_layer")
+    decoder = graph.constant("decoder_weight", _numpy(network.decoder.weight.t()))
+    view = graph.node("MatMul", "body", decoder, output="view")
+    view = graph.node("Unsqueeze", view, shape("last_axis", 2), output="view_column")
+    read = graph.node("MatMul", descriptions, view, output="read_by_description")
+    read = graph.node("Add", read, linear(network.reflex, states, "reflex"), output="read_column")
+    read = graph.node("Reshape", read, shape("actions_shape", 0, joints), output="read")
+    by_place = graph.constant("decoder_by_place", _numpy((network.place @ network.place_decoder.weight).t()))
+    graph.node("Add", read, graph.node("MatMul", "body", by_place, output="read_by_place"), output=target)
+
+
+def _add_gemm(graph: Graph, layer: torch.nn.Linear, value: str, output: str) -> str:
+    weight = graph.constant(f"{output}_weight", _numpy(layer.weight))
+    bias = graph.constant(f"{output}_bias", _numpy(layer.bias))
+    return graph.node("Gemm", value, weight, bias, output=output, transB=1)
+
+
+def _add_activation(graph: Graph, layer: torch.nn.Module, value: str, output: str) -> str:
+    operator, attributes = _activation(layer)
+    return graph.node(operator, value, output=output, **attributes)
 
 
 def _activation(layer: torch.nn.Module) -> tuple[str, dict[str, float]]:

@@ -2,6 +2,8 @@
 
 import dataclasses
 import difflib
+import types
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -10,6 +12,11 @@ from polypod.compat import tomllib
 
 OBSERVATION_GROUP = "policy"
 """Name of the observation group that actor and critic read."""
+
+MLP = "MLPModel"
+URMA = "polypod.networks:UrmaModel"
+ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
+"""Class names as rsl_rl resolves them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,26 +53,50 @@ class AlgorithmConfig:
     mixed_precision: str
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CriticConfig:
-    """`[critic]`: a multi-layer perceptron."""
+    """`[critic]`: a multi-layer perceptron, or a network of joints, which has two sizes of its own."""
 
+    class_name: str = MLP
     hidden_dims: list[int]
     activation: str
     obs_normalization: bool
+    joint_dim: int | None = None
+    num_heads: int | None = None
+
+    def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
+        """The network's constructor arguments, with the class names that rsl_rl resolves.
+
+        Args:
+            sim: whose observations and joints the network is for; a multi-layer perceptron does without.
+
+        Raises:
+            ConfigError: for a network of joints without `sim`.
+        """
+        network = {key: value for key, value in dataclasses.asdict(self).items() if value is not None}
+        if self.class_name == MLP:
+            return network
+        if sim is None:
+            raise _core.ConfigError(
+                f"{self.class_name} is made for the joints of an env: call rsl_rl_cfg(env.sim) of the train config"
+            )
+        layout = [[term, size] for term, size in sim.observation_layout]
+        return {**network, "observation_layout": layout, "joint_names": sim.canonical_joint_names}
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ActorConfig(CriticConfig):
-    """`[actor]`: a multi-layer perceptron whose output is the mean of a Gaussian with a learned deviation."""
+    """`[actor]`: a network whose output is the mean of a Gaussian with a learned deviation."""
 
     init_std: float
 
-    def model_cfg(self) -> dict[str, Any]:
-        """The actor's constructor arguments, with the class names that rsl_rl resolves."""
-        network = {key: value for key, value in dataclasses.asdict(self).items() if key != "init_std"}
-        distribution = {"class_name": "GaussianDistribution", "init_std": self.init_std}
-        return {"class_name": "MLPModel", **network, "distribution_cfg": distribution}
+    def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
+        """As of the critic, with the distribution."""
+        network = super().model_cfg(sim)
+        distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
+        if self.class_name == URMA:
+            distribution |= {"class_name": ROLE_GAUSSIAN, "joint_names": network["joint_names"]}
+        return {**network, "distribution_cfg": distribution}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +110,8 @@ class TrainConfig:
 
     def as_dict(self) -> dict[str, Any]:
         """The config as it would stand in its file."""
-        return dataclasses.asdict(self)
+        sections = dataclasses.asdict(self)
+        return {name: {k: v for k, v in table.items() if v is not None} for name, table in sections.items()}
 
     def with_run(self, **values: Any) -> "TrainConfig":
         """The config with other values in `[run]`; None leaves a value alone."""
@@ -93,8 +125,8 @@ class TrainConfig:
         mode = "on" if _computes_in_bfloat16(device_type) else "off"
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
 
-    def rsl_rl_cfg(self) -> dict[str, Any]:
-        """The configuration that rsl_rl's runner reads."""
+    def rsl_rl_cfg(self, sim: _core.VecSim | None = None) -> dict[str, Any]:
+        """The configuration that rsl_rl's runner reads; arguments and errors are those of `CriticConfig.model_cfg`."""
         algorithm = dataclasses.asdict(self.algorithm)
         algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
         return {
@@ -105,8 +137,8 @@ class TrainConfig:
             "symmetry": self.run.symmetry,
             "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
             "algorithm": {"class_name": "PPO", **algorithm},
-            "actor": self.actor.model_cfg(),
-            "critic": {"class_name": "MLPModel", **dataclasses.asdict(self.critic)},
+            "actor": self.actor.model_cfg(sim),
+            "critic": self.critic.model_cfg(sim),
             "check_for_nan": True,
         }
 
@@ -160,16 +192,17 @@ def _parse_section(type_: Any, table: Any, where: str) -> Any:
     if not isinstance(table, dict):
         raise _core.ConfigError(f"{where} must be a table")
     expected = {field.name: field.type for field in dataclasses.fields(type_)}
-    _check_keys(table, expected, where)
-    return type_(**{key: _checked(table[key], expected[key], f"{where} {key}") for key in expected})
+    optional = {field.name for field in dataclasses.fields(type_) if field.default is not dataclasses.MISSING}
+    _check_keys(table, expected, where, optional)
+    return type_(**{key: _checked(value, expected[key], f"{where} {key}") for key, value in table.items()})
 
 
-def _check_keys(table: dict[str, Any], expected: dict[str, Any], where: str) -> None:
+def _check_keys(table: dict[str, Any], expected: dict[str, Any], where: str, optional: Collection[str] = ()) -> None:
     for key in table:
         if key not in expected:
             nearest = difflib.get_close_matches(key, expected, n=1, cutoff=0.0)[0]
             raise _core.ConfigError(f"{where}: unknown key {key!r}; did you mean {nearest!r}?")
-    missing = [key for key in expected if key not in table]
+    missing = [key for key in expected if key not in table and key not in optional]
     if missing:
         raise _core.ConfigError(
             f'{where}: {", ".join(missing)} missing; set it, or start the file with extends = "flat"'
@@ -181,6 +214,9 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
         (item,) = get_args(expected)
         if isinstance(value, list):
             return [_checked(element, item, f"{where}[{i}]") for i, element in enumerate(value)]
+    elif isinstance(expected, types.UnionType):
+        (some,) = (item for item in get_args(expected) if item is not type(None))
+        return _checked(value, some, where)
     elif expected is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     elif type(value) is expected:
@@ -214,11 +250,34 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
             f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude each "
             "other; set one of them to false"
         )
+    for section, network in (("actor", config.actor), ("critic", config.critic)):
+        _check_network(network, f"{source}: [{section}]")
     choices = {"schedule": ("adaptive", "fixed"), "mixed_precision": ("off", "on", "auto")}
     for key, allowed in choices.items():
         value = getattr(algorithm, key)
         if value not in allowed:
             raise _core.ConfigError(f"{source}: [algorithm] {key} = {value!r} is not one of {', '.join(allowed)}")
+
+
+def _check_network(network: CriticConfig, where: str) -> None:
+    if network.class_name not in (MLP, URMA):
+        raise _core.ConfigError(f"{where} class_name = {network.class_name!r} is not one of {MLP}, {URMA}")
+    if not network.hidden_dims or min(network.hidden_dims) < 1:
+        raise _core.ConfigError(f"{where} hidden_dims = {network.hidden_dims} must hold sizes of at least 1")
+    for key in ("joint_dim", "num_heads"):
+        size = getattr(network, key)
+        if network.class_name == MLP and size is not None:
+            raise _core.ConfigError(
+                f'{where} {key} is of networks of joints; leave it out or set class_name = "{URMA}"'
+            )
+        if network.class_name == URMA and (size is None or size < 1):
+            raise _core.ConfigError(
+                f"{where} {key} = {size} must be at least 1 for {URMA}; configs/train has an example"
+            )
+    if network.class_name == URMA and network.obs_normalization:
+        raise _core.ConfigError(
+            f"{where} obs_normalization = true would tie {URMA} to the columns of one observation; set it to false"
+        )
 
 
 def _computes_in_bfloat16(device_type: str) -> bool:

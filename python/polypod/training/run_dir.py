@@ -143,7 +143,7 @@ def manifest_of(
         "config_hash": sim.config_hash(),
         "canonical_joint_names": sim.canonical_joint_names,
         "observation_layout": [{"term": term, "size": size} for term, size in sim.observation_layout],
-        "policy": {"num_obs": sim.num_obs, "num_actions": sim.num_actions, **config.actor.model_cfg()},
+        "policy": {"num_obs": sim.num_obs, "num_actions": sim.num_actions, **config.actor.model_cfg(sim)},
         "robots": sim.robots,
         "robot_info": json.loads(sim.robot_info()),
         "joint_maps": {

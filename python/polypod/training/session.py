@@ -76,7 +76,7 @@ def train(options: Options) -> int:
     else:
         run = plan.checkpoint.parent
     env.sim.set_dump_dir(run)
-    runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(), run, device, reporter)
+    runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(env.sim), run, device, reporter)
     if plan.checkpoint is not None:
         runner.load(str(plan.checkpoint))
     elif options.init is not None:

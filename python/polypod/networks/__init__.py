@@ -1,0 +1,30 @@
+"""Networks for rsl_rl, such as `class_name = "polypod.networks:UrmaModel"`, and how a saved one is built again."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from polypod import _core
+from polypod.networks.urma import JointNetwork, RoleGaussian, UrmaModel
+
+__all__ = ["NETWORKS", "JointNetwork", "RoleGaussian", "UrmaModel", "build_actor"]
+
+NETWORKS: dict[str, type[MLPModel]] = {"MLPModel": MLPModel, "polypod.networks:UrmaModel": UrmaModel}
+"""By the class names of train configs and manifests."""
+
+
+def build_actor(model: Mapping[str, Any]) -> MLPModel:
+    """The actor that a manifest's `policy` describes, with new weights.
+
+    Raises:
+        ConfigError: for a class of network that is none of `NETWORKS`.
+    """
+    arguments = dict(model)
+    num_obs, num_actions, name = (arguments.pop(key) for key in ("num_obs", "num_actions", "class_name"))
+    if name not in NETWORKS:
+        raise _core.ConfigError(f"the policy is a {name!r}; this version knows {', '.join(NETWORKS)}")
+    like = TensorDict({"policy": torch.zeros(1, num_obs)}, batch_size=[1])
+    return NETWORKS[name](like, {"actor": ["policy"]}, "actor", num_actions, **arguments)
