@@ -57,7 +57,8 @@ impl Stood {
 
     fn centre_of_mass(&self) -> DVec3 {
         let links = self.model.forward_kinematics(&self.q);
-        let moments = self.model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass);
+        let moments =
+            self.model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass);
         moments.sum::<DVec3>() / self.model.total_mass()
     }
 }

@@ -75,7 +75,8 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, RobotError> {
     let whole = load(file, &load_options)?;
     let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
-    load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), 0.0_f64.max(joint.lower).min(joint.upper))).collect();
+    load_options.locked_joints =
+        others.map(|(_, joint)| (joint.name.clone(), 0.0_f64.max(joint.lower).min(joint.upper))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
@@ -203,7 +204,10 @@ fn notes(findings: &Findings<'_>) -> Vec<String> {
         }
     }
     for (role, name) in ["HAA", "HFE", "KFE"].into_iter().enumerate() {
-        let effort = findings.groups.iter().filter(|group| group.joints.iter().any(|joint| joint == "*" || joint.ends_with(name)));
+        let effort = findings
+            .groups
+            .iter()
+            .filter(|group| group.joints.iter().any(|joint| joint == "*" || joint.ends_with(name)));
         let least = effort.map(|group| group.effort).fold(f64::INFINITY, f64::min);
         if stance.torques[role] > STANDING_EFFORT * least {
             notes.push(format!(

@@ -40,10 +40,8 @@ impl Stance {
     pub fn find(model: &Model, roles: &Roles) -> Self {
         let legs: [Leg; 4] = std::array::from_fn(|leg| Leg::new(model, roles, leg));
         // the shortest leg says how high the robot stands
-        let ground = legs
-            .iter()
-            .map(|leg| leg.hip.z - CROUCH * leg.length - leg.radius)
-            .fold(f64::NEG_INFINITY, f64::max);
+        let ground =
+            legs.iter().map(|leg| leg.hip.z - CROUCH * leg.length - leg.radius).fold(f64::NEG_INFINITY, f64::max);
         let hips = legs.iter().map(|leg| leg.hip.x).sum::<f64>() / 4.0;
         let leg_length = legs.iter().map(|leg| leg.length).sum::<f64>() / 4.0;
         let mut q = vec![0.0; model.joints.len()];
@@ -219,7 +217,8 @@ fn at(range: &RangeInclusive<f64>, step: u32) -> f64 {
 /// In the base frame, m.
 fn centre_of_mass(model: &Model, q: &[f64]) -> DVec3 {
     let links = model.forward_kinematics(q);
-    let moment: DVec3 = model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass).sum();
+    let moment: DVec3 =
+        model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass).sum();
     moment / model.total_mass()
 }
 

@@ -77,6 +77,8 @@ def test_every_measurement_has_its_row() -> None:
     )
     text = tables(measured)
     assert text.count("| spot |") == 7
-    assert "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 0.50 % | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
+    assert (
+        "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 0.50 % | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
+    )
     assert "MuJoCo x.y" in text
     assert "MuJoCo x.y" in summary(measured)

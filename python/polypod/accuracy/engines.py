@@ -143,9 +143,7 @@ def frictionless_torque(robot: Robot, engine: str) -> Array:
         config = Path(folder) / f"{robot.name}.toml"
         identity = f'extends = "{robot.name}"\nname = "{robot.name}"\ntitle = "without dry friction"\n'
         config.write_text(identity + changes, encoding="utf-8")
-        sim = polypod.Simulation(
-            str(config), dt=DT, engine=engine, friction=FRICTION, self_collision=False, threads=1
-        )
+        sim = polypod.Simulation(str(config), dt=DT, engine=engine, friction=FRICTION, self_collision=False, threads=1)
         sim.set_state(pose(robot, 0.0))
         hold(sim, robot, SETTLE_TIME)
     return sim.joint_torque[0]
