@@ -142,11 +142,9 @@ impl Plugin for PipelinePlugin {
                 .chain()
                 .run_if(resource_exists::<LinkMirrors>)
                 .in_set(PipelineSet::Mirror),
-            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights)
-                .chain()
-                .in_set(PipelineSet::Sense),
+            (sense::read_sensors, sense::scan_heights).chain().in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
-            (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),
+            reward::compute_rewards.in_set(PipelineSet::Reward),
         ));
         let mut reset = schedule(ResetEnvs);
         reset.configure_sets((PipelineSet::Reset, PipelineSet::Observe).chain());

@@ -3,6 +3,8 @@
 //! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
 //! that broke is noticed together with what it came from, see [`BrokenStates`].
 
+use std::sync::Arc;
+
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RegisteredSystemError;
 
@@ -21,8 +23,8 @@ use crate::dynamics::lanes::{self, Lanes, Real, Simd};
 use crate::dynamics::{
     ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Terrain, Workspace,
 };
-use crate::morphology::Morphologies;
-use crate::rows::{SplitRows, Workers, read_rows, write_rows};
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::{Pool, SplitRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
 /// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
@@ -189,15 +191,15 @@ impl PhysicsEngine {
                 ..ContactSettings::default()
             },
         };
-        let (chunks, terrain) = (workers.num_chunks(), ground.terrain.clone());
+        let (threads, terrain) = (workers.threads(), ground.terrain.clone());
         let engine: Box<dyn Engine> = match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Box::new(Packs::<lanes::Avx512>::new(settings, terrain, morphologies, counts, chunks)),
+            Simd::Avx512 => Box::new(Packs::<lanes::Avx512>::new(settings, terrain, morphologies, counts, threads)),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Box::new(Packs::<lanes::Avx2>::new(settings, terrain, morphologies, counts, chunks)),
+            Simd::Avx2 => Box::new(Packs::<lanes::Avx2>::new(settings, terrain, morphologies, counts, threads)),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Box::new(Packs::<lanes::Neon>::new(settings, terrain, morphologies, counts, chunks)),
-            _ => Box::new(Packs::<lanes::Portable>::new(settings, terrain, morphologies, counts, chunks)),
+            Simd::Neon => Box::new(Packs::<lanes::Neon>::new(settings, terrain, morphologies, counts, threads)),
+            _ => Box::new(Packs::<lanes::Portable>::new(settings, terrain, morphologies, counts, threads)),
         };
         Ok(Self(engine))
     }
@@ -268,64 +270,76 @@ pub(crate) fn run_physics(world: &mut World) -> Result<(), RegisteredSystemError
     world.run_system_cached(step_physics)
 }
 
-/// Up to `L::LANES` robots of one morphology side by side.
+/// Up to `L::LANES` robots of one morphology side by side: what they keep from one control step to the next beyond their
+/// components.
 struct Pack<L> {
     morphology: usize,
     first_env: usize,
     count: usize,
+    /// Lists that are equal in all lanes of all packs of a morphology are there once.
     parameters: Parameters<L>,
+    /// Of the present control step, on its way out.
+    evidence: Option<Box<Evidence>>,
+}
+
+/// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
+struct Bench<L> {
     /// Where the envs' origins are on the terrain, m.
     origin: [L; 2],
     state: State<L>,
     drive: Drive<L>,
     report: Report<L>,
-    /// Of the present control step, on its way out.
-    evidence: Option<Box<Evidence>>,
+    work: Workspace<L>,
 }
 
-/// All packs, with scratch memory for each chunk of work and morphology.
+/// All packs, with benches for each thread and morphology.
 struct Packs<L: Lanes> {
     settings: StepSettings,
-    terrain: Option<HeightGrid>,
+    terrain: Option<Arc<HeightGrid>>,
     packs: Vec<Pack<L>>,
-    workspaces: Vec<Vec<Workspace<L>>>,
+    benches: Pool<Vec<Bench<L>>>,
 }
 
 impl<L: Lanes> Packs<L> {
     fn new(
         settings: StepSettings,
-        terrain: Option<HeightGrid>,
+        terrain: Option<Arc<HeightGrid>>,
         morphologies: &Morphologies,
         counts: &[usize],
-        chunks: usize,
+        threads: usize,
     ) -> Self {
         let mut packs = Vec::new();
         let mut first_env = 0;
         for (morphology, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
-            let topology = &model.topology;
+            let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
             let end = first_env + count;
             while first_env < end {
                 let count = L::LANES.min(end - first_env);
-                let ages = history_length(model.max_delay(), settings.decimation);
-                packs.push(Pack {
-                    morphology,
-                    first_env,
-                    count,
-                    parameters: Parameters::from_scalars(topology, &model.nominal),
-                    origin: [L::zero(); 2],
-                    state: State::zeros(topology),
-                    drive: Drive::zeros(topology, ages),
-                    report: Report::zeros(topology, settings.decimation),
-                    evidence: None,
-                });
+                packs.push(Pack { morphology, first_env, count, parameters: nominal.clone(), evidence: None });
                 first_env += count;
             }
         }
-        let workspaces =
-            (0..chunks).map(|_| morphologies.0.iter().map(|model| Workspace::new(&model.topology)).collect()).collect();
-        Self { settings, terrain, packs, workspaces }
+        let bench = |model: &MorphologyModel| Bench::new(model, settings.decimation);
+        let benches = Pool::new(threads, || morphologies.0.iter().map(bench).collect());
+        Self { settings, terrain, packs, benches }
     }
 }
+
+impl<L: Real> Bench<L> {
+    fn new(model: &MorphologyModel, decimation: usize) -> Self {
+        let topology = &model.topology;
+        Self {
+            origin: [L::zero(); 2],
+            state: State::zeros(topology),
+            drive: Drive::zeros(topology, history_length(model.max_delay(), decimation)),
+            report: Report::zeros(topology, decimation),
+            work: Workspace::new(topology),
+        }
+    }
+}
+
+/// Packs are cut into so many tasks for each thread: those of some robots take several times as long as others'.
+const TASKS_PER_THREAD: usize = 16;
 
 /// Control steps of targets that an actuator can still see.
 pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
@@ -355,39 +369,44 @@ impl<L: Lanes> Engine for Packs<L> {
         limits: &StateLimits,
         watched: &[bool],
     ) -> Vec<Evidence> {
-        let (settings, terrain) = (&self.settings, self.terrain.as_ref());
-        let per_chunk = self.packs.len().div_ceil(self.workspaces.len()).max(1);
+        let (settings, terrain, benches) = (&self.settings, self.terrain.as_deref(), &self.benches);
+        let per_task = self.packs.len().div_ceil(workers.threads() * TASKS_PER_THREAD).max(1);
         let mut rest = Some(rows);
-        let tasks = self.packs.chunks_mut(per_chunk).zip(&mut self.workspaces).filter_map(|(packs, workspaces)| {
+        let tasks = self.packs.chunks_mut(per_task).filter_map(|packs| {
             let envs = packs.iter().map(|pack| pack.count).sum();
             let (rows, more) = rest.take()?.split_rows(envs);
             rest = Some(more);
-            Some((packs, workspaces, rows))
+            Some((packs, rows))
         });
-        workers.for_each(tasks, |(packs, workspaces, mut rows)| {
-            for pack in packs {
-                let (mut mine, more) = rows.split_rows(pack.count);
-                rows = more;
-                let topology = &morphologies.0[pack.morphology].topology;
-                pack.gather(&mine);
-                L::vectorize(ControlStep {
-                    topology,
-                    settings,
-                    terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
-                    parameters: &pack.parameters,
-                    drive: &pack.drive,
-                    state: &mut pack.state,
-                    report: &mut pack.report,
-                    work: &mut workspaces[pack.morphology],
-                });
-                let broken = if watched[pack.morphology] { pack.first_broken(limits) } else { None };
-                let before = broken.map(|lane| (lane, Evidence::before(pack.morphology, pack.first_env, lane, &mine)));
-                pack.scatter(&mut mine);
-                if let Some((lane, mut evidence)) = before {
-                    evidence.after = mine.motion(lane);
-                    pack.evidence = Some(Box::new(evidence));
+        workers.for_each(tasks, |(packs, mut rows)| {
+            benches.with(|benches| {
+                for pack in packs {
+                    let (mut mine, more) = rows.split_rows(pack.count);
+                    rows = more;
+                    let topology = &morphologies.0[pack.morphology].topology;
+                    let bench = &mut benches[pack.morphology];
+                    bench.gather(&mine, pack.count);
+                    L::vectorize(ControlStep {
+                        topology,
+                        settings,
+                        terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
+                        parameters: &pack.parameters,
+                        drive: &bench.drive,
+                        state: &mut bench.state,
+                        report: &mut bench.report,
+                        work: &mut bench.work,
+                    });
+                    let is_watched = watched[pack.morphology];
+                    let broken = if is_watched { bench.first_broken(limits, pack.count) } else { None };
+                    let before =
+                        broken.map(|lane| (lane, Evidence::before(pack.morphology, pack.first_env, lane, &mine)));
+                    bench.scatter(&mut mine, pack.count);
+                    if let Some((lane, mut evidence)) = before {
+                        evidence.after = mine.motion(lane);
+                        pack.evidence = Some(Box::new(evidence));
+                    }
                 }
-            }
+            });
         });
         if !watched.contains(&true) {
             return Vec::new();
@@ -417,15 +436,15 @@ pub(super) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f3
     }
 }
 
-impl<L: Real> Pack<L> {
-    fn gather(&mut self, rows: &PhysicsRows) {
+impl<L: Real> Bench<L> {
+    fn gather(&mut self, rows: &PhysicsRows, count: usize) {
         for &contact in &self.state.pressing {
             self.state.impulse[contact as usize] = [L::zero(); 3];
         }
         self.state.pressing.clear();
         for lane in 0..L::LANES {
             // idle lanes shadow the last robot
-            let row = lane.min(self.count - 1);
+            let row = lane.min(count - 1);
             let (state, drive) = (&mut self.state, &mut self.drive);
             rows.read_motion(row, state, lane);
             put(&mut self.origin, &rows.origins[row].position, lane);
@@ -448,14 +467,14 @@ impl<L: Real> Pack<L> {
     }
 
     /// The first lane whose new state is not finite or beyond the limits.
-    fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
+    fn first_broken(&self, limits: &StateLimits, count: usize) -> Option<usize> {
         let numbers = state_numbers(&self.state, &self.report.joint_effort);
-        (0..self.count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
+        (0..count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
     }
 
-    fn scatter(&self, rows: &mut PhysicsRows) {
+    fn scatter(&self, rows: &mut PhysicsRows, count: usize) {
         let (state, report) = (&self.state, &self.report);
-        for lane in 0..self.count {
+        for lane in 0..count {
             rows.write_motion(lane, state, lane);
             let contacts = &mut rows.impulses[lane].contacts;
             contacts.clear();
