@@ -171,7 +171,7 @@ impl<T> Pool<T> {
     /// Works with a piece that no other thread has; where there are fewer than threads, after waiting for one.
     pub fn with<R>(&self, f: impl FnOnce(&mut T) -> R) -> R {
         let free = self.others.iter().find_map(|piece| piece.try_lock().ok());
-        // a thread that panicked leaves nothing in scratch memory that matters
+        // a panic in a task ends the simulation, whatever is left in the scratch memory
         let mut piece = free.unwrap_or_else(|| self.first.lock().unwrap_or_else(PoisonError::into_inner));
         f(&mut piece)
     }

@@ -229,8 +229,9 @@ pub(crate) fn step_world(world: &mut World, seconds: f64) {
 /// Height from which rays look for the ground, m.
 const RAY_START: f32 = 100.0;
 
-/// Points that a grid may have.
+/// Points that a grid may have, and that it may have along a side.
 const MOST_POINTS: usize = 64_000_000;
+const LONGEST_SIDE: usize = 4_000_000;
 
 /// The ground of a task, without robots.
 ///
@@ -325,7 +326,7 @@ fn bake_terrain(
         (first * cell, ((high / cell).ceil() - first) as usize + 3)
     };
     let ((x, rows), (y, columns)) = (side(0), side(1));
-    if rows.saturating_mul(columns) > MOST_POINTS {
+    if rows.saturating_mul(columns) > MOST_POINTS || rows.max(columns) > LONGEST_SIDE {
         return Err(WorldError::TooLarge(rows, columns));
     }
     let mut grid = HeightGrid::level([x, y], cell, [rows, columns], if tiles.is_empty() { ground } else { f32::MIN });

@@ -1,6 +1,7 @@
 //! The pipeline: what happens to every env in one control step, and in which order.
 
 mod act;
+mod bench;
 mod broken;
 mod command;
 mod curriculum;
@@ -10,6 +11,7 @@ mod gather;
 mod logs;
 mod mirror;
 mod observe;
+mod pack_numbers;
 mod physics;
 mod physics_avian;
 mod reset;

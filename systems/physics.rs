@@ -8,21 +8,21 @@ use std::sync::Arc;
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RegisteredSystemError;
 
+use super::bench::Bench;
 use super::broken::{BrokenStates, Evidence, Motion};
+use super::pack_numbers::PackNumbers;
 use super::physics_avian::AvianRobots;
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::app::SimError;
 use crate::avian::EngineError;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, ContactImpulse, EnvId, EnvOrigin,
-    ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, ExternalWrench,
+    Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
-use crate::dynamics::{
-    ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Terrain, Workspace,
-};
+use crate::dynamics::{ContactSettings, ControlStep, HeightGrid, Parameters, Plane, State, StepSettings, Terrain};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::{Pool, SplitRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
@@ -64,7 +64,7 @@ pub(super) struct PhysicsRows<'a> {
     pub(super) delays: &'a mut [ActuatorDelay],
     pub(super) wrenches: &'a mut [ExternalWrench],
     pub(super) efforts: &'a mut [JointEffort],
-    impulses: &'a mut [ConstraintImpulses],
+    pub(super) impulses: &'a mut [ConstraintImpulses],
     pub(super) forces: &'a mut [ContactForces],
     pub(super) feet: &'a mut [Feet],
 }
@@ -276,20 +276,9 @@ struct Pack<L> {
     morphology: usize,
     first_env: usize,
     count: usize,
-    /// Lists that are equal in all lanes of all packs of a morphology are there once.
-    parameters: Parameters<L>,
+    numbers: PackNumbers<L>,
     /// Of the present control step, on its way out.
     evidence: Option<Box<Evidence>>,
-}
-
-/// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
-struct Bench<L> {
-    /// Where the envs' origins are on the terrain, m.
-    origin: [L; 2],
-    state: State<L>,
-    drive: Drive<L>,
-    report: Report<L>,
-    work: Workspace<L>,
 }
 
 /// All packs, with benches for each thread and morphology.
@@ -297,6 +286,8 @@ struct Packs<L: Lanes> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
     packs: Vec<Pack<L>>,
+    /// Of each morphology.
+    nominal: Vec<Parameters<L>>,
     benches: Pool<Vec<Bench<L>>>,
 }
 
@@ -310,31 +301,19 @@ impl<L: Lanes> Packs<L> {
     ) -> Self {
         let mut packs = Vec::new();
         let mut first_env = 0;
-        for (morphology, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
-            let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
+        for (morphology, &count) in counts.iter().enumerate() {
             let end = first_env + count;
             while first_env < end {
                 let count = L::LANES.min(end - first_env);
-                packs.push(Pack { morphology, first_env, count, parameters: nominal.clone(), evidence: None });
+                packs.push(Pack { morphology, first_env, count, numbers: PackNumbers::none(), evidence: None });
                 first_env += count;
             }
         }
-        let bench = |model: &MorphologyModel| Bench::new(model, settings.decimation);
-        let benches = Pool::new(threads, || morphologies.0.iter().map(bench).collect());
-        Self { settings, terrain, packs, benches }
-    }
-}
-
-impl<L: Real> Bench<L> {
-    fn new(model: &MorphologyModel, decimation: usize) -> Self {
-        let topology = &model.topology;
-        Self {
-            origin: [L::zero(); 2],
-            state: State::zeros(topology),
-            drive: Drive::zeros(topology, history_length(model.max_delay(), decimation)),
-            report: Report::zeros(topology, decimation),
-            work: Workspace::new(topology),
-        }
+        let numbers = |model: &MorphologyModel| Parameters::from_scalars(&model.topology, &model.nominal);
+        let nominal: Vec<Parameters<L>> = morphologies.0.iter().map(numbers).collect();
+        let bench = |(model, nominal)| Bench::new(model, nominal, settings.decimation);
+        let benches = Pool::new(threads, || morphologies.0.iter().zip(&nominal).map(bench).collect());
+        Self { settings, terrain, packs, nominal, benches }
     }
 }
 
@@ -350,13 +329,11 @@ impl<L: Lanes> Engine for Packs<L> {
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let at = self.packs.partition_point(|pack| pack.first_env + pack.count <= env);
         if let Some(pack) = self.packs.get_mut(at) {
-            let lane = env - pack.first_env;
-            pack.parameters.set_lane(lane, parameters);
+            let (lane, nominal) = (env - pack.first_env, &self.nominal[pack.morphology]);
             // idle lanes shadow the last robot, so that they cost and break nothing
-            if lane + 1 == pack.count {
-                for idle in pack.count..L::LANES {
-                    pack.parameters.set_lane(idle, parameters);
-                }
+            let end = if lane + 1 == pack.count { L::LANES } else { lane + 1 };
+            for lane in lane..end {
+                pack.numbers.set_lane(lane, parameters, nominal);
             }
         }
     }
@@ -386,16 +363,18 @@ impl<L: Lanes> Engine for Packs<L> {
                     let topology = &morphologies.0[pack.morphology].topology;
                     let bench = &mut benches[pack.morphology];
                     bench.gather(&mine, pack.count);
+                    pack.numbers.swap(&mut bench.nominal);
                     L::vectorize(ControlStep {
                         topology,
                         settings,
                         terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
-                        parameters: &pack.parameters,
+                        parameters: pack.numbers.all(&bench.nominal),
                         drive: &bench.drive,
                         state: &mut bench.state,
                         report: &mut bench.report,
                         work: &mut bench.work,
                     });
+                    pack.numbers.swap(&mut bench.nominal);
                     let is_watched = watched[pack.morphology];
                     let broken = if is_watched { bench.first_broken(limits, pack.count) } else { None };
                     let before =
@@ -418,7 +397,7 @@ impl<L: Lanes> Engine for Packs<L> {
     }
 }
 
-fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
+pub(super) fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
     for (x, &y) in to.iter_mut().zip(from) {
         x.set_lane(lane, f64::from(y));
     }
@@ -433,69 +412,5 @@ pub(super) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
 pub(super) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         get(y, x, lane);
-    }
-}
-
-impl<L: Real> Bench<L> {
-    fn gather(&mut self, rows: &PhysicsRows, count: usize) {
-        for &contact in &self.state.pressing {
-            self.state.impulse[contact as usize] = [L::zero(); 3];
-        }
-        self.state.pressing.clear();
-        for lane in 0..L::LANES {
-            // idle lanes shadow the last robot
-            let row = lane.min(count - 1);
-            let (state, drive) = (&mut self.state, &mut self.drive);
-            rows.read_motion(row, state, lane);
-            put(&mut self.origin, &rows.origins[row].position, lane);
-            for ContactImpulse { contact, impulse } in &rows.impulses[row].contacts {
-                if let Some(all) = state.impulse.get_mut(*contact as usize) {
-                    put(all, impulse, lane);
-                    state.pressing.push(*contact);
-                }
-            }
-            put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
-            for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
-                put(targets, from, lane);
-            }
-            put(&mut drive.delay, &rows.delays[row].0, lane);
-            put(&mut drive.base_force, &rows.wrenches[row].force, lane);
-            put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
-        }
-        self.state.pressing.sort_unstable();
-        self.state.pressing.dedup();
-    }
-
-    /// The first lane whose new state is not finite or beyond the limits.
-    fn first_broken(&self, limits: &StateLimits, count: usize) -> Option<usize> {
-        let numbers = state_numbers(&self.state, &self.report.joint_effort);
-        (0..count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
-    }
-
-    fn scatter(&self, rows: &mut PhysicsRows, count: usize) {
-        let (state, report) = (&self.state, &self.report);
-        for lane in 0..count {
-            rows.write_motion(lane, state, lane);
-            let contacts = &mut rows.impulses[lane].contacts;
-            contacts.clear();
-            for &contact in &state.pressing {
-                let mut impulse = [0.0; 3];
-                get(&state.impulse[contact as usize], &mut impulse, lane);
-                // those of the lane's own alone
-                if impulse != [0.0; 3] {
-                    contacts.push(ContactImpulse { contact, impulse });
-                }
-            }
-            get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
-            get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
-            get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
-            get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);
-            let bodies = report.body_force.len();
-            for (step, normal) in report.normal_force.iter().enumerate() {
-                get(normal, &mut rows.forces[lane].normal[step * bodies..(step + 1) * bodies], lane);
-            }
-            get_arrays(&report.site_position, &mut rows.feet[lane].position, lane);
-            get_arrays(&report.site_velocity, &mut rows.feet[lane].velocity, lane);
-        }
     }
 }

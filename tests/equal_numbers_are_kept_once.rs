@@ -1,8 +1,7 @@
 //! What all robots of a kind have in common is in memory once; what one has of its own is its own.
 
-use bevy_ecs::prelude::*;
 use polypod::components::{Body, EnvId};
-use polypod::dynamics::Parameters;
+use polypod::dynamics::{Numbers, Parameters};
 use polypod::{Sim, SimOptions};
 
 fn sim(task: &str) -> Sim {
@@ -76,4 +75,13 @@ fn bodies_that_all_differ_are_each_whole() {
     let mut varied = sim("velocity_flat_variation");
     let all = bodies(&mut varied);
     assert!(all.windows(2).all(|pair| pair[0].joint_offset[1] != pair[1].joint_offset[1]));
+}
+
+#[test]
+fn a_change_of_a_list_is_its_own() {
+    let first = Numbers::from(vec![1.0, 2.0]);
+    let mut second = first.clone();
+    assert!(std::ptr::eq(&*first, &*second));
+    second[1] = 3.0;
+    assert_eq!((&*first, &*second), (&[1.0, 2.0][..], &[1.0, 3.0][..]));
 }

@@ -384,21 +384,39 @@ macro_rules! parameters {
                 $( $visit::zip(&mut self.$name, &other.$name, &mut f); )*
             }
 
+            /// Whether `f` says yes to any number together with its counterpart in `other`, which must have the same sizes; those
+            /// after the first yes are not asked.
+            pub fn any_with<T: Real>(&self, other: &Parameters<T>, mut f: impl FnMut(&S, &T) -> bool) -> bool {
+                false $( || $visit::any(&self.$name, &other.$name, &mut f) )*
+            }
+
             /// Writes one robot's numbers into a lane. Lists that hold them already stay shared.
             pub fn set_lane<T: Real>(&mut self, lane: usize, scalars: &Parameters<T>) {
-                let differ = |x: &S, y: &T| x.lane(lane).to_bits() != y.lane(0).to_bits();
+                let mut differ = |x: &S, y: &T| x.lane(lane).to_bits() != y.lane(0).to_bits();
                 $(
-                    if $visit::any(&self.$name, &scalars.$name, &differ) {
+                    if $visit::any(&self.$name, &scalars.$name, &mut differ) {
                         $visit::zip(&mut self.$name, &scalars.$name, &mut |x, y| x.set_lane(lane, y.lane(0)));
                     }
                 )*
             }
 
+            /// One of all numbers, in the order in which [`zip_with`](Self::zip_with) comes to them.
+            pub fn number_mut(&mut self, index: usize) -> Option<&mut S> {
+                let rest = index;
+                $(
+                    let Some(rest) = rest.checked_sub($visit::count(&self.$name)) else {
+                        return $visit::number_mut(&mut self.$name, rest);
+                    };
+                )*
+                let _beyond_the_last = rest;
+                None
+            }
+
             /// Shares the memory of the lists that hold the same numbers in another body of the same sizes.
             pub fn share(&mut self, other: &Self) {
-                let differ = |x: &S, y: &S| (0..S::LANES).any(|k| x.lane(k).to_bits() != y.lane(k).to_bits());
+                let mut differ = |x: &S, y: &S| (0..S::LANES).any(|k| x.lane(k).to_bits() != y.lane(k).to_bits());
                 $(
-                    if !$visit::any(&self.$name, &other.$name, &differ) {
+                    if !$visit::any(&self.$name, &other.$name, &mut differ) {
                         self.$name = other.$name.clone();
                     }
                 )*
@@ -412,8 +430,14 @@ mod one {
     pub(super) fn zip<S, T>(a: &mut S, b: &T, f: &mut impl FnMut(&mut S, &T)) {
         f(a, b);
     }
-    pub(super) fn any<S, T>(a: &S, b: &T, f: &impl Fn(&S, &T) -> bool) -> bool {
+    pub(super) fn any<S, T>(a: &S, b: &T, f: &mut impl FnMut(&S, &T) -> bool) -> bool {
         f(a, b)
+    }
+    pub(super) fn count<S>(_: &S) -> usize {
+        1
+    }
+    pub(super) fn number_mut<S>(a: &mut S, _: usize) -> Option<&mut S> {
+        Some(a)
     }
 }
 
@@ -424,8 +448,14 @@ mod list {
             f(x, y);
         }
     }
-    pub(super) fn any<S, T>(a: &[S], b: &[T], f: &impl Fn(&S, &T) -> bool) -> bool {
+    pub(super) fn any<S, T>(a: &[S], b: &[T], f: &mut impl FnMut(&S, &T) -> bool) -> bool {
         a.iter().zip(b).any(|(x, y)| f(x, y))
+    }
+    pub(super) fn count<S>(a: &[S]) -> usize {
+        a.len()
+    }
+    pub(super) fn number_mut<S>(a: &mut [S], index: usize) -> Option<&mut S> {
+        a.get_mut(index)
     }
 }
 
@@ -434,8 +464,14 @@ mod arrays {
     pub(super) fn zip<S, T, const N: usize>(a: &mut [[S; N]], b: &[[T; N]], f: &mut impl FnMut(&mut S, &T)) {
         super::list::zip(a.as_flattened_mut(), b.as_flattened(), f);
     }
-    pub(super) fn any<S, T, const N: usize>(a: &[[S; N]], b: &[[T; N]], f: &impl Fn(&S, &T) -> bool) -> bool {
+    pub(super) fn any<S, T, const N: usize>(a: &[[S; N]], b: &[[T; N]], f: &mut impl FnMut(&S, &T) -> bool) -> bool {
         super::list::any(a.as_flattened(), b.as_flattened(), f)
+    }
+    pub(super) fn count<S, const N: usize>(a: &[[S; N]]) -> usize {
+        a.as_flattened().len()
+    }
+    pub(super) fn number_mut<S, const N: usize>(a: &mut [[S; N]], index: usize) -> Option<&mut S> {
+        a.as_flattened_mut().get_mut(index)
     }
 }
 

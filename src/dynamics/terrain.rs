@@ -13,8 +13,9 @@ const PAGE: usize = 32;
 /// are in one page.
 const EDGE: usize = PAGE + 1;
 const PAGE_POINTS: usize = EDGE * EDGE;
-/// Places that are looked up side by side.
+/// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner looks at.
 const GROUP: usize = 16;
+const LARGE_GROUP: usize = 64;
 
 /// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut from the first to the last
 /// corner; beyond the rectangle its edge goes on.
@@ -135,13 +136,16 @@ impl HeightGrid {
     /// The square of a coordinate, of those of `stride` points.
     #[inline(always)]
     fn block(&self, x: f32, axis: usize, stride: f32) -> u32 {
-        let points = ((x - self.origin[axis]) / self.cell).clamp(0.0, (self.size[axis] - 1) as f32);
-        ((points / stride) as i32).min(self.num_blocks[axis] as i32 - 1) as u32
+        let points = not_below_zero((x - self.origin[axis]) / self.cell);
+        let last = (self.size[axis] - 1) as f32;
+        let block = floor((if points < last { points } else { last }) / stride);
+        let last = (self.num_blocks[axis] - 1) as f32;
+        whole(if block < last { block } else { last })
     }
 
     /// Height, m, and slope along x and y at a place. A place that is not finite has the height of a corner.
     pub fn sample(&self, x: f32, y: f32) -> (f32, [f32; 2]) {
-        let mut found = Samples::ZERO;
+        let mut found = Samples::zeros();
         self.sample_group(&[x; GROUP], &[y; GROUP], 1, &mut found);
         (found.height[0], [found.along_x[0], found.along_y[0]].map(|rise| self.slope(rise)))
     }
@@ -155,24 +159,24 @@ impl HeightGrid {
     /// Heights, m, and rises from one point to the next, below the first `n` places of a group. Without branches in its
     /// arithmetic, so that it runs in lanes and the loads of all places are under way together.
     #[inline(always)]
-    fn sample_group(&self, x: &[f32; GROUP], y: &[f32; GROUP], n: usize, found: &mut Samples) {
-        let (mut at, mut u, mut v) = ([0u32; GROUP], [0.0f32; GROUP], [0.0f32; GROUP]);
-        for k in 0..GROUP {
+    fn sample_group<const N: usize>(&self, x: &[f32; N], y: &[f32; N], n: usize, found: &mut Samples<N>) {
+        let (mut at, mut u, mut v) = ([0u32; N], [0.0f32; N], [0.0f32; N]);
+        let columns = self.columns as u32;
+        for k in 0..N {
             let (i, in_x) = Self::split((x[k] - self.origin[0]) / self.cell, self.size[0]);
             let (j, in_y) = Self::split((y[k] - self.origin[1]) / self.cell, self.size[1]);
-            let (row, column) = (i / PAGE as u32, j / PAGE as u32);
-            let page = row * self.columns as u32 + column;
-            at[k] = page * PAGE_POINTS as u32 + (i - row * PAGE as u32) * EDGE as u32 + (j - column * PAGE as u32);
+            let page = (i / PAGE as u32) * columns + j / PAGE as u32;
+            at[k] = page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32;
             (u[k], v[k]) = (in_x, in_y);
         }
-        let mut corners = [[0.0f32; GROUP]; 4];
+        let mut corners = [[0.0f32; N]; 4];
         for k in 0..n {
             // the four corners of a cell lie in one page
             let page = &self.points[at[k] as usize..][..EDGE + 2];
             (corners[0][k], corners[1][k]) = (page[0], page[1]);
             (corners[2][k], corners[3][k]) = (page[EDGE], page[EDGE + 1]);
         }
-        for k in 0..GROUP {
+        for k in 0..N {
             let (a, b, c, d) = (corners[0][k], corners[1][k], corners[2][k], corners[3][k]);
             let first = u[k] > v[k];
             let along_x = if first { c - a } else { d - b };
@@ -184,24 +188,32 @@ impl HeightGrid {
 
     /// Heights below places, m, as many as there is room for.
     pub fn heights_at(&self, mut places: impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
-        let mut found = Samples::ZERO;
-        for out in heights.chunks_mut(GROUP) {
-            let (mut x, mut y) = ([0.0; GROUP], [0.0; GROUP]);
-            for (place, (x, y)) in (&mut places).zip(x.iter_mut().zip(&mut y)).take(out.len()) {
-                [*x, *y] = place;
-            }
-            self.sample_group(&x, &y, out.len(), &mut found);
-            out.copy_from_slice(&found.height[..out.len()]);
+        if heights.len() <= GROUP {
+            return self.heights_of_group::<GROUP>(&mut places, heights);
+        }
+        for heights in heights.chunks_mut(LARGE_GROUP) {
+            self.heights_of_group::<LARGE_GROUP>(&mut places, heights);
         }
     }
 
-    /// The cell of a coordinate in cells, and where in it.
+    fn heights_of_group<const N: usize>(&self, places: &mut impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
+        let (mut x, mut y) = ([0.0; N], [0.0; N]);
+        for (place, (x, y)) in places.zip(x.iter_mut().zip(&mut y)).take(heights.len()) {
+            [*x, *y] = place;
+        }
+        let mut found = Samples::<N>::zeros();
+        self.sample_group(&x, &y, heights.len(), &mut found);
+        heights.copy_from_slice(&found.height[..heights.len()]);
+    }
+
+    /// The cell of a coordinate in cells, and where in it; the first cell for a NaN.
     #[inline(always)]
     fn split(x: f32, points: usize) -> (u32, f32) {
-        // a NaN becomes 0 in the cast
-        let x = x.clamp(0.0, (points - 1) as f32);
-        let i = (x as i32).min(points as i32 - 2);
-        (i as u32, x - i as f32)
+        let x = not_below_zero(x);
+        let x = if x < (points - 1) as f32 { x } else { (points - 1) as f32 };
+        let i = floor(x);
+        let i = if i < (points - 2) as f32 { i } else { (points - 2) as f32 };
+        (whole(i), x - i)
     }
 
     /// The largest height of the points within a square about a place, m.
@@ -216,14 +228,39 @@ impl HeightGrid {
 }
 
 /// What is found below a group of places: heights, and rises from one point to the next along x and y, m.
-struct Samples {
-    height: [f32; GROUP],
-    along_x: [f32; GROUP],
-    along_y: [f32; GROUP],
+struct Samples<const N: usize> {
+    height: [f32; N],
+    along_x: [f32; N],
+    along_y: [f32; N],
 }
 
-impl Samples {
-    const ZERO: Self = Self { height: [0.0; GROUP], along_x: [0.0; GROUP], along_y: [0.0; GROUP] };
+impl<const N: usize> Samples<N> {
+    #[inline(always)]
+    fn zeros() -> Self {
+        Self { height: [0.0; N], along_x: [0.0; N], along_y: [0.0; N] }
+    }
+}
+
+/// From this number on a float of single precision has no digits after the point.
+const WHOLE: f32 = 8_388_608.0;
+
+/// The number, or 0 where it is below or a NaN.
+#[inline(always)]
+fn not_below_zero(x: f32) -> f32 {
+    if x > 0.0 { x } else { 0.0 }
+}
+
+/// The largest whole number up to a number of 0 to 4 million, by operations that every instruction set has in lanes.
+#[inline(always)]
+fn floor(x: f32) -> f32 {
+    let nearest = (x + WHOLE) - WHOLE;
+    if nearest > x { nearest - 1.0 } else { nearest }
+}
+
+/// A whole number of 0 to 4 million as an integer.
+#[inline(always)]
+fn whole(x: f32) -> u32 {
+    (x + WHOLE).to_bits() - WHOLE.to_bits()
 }
 
 impl<S: Real> Terrain<'_, S> {
@@ -231,7 +268,7 @@ impl<S: Real> Terrain<'_, S> {
     #[inline(always)]
     pub(super) fn below(&self, x: S, y: S) -> (S, Vec3<S>) {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
-        let (mut places, mut found) = ([[0.0; GROUP]; 2], Samples::ZERO);
+        let (mut places, mut found) = ([[0.0; GROUP]; 2], Samples::zeros());
         for lane in 0..S::LANES {
             (places[0][lane], places[1][lane]) = (x.lane(lane) as f32, y.lane(lane) as f32);
         }
@@ -263,54 +300,5 @@ impl<S: Real> Terrain<'_, S> {
             bound.set_lane(lane, f64::from(found[lane]));
         }
         bound
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A grid of several pages whose sizes are no multiples of a page, and its heights row by row.
-    fn waves(size: [usize; 2]) -> (HeightGrid, Vec<f32>) {
-        let mut grid = HeightGrid::level([-1.0, 2.0], 0.05, size, 0.0);
-        let mut heights = Vec::new();
-        for i in 0..size[0] {
-            for j in 0..size[1] {
-                let height = ((7 * i + 3 * j) % 11) as f32 * 0.01 + i as f32 * 0.002;
-                grid.set_height(i, j, height);
-                heights.push(height);
-            }
-        }
-        grid.note_blocks();
-        (grid, heights)
-    }
-
-    #[test]
-    fn pages_are_one_surface() {
-        for size in [[2, 2], [3, 40], [PAGE, PAGE + 1], [PAGE + 2, 3 * PAGE + 1], [70, 100]] {
-            let (grid, heights) = waves(size);
-            assert_eq!(grid.heights(), heights, "{size:?}");
-            assert_eq!(grid.highest, heights.iter().copied().fold(f32::MIN, f32::max));
-            // the corners of every cell, through the lookup, from both of its triangles
-            for (k, &height) in heights.iter().enumerate() {
-                let (i, j) = (k / size[1], k % size[1]);
-                let [x, y] = [grid.origin[0] + i as f32 * grid.cell, grid.origin[1] + j as f32 * grid.cell];
-                assert!((grid.sample(x, y).0 - height).abs() < 1e-4, "{size:?}: {i}, {j}");
-            }
-        }
-    }
-
-    #[test]
-    fn places_side_by_side_are_looked_up_as_one_by_one() {
-        let (grid, _) = waves([70, 100]);
-        let place = |k: usize| [-1.3 + 0.0517 * (k % 83) as f32, 1.8 + 0.0491 * (k % 127) as f32];
-        for count in [1, GROUP - 1, GROUP, 187] {
-            let mut found = vec![0.0; count];
-            grid.heights_at((0..count).map(place), &mut found);
-            for (k, height) in found.iter().enumerate() {
-                let [x, y] = place(k);
-                assert_eq!(height.to_bits(), grid.sample(x, y).0.to_bits(), "place {k} of {count}");
-            }
-        }
     }
 }
