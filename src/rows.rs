@@ -3,6 +3,8 @@
 //! Chunks only share out rows; what happens to a row does not depend on its chunk. Results are therefore bitwise the same
 //! for any number of threads.
 
+use std::sync::{Mutex, PoisonError};
+
 use bevy_ecs::prelude::*;
 use bevy_tasks::{TaskPool, TaskPoolBuilder};
 
@@ -150,6 +152,28 @@ impl Workers {
             }
             None => tasks.for_each(f),
         }
+    }
+}
+
+/// Scratch memory of the threads. What a task does must not depend on which piece it gets.
+pub struct Pool<T> {
+    first: Mutex<T>,
+    others: Vec<Mutex<T>>,
+}
+
+impl<T> Pool<T> {
+    /// A piece for each of so many threads, at least one.
+    pub fn new(threads: usize, make: impl Fn() -> T) -> Self {
+        let others = (1..threads).map(|_| Mutex::new(make())).collect();
+        Self { first: Mutex::new(make()), others }
+    }
+
+    /// Works with a piece that no other thread has; where there are fewer than threads, after waiting for one.
+    pub fn with<R>(&self, f: impl FnOnce(&mut T) -> R) -> R {
+        let free = self.others.iter().find_map(|piece| piece.try_lock().ok());
+        // a panic in a task ends the simulation, whatever is left in the scratch memory
+        let mut piece = free.unwrap_or_else(|| self.first.lock().unwrap_or_else(PoisonError::into_inner));
+        f(&mut piece)
     }
 }
 

@@ -8,9 +8,10 @@ use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
     EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, Imu, JointEffort, JointState,
-    JointTargets, SpawnHeight, StartupBody,
+    JointTargets, Morphology, SpawnHeight, StartupBody,
 };
 use crate::config::fnv1a;
+use crate::morphology::Morphologies;
 use crate::systems::{Logs, load_engine, mirror_all, save_engine, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
@@ -59,6 +60,7 @@ macro_rules! snapshot {
                     return Err(SimError::Snapshot("its components do not belong to this number of envs".into()));
                 }
                 $(write(sim.world_mut(), $name);)*
+                share_bodies(sim.world_mut());
                 sim.world_mut().insert_resource(batch);
                 sim.world_mut().insert_resource(logs);
                 sim.set_seed(seed);
@@ -116,6 +118,15 @@ fn write<C: Component<Mutability = bevy_ecs::component::Mutable>>(world: &mut Wo
             *component = value;
         }
     }
+}
+
+/// What a robot's numbers have in common with its morphology's is kept once again.
+fn share_bodies(world: &mut World) {
+    world.resource_scope(|world, morphologies: Mut<Morphologies>| {
+        for (tag, mut body) in world.query::<(&Morphology, &mut Body)>().iter_mut(world) {
+            body.0.share(&morphologies.get(*tag).nominal);
+        }
+    });
 }
 
 impl Sim {

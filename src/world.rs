@@ -3,6 +3,7 @@
 //! The articulated engine does not search for contacts among colliders inside a step. What it needs of them is baked once,
 //! by Avian's own rays, into a [`Ground`].
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use avian3d::prelude::{
@@ -178,7 +179,7 @@ pub struct Ground {
     /// m/s^2, world axes.
     pub gravity: [f64; 3],
     /// Heights where there is terrain or obstacles stand, in the frame in which envs have their [`EnvOrigin`].
-    pub terrain: Option<HeightGrid>,
+    pub terrain: Option<Arc<HeightGrid>>,
     /// The tiles of generated terrain.
     pub layout: Option<TerrainLayout>,
     friction: Friction,
@@ -186,10 +187,13 @@ pub struct Ground {
 }
 
 impl Ground {
-    /// Height below a place about an env's origin, m.
-    pub fn height_at(&self, origin: &EnvOrigin, [x, y]: [f32; 2]) -> f32 {
+    /// Heights below places about an env's origin, m, as many as there is room for.
+    pub fn heights_at(&self, origin: &EnvOrigin, places: impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
         let [x0, y0] = origin.position;
-        self.terrain.as_ref().map_or(self.height as f32, |grid| grid.sample(x0 + x, y0 + y).0)
+        match &self.terrain {
+            Some(grid) => grid.heights_at(places.map(|[x, y]| [x0 + x, y0 + y]), heights),
+            None => heights.fill(self.height as f32),
+        }
     }
 
     /// Static and dynamic friction of a robot's surface on the ground, by the ground's combine rule.
@@ -225,8 +229,9 @@ pub(crate) fn step_world(world: &mut World, seconds: f64) {
 /// Height from which rays look for the ground, m.
 const RAY_START: f32 = 100.0;
 
-/// Points that a grid may have.
+/// Points that a grid may have, and that it may have along a side.
 const MOST_POINTS: usize = 64_000_000;
+const LONGEST_SIDE: usize = 4_000_000;
 
 /// The ground of a task, without robots.
 ///
@@ -284,7 +289,7 @@ pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, Wor
     Ok(Ground {
         height: f64::from(height),
         gravity: world.resource::<Gravity>().0.to_array().map(f64::from),
-        terrain,
+        terrain: terrain.map(Arc::new),
         layout,
         friction,
         restitution,
@@ -321,19 +326,15 @@ fn bake_terrain(
         (first * cell, ((high / cell).ceil() - first) as usize + 3)
     };
     let ((x, rows), (y, columns)) = (side(0), side(1));
-    if rows.saturating_mul(columns) > MOST_POINTS {
+    if rows.saturating_mul(columns) > MOST_POINTS || rows.max(columns) > LONGEST_SIDE {
         return Err(WorldError::TooLarge(rows, columns));
     }
     let mut grid = HeightGrid::level([x, y], cell, [rows, columns], if tiles.is_empty() { ground } else { f32::MIN });
     for (mesh, origin) in tiles {
         mesh.rasterise(*origin, &mut grid);
     }
-    for height in &mut grid.heights {
-        // no tile there
-        if *height == f32::MIN {
-            *height = ground;
-        }
-    }
+    // where no tile is
+    grid.replace(f32::MIN, ground);
     let all = SpatialQueryFilter::default();
     for (_, obstacle, at) in obstacles {
         let span = |axis: usize| {
@@ -345,7 +346,7 @@ fn bake_terrain(
             for j in columns.clone() {
                 let place = [x + i as f32 * cell, y + j as f32 * cell];
                 if let Some((_, height)) = below(query, place, &all) {
-                    grid.heights[i * grid.size[1] + j] = height;
+                    grid.set_height(i, j, height);
                 }
             }
         }

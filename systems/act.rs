@@ -30,13 +30,14 @@ pub(super) fn apply_actions(
             action.current.copy_from_slice(raw.row(i));
             let target = &mut targets[i];
             target.history.rotate_right(1);
-            for (slot, &joint) in morphology.joint_of_slot.iter().enumerate() {
-                target.history[0][joint] =
-                    morphology.action_scale.mul_add(action.current[slot], morphology.default_position[joint]);
+            let Some((newest, older)) = target.history.split_first_mut() else {
+                continue;
+            };
+            let (newest, default) = (&mut newest[..], &morphology.default_position[..]);
+            for (&action, &joint) in action.current.iter().zip(&morphology.joint_of_slot) {
+                newest[joint] = morphology.action_scale.mul_add(action, default[joint]);
             }
-            if std::mem::take(&mut target.fresh)
-                && let Some((newest, older)) = target.history.split_first_mut()
-            {
+            if std::mem::take(&mut target.fresh) {
                 for past in older {
                     past.copy_from_slice(newest);
                 }

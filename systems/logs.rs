@@ -5,43 +5,25 @@ use std::collections::BTreeMap;
 use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Autoreset;
 use super::terms::CompiledTask;
-use super::view::ViewParam;
+use super::view::RobotView;
 use crate::components::{EnvOrigin, Episode, EpisodeSums, Morphology, Robot};
 use crate::morphology::Morphologies;
-use crate::rows::{Workers, read_rows, write_rows};
+use crate::rows::{read_rows, write_rows};
 use crate::world::Ground;
 
-/// Adds the step's tracking errors to the episodes' sums.
-pub(super) fn sum_metrics(
-    workers: Res<Workers>,
-    task: Res<CompiledTask>,
-    autoreset: Res<Autoreset>,
-    views: ViewParam,
-    episodes: Query<&'static Episode>,
-    mut sums: Query<&'static mut EpisodeSums>,
-) {
-    let views = views.views(task.step_dt);
-    let rows = (read_rows(&episodes), write_rows(&mut sums));
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, sums)| {
-        for i in 0..n {
-            let resetting = *autoreset == Autoreset::NextStep && episodes[i].needs_reset && !episodes[i].done();
-            if episodes[i].invalid || resetting {
-                continue;
-            }
-            let view = views.get(first + i);
-            let (c, v) = (view.command, &view.imu.linear_velocity);
-            let length = |x: f32, y: f32| (x * x + y * y).sqrt();
-            let sum = &mut sums[i];
-            sum.error_vel_xy += length(c[0] - v[0], c[1] - v[1]);
-            sum.error_vel_yaw += (c[2] - view.imu.angular_velocity[2]).abs();
-            sum.command_xy += length(c[0], c[1]);
-            sum.command_yaw += c[2].abs();
-            sum.speed_xy += length(v[0], v[1]);
-            sum.steps += 1;
-        }
-    });
+impl EpisodeSums {
+    /// Adds the step's tracking errors.
+    pub(super) fn add_errors(&mut self, robot: &RobotView) {
+        let (c, v) = (robot.command, &robot.imu.linear_velocity);
+        let length = |x: f32, y: f32| (x * x + y * y).sqrt();
+        self.error_vel_xy += length(c[0] - v[0], c[1] - v[1]);
+        self.error_vel_yaw += (c[2] - robot.imu.angular_velocity[2]).abs();
+        self.command_xy += length(c[0], c[1]);
+        self.command_yaw += c[2].abs();
+        self.speed_xy += length(v[0], v[1]);
+        self.steps += 1;
+    }
 }
 
 /// Means over finished episodes of one robot. Velocity errors are time averages.

@@ -1,6 +1,7 @@
 //! The pipeline: what happens to every env in one control step, and in which order.
 
 mod act;
+mod bench;
 mod broken;
 mod command;
 mod curriculum;
@@ -10,6 +11,7 @@ mod gather;
 mod logs;
 mod mirror;
 mod observe;
+mod pack_numbers;
 mod physics;
 mod physics_avian;
 mod reset;
@@ -142,11 +144,9 @@ impl Plugin for PipelinePlugin {
                 .chain()
                 .run_if(resource_exists::<LinkMirrors>)
                 .in_set(PipelineSet::Mirror),
-            (sense::read_contacts, sense::read_imus, sense::read_feet, sense::scan_heights)
-                .chain()
-                .in_set(PipelineSet::Sense),
+            (sense::read_sensors, sense::scan_heights).chain().in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
-            (logs::sum_metrics, reward::compute_rewards).chain().in_set(PipelineSet::Reward),
+            reward::compute_rewards.in_set(PipelineSet::Reward),
         ));
         let mut reset = schedule(ResetEnvs);
         reset.configure_sets((PipelineSet::Reset, PipelineSet::Observe).chain());

@@ -3,26 +3,28 @@
 //! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
 //! that broke is noticed together with what it came from, see [`BrokenStates`].
 
+use std::sync::Arc;
+
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RegisteredSystemError;
 
+use super::bench::Bench;
 use super::broken::{BrokenStates, Evidence, Motion};
+use super::pack_numbers::PackNumbers;
 use super::physics_avian::AvianRobots;
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
 use crate::app::SimError;
 use crate::avian::EngineError;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, ContactImpulse, EnvId, EnvOrigin,
-    ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, EnvId, EnvOrigin, ExternalWrench,
+    Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::lanes::{self, Lanes, Real, Simd};
-use crate::dynamics::{
-    ContactSettings, ControlStep, Drive, HeightGrid, Parameters, Plane, Report, State, StepSettings, Terrain, Workspace,
-};
-use crate::morphology::Morphologies;
-use crate::rows::{SplitRows, Workers, read_rows, write_rows};
+use crate::dynamics::{ContactSettings, ControlStep, HeightGrid, Parameters, Plane, State, StepSettings, Terrain};
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::{Pool, SplitRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
 /// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
@@ -62,7 +64,7 @@ pub(super) struct PhysicsRows<'a> {
     pub(super) delays: &'a mut [ActuatorDelay],
     pub(super) wrenches: &'a mut [ExternalWrench],
     pub(super) efforts: &'a mut [JointEffort],
-    impulses: &'a mut [ConstraintImpulses],
+    pub(super) impulses: &'a mut [ConstraintImpulses],
     pub(super) forces: &'a mut [ContactForces],
     pub(super) feet: &'a mut [Feet],
 }
@@ -189,15 +191,15 @@ impl PhysicsEngine {
                 ..ContactSettings::default()
             },
         };
-        let (chunks, terrain) = (workers.num_chunks(), ground.terrain.clone());
+        let (threads, terrain) = (workers.threads(), ground.terrain.clone());
         let engine: Box<dyn Engine> = match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Box::new(Packs::<lanes::Avx512>::new(settings, terrain, morphologies, counts, chunks)),
+            Simd::Avx512 => Box::new(Packs::<lanes::Avx512>::new(settings, terrain, morphologies, counts, threads)),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Box::new(Packs::<lanes::Avx2>::new(settings, terrain, morphologies, counts, chunks)),
+            Simd::Avx2 => Box::new(Packs::<lanes::Avx2>::new(settings, terrain, morphologies, counts, threads)),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Box::new(Packs::<lanes::Neon>::new(settings, terrain, morphologies, counts, chunks)),
-            _ => Box::new(Packs::<lanes::Portable>::new(settings, terrain, morphologies, counts, chunks)),
+            Simd::Neon => Box::new(Packs::<lanes::Neon>::new(settings, terrain, morphologies, counts, threads)),
+            _ => Box::new(Packs::<lanes::Portable>::new(settings, terrain, morphologies, counts, threads)),
         };
         Ok(Self(engine))
     }
@@ -268,64 +270,55 @@ pub(crate) fn run_physics(world: &mut World) -> Result<(), RegisteredSystemError
     world.run_system_cached(step_physics)
 }
 
-/// Up to `L::LANES` robots of one morphology side by side.
+/// Up to `L::LANES` robots of one morphology side by side: what they keep from one control step to the next beyond their
+/// components.
 struct Pack<L> {
     morphology: usize,
     first_env: usize,
     count: usize,
-    parameters: Parameters<L>,
-    /// Where the envs' origins are on the terrain, m.
-    origin: [L; 2],
-    state: State<L>,
-    drive: Drive<L>,
-    report: Report<L>,
+    numbers: PackNumbers<L>,
     /// Of the present control step, on its way out.
     evidence: Option<Box<Evidence>>,
 }
 
-/// All packs, with scratch memory for each chunk of work and morphology.
+/// All packs, with benches for each thread and morphology.
 struct Packs<L: Lanes> {
     settings: StepSettings,
-    terrain: Option<HeightGrid>,
+    terrain: Option<Arc<HeightGrid>>,
     packs: Vec<Pack<L>>,
-    workspaces: Vec<Vec<Workspace<L>>>,
+    /// Of each morphology.
+    nominal: Vec<Parameters<L>>,
+    benches: Pool<Vec<Bench<L>>>,
 }
 
 impl<L: Lanes> Packs<L> {
     fn new(
         settings: StepSettings,
-        terrain: Option<HeightGrid>,
+        terrain: Option<Arc<HeightGrid>>,
         morphologies: &Morphologies,
         counts: &[usize],
-        chunks: usize,
+        threads: usize,
     ) -> Self {
         let mut packs = Vec::new();
         let mut first_env = 0;
-        for (morphology, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
-            let topology = &model.topology;
+        for (morphology, &count) in counts.iter().enumerate() {
             let end = first_env + count;
             while first_env < end {
                 let count = L::LANES.min(end - first_env);
-                let ages = history_length(model.max_delay(), settings.decimation);
-                packs.push(Pack {
-                    morphology,
-                    first_env,
-                    count,
-                    parameters: Parameters::from_scalars(topology, &model.nominal),
-                    origin: [L::zero(); 2],
-                    state: State::zeros(topology),
-                    drive: Drive::zeros(topology, ages),
-                    report: Report::zeros(topology, settings.decimation),
-                    evidence: None,
-                });
+                packs.push(Pack { morphology, first_env, count, numbers: PackNumbers::none(), evidence: None });
                 first_env += count;
             }
         }
-        let workspaces =
-            (0..chunks).map(|_| morphologies.0.iter().map(|model| Workspace::new(&model.topology)).collect()).collect();
-        Self { settings, terrain, packs, workspaces }
+        let numbers = |model: &MorphologyModel| Parameters::from_scalars(&model.topology, &model.nominal);
+        let nominal: Vec<Parameters<L>> = morphologies.0.iter().map(numbers).collect();
+        let bench = |(model, nominal)| Bench::new(model, nominal, settings.decimation);
+        let benches = Pool::new(threads, || morphologies.0.iter().zip(&nominal).map(bench).collect());
+        Self { settings, terrain, packs, nominal, benches }
     }
 }
+
+/// Packs are cut into so many tasks for each thread: those of some robots take several times as long as others'.
+const TASKS_PER_THREAD: usize = 16;
 
 /// Control steps of targets that an actuator can still see.
 pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
@@ -336,13 +329,11 @@ impl<L: Lanes> Engine for Packs<L> {
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let at = self.packs.partition_point(|pack| pack.first_env + pack.count <= env);
         if let Some(pack) = self.packs.get_mut(at) {
-            let lane = env - pack.first_env;
-            pack.parameters.set_lane(lane, parameters);
+            let (lane, nominal) = (env - pack.first_env, &self.nominal[pack.morphology]);
             // idle lanes shadow the last robot, so that they cost and break nothing
-            if lane + 1 == pack.count {
-                for idle in pack.count..L::LANES {
-                    pack.parameters.set_lane(idle, parameters);
-                }
+            let end = if lane + 1 == pack.count { L::LANES } else { lane + 1 };
+            for lane in lane..end {
+                pack.numbers.set_lane(lane, parameters, nominal);
             }
         }
     }
@@ -355,39 +346,46 @@ impl<L: Lanes> Engine for Packs<L> {
         limits: &StateLimits,
         watched: &[bool],
     ) -> Vec<Evidence> {
-        let (settings, terrain) = (&self.settings, self.terrain.as_ref());
-        let per_chunk = self.packs.len().div_ceil(self.workspaces.len()).max(1);
+        let (settings, terrain, benches) = (&self.settings, self.terrain.as_deref(), &self.benches);
+        let per_task = self.packs.len().div_ceil(workers.threads() * TASKS_PER_THREAD).max(1);
         let mut rest = Some(rows);
-        let tasks = self.packs.chunks_mut(per_chunk).zip(&mut self.workspaces).filter_map(|(packs, workspaces)| {
+        let tasks = self.packs.chunks_mut(per_task).filter_map(|packs| {
             let envs = packs.iter().map(|pack| pack.count).sum();
             let (rows, more) = rest.take()?.split_rows(envs);
             rest = Some(more);
-            Some((packs, workspaces, rows))
+            Some((packs, rows))
         });
-        workers.for_each(tasks, |(packs, workspaces, mut rows)| {
-            for pack in packs {
-                let (mut mine, more) = rows.split_rows(pack.count);
-                rows = more;
-                let topology = &morphologies.0[pack.morphology].topology;
-                pack.gather(&mine);
-                L::vectorize(ControlStep {
-                    topology,
-                    settings,
-                    terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
-                    parameters: &pack.parameters,
-                    drive: &pack.drive,
-                    state: &mut pack.state,
-                    report: &mut pack.report,
-                    work: &mut workspaces[pack.morphology],
-                });
-                let broken = if watched[pack.morphology] { pack.first_broken(limits) } else { None };
-                let before = broken.map(|lane| (lane, Evidence::before(pack.morphology, pack.first_env, lane, &mine)));
-                pack.scatter(&mut mine);
-                if let Some((lane, mut evidence)) = before {
-                    evidence.after = mine.motion(lane);
-                    pack.evidence = Some(Box::new(evidence));
+        workers.for_each(tasks, |(packs, mut rows)| {
+            benches.with(|benches| {
+                for pack in packs {
+                    let (mut mine, more) = rows.split_rows(pack.count);
+                    rows = more;
+                    let topology = &morphologies.0[pack.morphology].topology;
+                    let bench = &mut benches[pack.morphology];
+                    bench.gather(&mine, pack.count);
+                    pack.numbers.swap(&mut bench.nominal);
+                    L::vectorize(ControlStep {
+                        topology,
+                        settings,
+                        terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
+                        parameters: pack.numbers.all(&bench.nominal),
+                        drive: &bench.drive,
+                        state: &mut bench.state,
+                        report: &mut bench.report,
+                        work: &mut bench.work,
+                    });
+                    pack.numbers.swap(&mut bench.nominal);
+                    let is_watched = watched[pack.morphology];
+                    let broken = if is_watched { bench.first_broken(limits, pack.count) } else { None };
+                    let before =
+                        broken.map(|lane| (lane, Evidence::before(pack.morphology, pack.first_env, lane, &mine)));
+                    bench.scatter(&mut mine, pack.count);
+                    if let Some((lane, mut evidence)) = before {
+                        evidence.after = mine.motion(lane);
+                        pack.evidence = Some(Box::new(evidence));
+                    }
                 }
-            }
+            });
         });
         if !watched.contains(&true) {
             return Vec::new();
@@ -399,7 +397,7 @@ impl<L: Lanes> Engine for Packs<L> {
     }
 }
 
-fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
+pub(super) fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
     for (x, &y) in to.iter_mut().zip(from) {
         x.set_lane(lane, f64::from(y));
     }
@@ -414,69 +412,5 @@ pub(super) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
 pub(super) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         get(y, x, lane);
-    }
-}
-
-impl<L: Real> Pack<L> {
-    fn gather(&mut self, rows: &PhysicsRows) {
-        for &contact in &self.state.pressing {
-            self.state.impulse[contact as usize] = [L::zero(); 3];
-        }
-        self.state.pressing.clear();
-        for lane in 0..L::LANES {
-            // idle lanes shadow the last robot
-            let row = lane.min(self.count - 1);
-            let (state, drive) = (&mut self.state, &mut self.drive);
-            rows.read_motion(row, state, lane);
-            put(&mut self.origin, &rows.origins[row].position, lane);
-            for ContactImpulse { contact, impulse } in &rows.impulses[row].contacts {
-                if let Some(all) = state.impulse.get_mut(*contact as usize) {
-                    put(all, impulse, lane);
-                    state.pressing.push(*contact);
-                }
-            }
-            put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
-            for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
-                put(targets, from, lane);
-            }
-            put(&mut drive.delay, &rows.delays[row].0, lane);
-            put(&mut drive.base_force, &rows.wrenches[row].force, lane);
-            put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
-        }
-        self.state.pressing.sort_unstable();
-        self.state.pressing.dedup();
-    }
-
-    /// The first lane whose new state is not finite or beyond the limits.
-    fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
-        let numbers = state_numbers(&self.state, &self.report.joint_effort);
-        (0..self.count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
-    }
-
-    fn scatter(&self, rows: &mut PhysicsRows) {
-        let (state, report) = (&self.state, &self.report);
-        for lane in 0..self.count {
-            rows.write_motion(lane, state, lane);
-            let contacts = &mut rows.impulses[lane].contacts;
-            contacts.clear();
-            for &contact in &state.pressing {
-                let mut impulse = [0.0; 3];
-                get(&state.impulse[contact as usize], &mut impulse, lane);
-                // those of the lane's own alone
-                if impulse != [0.0; 3] {
-                    contacts.push(ContactImpulse { contact, impulse });
-                }
-            }
-            get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
-            get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
-            get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
-            get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);
-            let bodies = report.body_force.len();
-            for (step, normal) in report.normal_force.iter().enumerate() {
-                get(normal, &mut rows.forces[lane].normal[step * bodies..(step + 1) * bodies], lane);
-            }
-            get_arrays(&report.site_position, &mut rows.feet[lane].position, lane);
-            get_arrays(&report.site_velocity, &mut rows.feet[lane].velocity, lane);
-        }
     }
 }

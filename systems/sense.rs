@@ -17,74 +17,80 @@ const HISTORY: usize = 3;
 /// Normal force from which a body counts as in contact, N.
 const FORCE_THRESHOLD: f32 = 1.0;
 
-/// Contact forces and, for feet, contact and air times, counted in physics steps.
-pub(super) fn read_contacts(
+/// What sensors on the robots read: contact forces and, for feet, contact and air times, counted in physics steps; velocity and
+/// gravity in the base frame; how high the feet are above the ground. One pass over the robots, whose state it reads once.
+pub(super) fn read_sensors(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
+    ground: Res<Ground>,
     tags: Query<&'static Morphology, With<Robot>>,
+    origins: Query<&'static EnvOrigin>,
+    poses: Query<&'static BasePose>,
+    velocities: Query<&'static BaseVelocity>,
+    bodies: Query<&'static Body>,
     forces: Query<&'static ContactForces>,
-    mut sensors: Query<&'static mut ContactSensor>,
+    mut contacts: Query<&'static mut ContactSensor>,
+    mut imus: Query<&'static mut Imu>,
+    mut feet: Query<&'static mut Feet>,
 ) {
     let tags = read_rows(&tags);
     let dt = task.config.sim.dt as f32;
-    let rows = (tags, read_rows(&forces), write_rows(&mut sensors));
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, forces, sensors)| {
+    let state = (read_rows(&origins), read_rows(&poses), read_rows(&velocities), read_rows(&bodies));
+    let sensors = (write_rows(&mut contacts), write_rows(&mut imus), write_rows(&mut feet));
+    let rows = (tags, state, read_rows(&forces), sensors);
+    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, state, forces, (contacts, imus, feet))| {
+        let (origins, poses, velocities, bodies) = state;
         for i in 0..n {
-            let sensor = &mut sensors[i];
-            let bodies = sensor.peak_force.len();
-            let steps = forces[i].normal.chunks_exact(bodies.max(1));
-            let skip = steps.len().saturating_sub(HISTORY);
-            sensor.peak_force.fill(0.0);
-            for (k, normal) in steps.enumerate() {
-                if k >= skip {
-                    for (peak, &force) in sensor.peak_force.iter_mut().zip(normal) {
-                        *peak = peak.max(force);
-                    }
-                }
-                for (foot, &body) in morphologies.get(tags[i]).feet.iter().enumerate() {
-                    sensor.advance(foot, normal[body] > FORCE_THRESHOLD, dt);
-                }
-            }
+            contacts[i].read(&forces[i], &morphologies.get(tags[i]).feet, dt);
+            imus[i] = measure(&poses[i], &velocities[i], &bodies[i].0.com[0]);
+            feet[i].measure(&ground, &origins[i]);
         }
     });
 }
 
 impl ContactSensor {
-    /// One physics step of a foot's timers.
-    fn advance(&mut self, foot: usize, touches: bool, dt: f32) {
-        let (contact, air) = (&mut self.contact_time[foot], &mut self.air_time[foot]);
-        if touches {
-            if *air > 0.0 {
-                self.last_air_time[foot] = *air + dt;
+    /// The forces of a control step; `feet` are the contact bodies that are feet.
+    fn read(&mut self, forces: &ContactForces, feet: &[usize], dt: f32) {
+        let Self { peak_force, contact_time, air_time, last_contact_time, last_air_time } = self;
+        let steps = forces.normal.chunks_exact(peak_force.len().max(1));
+        peak_force.fill(0.0);
+        for normal in steps.clone().skip(steps.len().saturating_sub(HISTORY)) {
+            for (peak, &force) in peak_force.iter_mut().zip(normal) {
+                *peak = if force > *peak { force } else { *peak };
             }
-            *contact += dt;
-            *air = 0.0;
-        } else {
-            if *contact > 0.0 {
-                self.last_contact_time[foot] = *contact + dt;
+        }
+        let last = last_contact_time.iter_mut().zip(last_air_time);
+        let times = contact_time.iter_mut().zip(air_time).zip(last);
+        for (&body, ((contact, air), (last_contact, last_air))) in feet.iter().zip(times) {
+            for normal in steps.clone() {
+                if normal[body] > FORCE_THRESHOLD {
+                    if *air > 0.0 {
+                        *last_air = *air + dt;
+                    }
+                    *contact += dt;
+                    *air = 0.0;
+                } else {
+                    if *contact > 0.0 {
+                        *last_contact = *contact + dt;
+                    }
+                    *air += dt;
+                    *contact = 0.0;
+                }
             }
-            *air += dt;
-            *contact = 0.0;
         }
     }
 }
 
-/// Velocity and gravity in the base frame.
-pub(super) fn read_imus(
-    workers: Res<Workers>,
-    poses: Query<&'static BasePose>,
-    velocities: Query<&'static BaseVelocity>,
-    bodies: Query<&'static Body>,
-    mut imus: Query<&'static mut Imu>,
-) {
-    let poses = read_rows(&poses);
-    let rows = (poses, read_rows(&velocities), read_rows(&bodies), write_rows(&mut imus));
-    workers.for_each_chunk(rows, poses.len(), |_, n, (poses, velocities, bodies, imus)| {
-        for i in 0..n {
-            imus[i] = measure(&poses[i], &velocities[i], &bodies[i].0.com[0]);
+impl Feet {
+    /// Their heights above the ground, from where they are.
+    fn measure(&mut self, ground: &Ground, origin: &EnvOrigin) {
+        let Self { position, height, .. } = self;
+        ground.heights_at(origin, position.iter().map(|[x, y, _]| [*x, *y]), height);
+        for ([_, _, z], height) in position.iter().zip(height) {
+            *height = z - *height;
         }
-    });
+    }
 }
 
 /// The IMU's reading; `com` is the base's centre of mass in its frame, m.
@@ -97,24 +103,6 @@ pub(super) fn measure(pose: &BasePose, velocity: &BaseVelocity, com: &[f32; 3]) 
         projected_gravity: rotation[2].map(|x| -x),
         heading: heading(&pose.rotation),
     }
-}
-
-/// How high the feet are above the ground.
-pub(super) fn read_feet(
-    workers: Res<Workers>,
-    ground: Res<Ground>,
-    origins: Query<&'static EnvOrigin>,
-    mut feet: Query<&'static mut Feet>,
-) {
-    let origins = read_rows(&origins);
-    workers.for_each_chunk((origins, write_rows(&mut feet)), origins.len(), |_, n, (origins, feet)| {
-        for i in 0..n {
-            let Feet { position, height, .. } = &mut feet[i];
-            for ([x, y, z], height) in position.iter().zip(height) {
-                *height = z - ground.height_at(&origins[i], [*x, *y]);
-            }
-        }
-    });
 }
 
 /// Where the rays of the task's height scanner are about the base, m.
@@ -145,9 +133,9 @@ impl ScanRays {
         let length = (c * c + s * s).sqrt();
         // a base that points straight up has no heading
         let (c, s) = if length > 1e-6 { (c / length, s / length) } else { (1.0, 0.0) };
-        for ([x, y], hit) in self.0.iter().zip(scan.hits.iter_mut()) {
-            *hit = ground.height_at(origin, [pose.position[0] + (c * x - s * y), pose.position[1] + (s * x + c * y)]);
-        }
+        let [x0, y0, _] = pose.position;
+        let places = self.0.iter().map(|[x, y]| [x0 + (c * x - s * y), y0 + (s * x + c * y)]);
+        ground.heights_at(origin, places, &mut scan.hits);
     }
 }
 

@@ -69,7 +69,7 @@ pub(super) fn reset_bodies(
             continue;
         }
         if let Some(startup) = &startup.0 {
-            body.0.zip_with(&startup.0, |x, y| *x = *y);
+            *body.0 = startup.0.clone();
             *height = startup.1;
         }
         let morphology = morphologies.get(*tag);

@@ -30,7 +30,7 @@ fn calm(task: &str) -> Sim {
 }
 
 fn terrain(sim: &Sim) -> HeightGrid {
-    sim.world().resource::<Ground>().terrain.clone().unwrap()
+    HeightGrid::clone(sim.world().resource::<Ground>().terrain.as_ref().unwrap())
 }
 
 #[test]

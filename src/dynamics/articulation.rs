@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lanes::Real;
 use super::math::{Sym3, Vec3};
+use super::numbers::Numbers;
 
 /// How a joint moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -371,7 +372,7 @@ macro_rules! parameters {
     ($( $(#[$doc:meta])* $name:ident: $t:ty, $visit:ident; )*) => {
         /// The numbers of one body (`S = f32` or `f64`) or of a pack of bodies (`S` a lane type).
         ///
-        /// Frames: every link's axes are parallel to the base's when all joints are at zero.
+        /// Frames: every link's axes are parallel to the base's when all joints are at zero. Clones share what neither changes.
         #[derive(Clone, Debug, Serialize, Deserialize)]
         pub struct Parameters<S> {
             $( $(#[$doc])* pub $name: $t, )*
@@ -380,73 +381,147 @@ macro_rules! parameters {
         impl<S: Real> Parameters<S> {
             /// Calls `f` on every number together with its counterpart in `other`, which must have the same sizes.
             pub fn zip_with<T: Real>(&mut self, other: &Parameters<T>, mut f: impl FnMut(&mut S, &T)) {
-                $( $visit(&mut self.$name, &other.$name, &mut f); )*
+                $( $visit::zip(&mut self.$name, &other.$name, &mut f); )*
+            }
+
+            /// Whether `f` says yes to any number together with its counterpart in `other`, which must have the same sizes; those
+            /// after the first yes are not asked.
+            pub fn any_with<T: Real>(&self, other: &Parameters<T>, mut f: impl FnMut(&S, &T) -> bool) -> bool {
+                false $( || $visit::any(&self.$name, &other.$name, &mut f) )*
+            }
+
+            /// Writes one robot's numbers into a lane. Lists that hold them already stay shared.
+            pub fn set_lane<T: Real>(&mut self, lane: usize, scalars: &Parameters<T>) {
+                let mut differ = |x: &S, y: &T| x.lane(lane).to_bits() != y.lane(0).to_bits();
+                $(
+                    if $visit::any(&self.$name, &scalars.$name, &mut differ) {
+                        $visit::zip(&mut self.$name, &scalars.$name, &mut |x, y| x.set_lane(lane, y.lane(0)));
+                    }
+                )*
+            }
+
+            /// One of all numbers, in the order in which [`zip_with`](Self::zip_with) comes to them.
+            pub fn number_mut(&mut self, index: usize) -> Option<&mut S> {
+                let rest = index;
+                $(
+                    let Some(rest) = rest.checked_sub($visit::count(&self.$name)) else {
+                        return $visit::number_mut(&mut self.$name, rest);
+                    };
+                )*
+                let _beyond_the_last = rest;
+                None
+            }
+
+            /// Shares the memory of the lists that hold the same numbers in another body of the same sizes.
+            pub fn share(&mut self, other: &Self) {
+                let mut differ = |x: &S, y: &S| (0..S::LANES).any(|k| x.lane(k).to_bits() != y.lane(k).to_bits());
+                $(
+                    if !$visit::any(&self.$name, &other.$name, &mut differ) {
+                        self.$name = other.$name.clone();
+                    }
+                )*
             }
         }
     };
 }
 
-fn one<S, T>(a: &mut S, b: &T, f: &mut impl FnMut(&mut S, &T)) {
-    f(a, b);
-}
-fn list<S, T>(a: &mut [S], b: &[T], f: &mut impl FnMut(&mut S, &T)) {
-    for (x, y) in a.iter_mut().zip(b) {
-        f(x, y);
+/// Visits of a number.
+mod one {
+    pub(super) fn zip<S, T>(a: &mut S, b: &T, f: &mut impl FnMut(&mut S, &T)) {
+        f(a, b);
+    }
+    pub(super) fn any<S, T>(a: &S, b: &T, f: &mut impl FnMut(&S, &T) -> bool) -> bool {
+        f(a, b)
+    }
+    pub(super) fn count<S>(_: &S) -> usize {
+        1
+    }
+    pub(super) fn number_mut<S>(a: &mut S, _: usize) -> Option<&mut S> {
+        Some(a)
     }
 }
-fn arrays<S, T, const N: usize>(a: &mut [[S; N]], b: &[[T; N]], f: &mut impl FnMut(&mut S, &T)) {
-    for (x, y) in a.iter_mut().zip(b) {
-        list(x, y, f);
+
+/// Visits of a list of numbers.
+mod list {
+    pub(super) fn zip<S, T>(a: &mut [S], b: &[T], f: &mut impl FnMut(&mut S, &T)) {
+        for (x, y) in a.iter_mut().zip(b) {
+            f(x, y);
+        }
+    }
+    pub(super) fn any<S, T>(a: &[S], b: &[T], f: &mut impl FnMut(&S, &T) -> bool) -> bool {
+        a.iter().zip(b).any(|(x, y)| f(x, y))
+    }
+    pub(super) fn count<S>(a: &[S]) -> usize {
+        a.len()
+    }
+    pub(super) fn number_mut<S>(a: &mut [S], index: usize) -> Option<&mut S> {
+        a.get_mut(index)
+    }
+}
+
+/// Visits of a list of vectors or matrices.
+mod arrays {
+    pub(super) fn zip<S, T, const N: usize>(a: &mut [[S; N]], b: &[[T; N]], f: &mut impl FnMut(&mut S, &T)) {
+        super::list::zip(a.as_flattened_mut(), b.as_flattened(), f);
+    }
+    pub(super) fn any<S, T, const N: usize>(a: &[[S; N]], b: &[[T; N]], f: &mut impl FnMut(&S, &T) -> bool) -> bool {
+        super::list::any(a.as_flattened(), b.as_flattened(), f)
+    }
+    pub(super) fn count<S, const N: usize>(a: &[[S; N]]) -> usize {
+        a.as_flattened().len()
+    }
+    pub(super) fn number_mut<S, const N: usize>(a: &mut [[S; N]], index: usize) -> Option<&mut S> {
+        a.as_flattened_mut().get_mut(index)
     }
 }
 
 parameters! {
     /// Joint origin in the parent link's frame, m, `[joints]`.
-    joint_offset: Vec<Vec3<S>>, arrays;
+    joint_offset: Numbers<Vec3<S>>, arrays;
     /// Link masses, kg, `[links]`.
-    mass: Vec<S>, list;
+    mass: Numbers<S>, list;
     /// Link centres of mass in the link frame, m, `[links]`.
-    com: Vec<Vec3<S>>, arrays;
+    com: Numbers<Vec3<S>>, arrays;
     /// Link inertias about the centre of mass in link axes, kg m^2, `[links]`.
-    inertia: Vec<Sym3<S>>, arrays;
+    inertia: Numbers<Sym3<S>>, arrays;
     /// Actuator stiffness, N m/rad, `[joints]`.
-    stiffness: Vec<S>, list;
+    stiffness: Numbers<S>, list;
     /// Actuator damping, N m s/rad, `[joints]`.
-    damping: Vec<S>, list;
+    damping: Numbers<S>, list;
     /// Largest actuator effort, N m, `[joints]`; multiplies the effort table where there is one.
-    effort_limit: Vec<S>, list;
+    effort_limit: Numbers<S>, list;
     /// Stall effort of a DC motor, N m, `[joints]`.
-    saturation_effort: Vec<S>, list;
+    saturation_effort: Numbers<S>, list;
     /// No-load speed of a DC motor, rad/s, `[joints]`.
-    motor_velocity_limit: Vec<S>, list;
+    motor_velocity_limit: Numbers<S>, list;
     /// Reflected rotor inertia, kg m^2, `[joints]`.
-    armature: Vec<S>, list;
+    armature: Numbers<S>, list;
     /// Passive viscous damping, N m s/rad, `[joints]`.
-    joint_damping: Vec<S>, list;
+    joint_damping: Numbers<S>, list;
     /// Coulomb friction, N m, `[joints]`.
-    joint_friction: Vec<S>, list;
+    joint_friction: Numbers<S>, list;
     /// Lower position limit, rad, `[joints]`.
-    lower: Vec<S>, list;
+    lower: Numbers<S>, list;
     /// Upper position limit, rad, `[joints]`.
-    upper: Vec<S>, list;
+    upper: Numbers<S>, list;
     /// Largest joint speed, rad/s, `[joints]`.
-    velocity_limit: Vec<S>, list;
+    velocity_limit: Numbers<S>, list;
     /// Centre of a contact candidate in its link's frame, m, `[contacts]`.
-    contact_position: Vec<Vec3<S>>, arrays;
+    contact_position: Numbers<Vec3<S>>, arrays;
     /// Sphere radius of a contact candidate, m, `[contacts]`.
-    contact_radius: Vec<S>, list;
+    contact_radius: Numbers<S>, list;
     /// Rim radius of a contact candidate, m, `[contacts]`.
-    contact_rim: Vec<S>, list;
+    contact_rim: Numbers<S>, list;
     /// Radius about the link's origin that holds all its contact candidates, m, `[links]`.
-    contact_reach: Vec<S>, list;
+    contact_reach: Numbers<S>, list;
     /// Centre of a collider in its link's frame, m, `[colliders]`.
-    collider_centre: Vec<Vec3<S>>, arrays;
+    collider_centre: Numbers<Vec3<S>>, arrays;
     /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a box, m, `[colliders]`.
-    collider_half: Vec<Vec3<S>>, arrays;
+    collider_half: Numbers<Vec3<S>>, arrays;
     /// Radius of a capsule, m, `[colliders]`.
-    collider_radius: Vec<S>, list;
+    collider_radius: Numbers<S>, list;
     /// Position of a site in its link's frame, m, `[sites]`.
-    site_position: Vec<Vec3<S>>, arrays;
+    site_position: Numbers<Vec3<S>>, arrays;
     /// Friction coefficient of sticking contacts (robot and ground combined).
     static_friction: S, one;
     /// Friction coefficient of sliding contacts (robot and ground combined).
@@ -462,29 +537,29 @@ impl<S: Real> Parameters<S> {
         let (contacts, sites) = (topology.contacts.len(), topology.sites.len());
         let z = S::zero();
         Self {
-            joint_offset: vec![[z; 3]; joints],
-            mass: vec![z; links],
-            com: vec![[z; 3]; links],
-            inertia: vec![[z; 6]; links],
-            stiffness: vec![z; joints],
-            damping: vec![z; joints],
-            effort_limit: vec![z; joints],
-            saturation_effort: vec![z; joints],
-            motor_velocity_limit: vec![z; joints],
-            armature: vec![z; joints],
-            joint_damping: vec![z; joints],
-            joint_friction: vec![z; joints],
-            lower: vec![z; joints],
-            upper: vec![z; joints],
-            velocity_limit: vec![z; joints],
-            contact_position: vec![[z; 3]; contacts],
-            contact_radius: vec![z; contacts],
-            contact_rim: vec![z; contacts],
-            contact_reach: vec![z; links],
-            collider_centre: vec![[z; 3]; topology.colliders.len()],
-            collider_half: vec![[z; 3]; topology.colliders.len()],
-            collider_radius: vec![z; topology.colliders.len()],
-            site_position: vec![[z; 3]; sites],
+            joint_offset: vec![[z; 3]; joints].into(),
+            mass: vec![z; links].into(),
+            com: vec![[z; 3]; links].into(),
+            inertia: vec![[z; 6]; links].into(),
+            stiffness: vec![z; joints].into(),
+            damping: vec![z; joints].into(),
+            effort_limit: vec![z; joints].into(),
+            saturation_effort: vec![z; joints].into(),
+            motor_velocity_limit: vec![z; joints].into(),
+            armature: vec![z; joints].into(),
+            joint_damping: vec![z; joints].into(),
+            joint_friction: vec![z; joints].into(),
+            lower: vec![z; joints].into(),
+            upper: vec![z; joints].into(),
+            velocity_limit: vec![z; joints].into(),
+            contact_position: vec![[z; 3]; contacts].into(),
+            contact_radius: vec![z; contacts].into(),
+            contact_rim: vec![z; contacts].into(),
+            contact_reach: vec![z; links].into(),
+            collider_centre: vec![[z; 3]; topology.colliders.len()].into(),
+            collider_half: vec![[z; 3]; topology.colliders.len()].into(),
+            collider_radius: vec![z; topology.colliders.len()].into(),
+            site_position: vec![[z; 3]; sites].into(),
             static_friction: z,
             dynamic_friction: z,
             restitution: z,
@@ -496,11 +571,6 @@ impl<S: Real> Parameters<S> {
         let mut new = Self::zeros(topology);
         new.zip_with(scalars, |x, y| *x = S::splat(y.lane(0)));
         new
-    }
-
-    /// Writes one robot's numbers into a lane.
-    pub fn set_lane<T: Real>(&mut self, lane: usize, scalars: &Parameters<T>) {
-        self.zip_with(scalars, |x, y| x.set_lane(lane, y.lane(0)));
     }
 
     /// Total mass, kg.

@@ -179,9 +179,10 @@ pub fn build_contacts<S: Real>(
         let origin_height = ground + dot(&frame[0], &at.position);
         let mut highest = margin;
         if let Some(terrain) = terrain {
-            let [x, y] = [1, 2].map(|i| state.position[i - 1] + dot(&frame[i], &at.position));
+            let (x, y) = (dot(&frame[1], &at.position), dot(&frame[2], &at.position));
             let reach = parameters.contact_reach[link] + margin;
-            highest = margin + terrain.bound(x, y, reach) - S::splat(plane.offset);
+            let bound = terrain.bound(state.position[0] + x, state.position[1] + y, reach);
+            highest = margin + bound - S::splat(plane.offset);
         }
         if !S::any((origin_height - parameters.contact_reach[link]).lt(highest)) {
             continue;
@@ -230,7 +231,7 @@ fn on_terrain<S: Real>(
     centre: &Vec3<S>,
     radius: S,
 ) -> (S, [Vec3<S>; 3]) {
-    let [z, x, y] = [0, 1, 2].map(|i| dot(&level[i], centre));
+    let (z, x, y) = (dot(&level[0], centre), dot(&level[1], centre), dot(&level[2], centre));
     let (height, n) = terrain.below(position[0] + x, position[1] + y);
     let gap = (position[2] + z - height).mul_add(n[2], -radius);
     // the x axis, laid onto the surface; slopes are bounded, so that it is never the normal

@@ -7,6 +7,7 @@ pub mod factor;
 pub mod kinematics;
 pub mod lanes;
 pub mod math;
+pub mod numbers;
 pub mod proximity;
 pub mod rows;
 pub mod self_contact;
@@ -23,6 +24,7 @@ pub use articulation::{
 };
 pub use contact::{ContactSettings, Plane};
 pub use lanes::{Lanes, Real, Simd};
+pub use numbers::Numbers;
 pub use state::{Drive, Report, State, Workspace};
 pub use step::{ControlStep, StepSettings};
 pub use terrain::{HeightGrid, Terrain};

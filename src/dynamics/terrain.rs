@@ -7,6 +7,15 @@ use super::math::Vec3;
 const STEEPEST: f32 = 10.0;
 /// Edge length of the squares of which the largest height is known, m.
 const BLOCK: f32 = 0.5;
+/// Cells along each side of the squares in which heights are kept together, about as many as a page of memory holds.
+const PAGE: usize = 32;
+/// Points along each side of a page: those at its far edges are its neighbours' first ones too, so that all corners of a cell
+/// are in one page.
+const EDGE: usize = PAGE + 1;
+const PAGE_POINTS: usize = EDGE * EDGE;
+/// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner looks at.
+const GROUP: usize = 16;
+const LARGE_GROUP: usize = 64;
 
 /// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut from the first to the last
 /// corner; beyond the rectangle its edge goes on.
@@ -18,11 +27,13 @@ pub struct HeightGrid {
     pub cell: f32,
     /// Number of points along x and y, at least two each.
     pub size: [usize; 2],
-    /// `heights[i * size[1] + j]`, m: `i` along x, `j` along y.
-    pub heights: Vec<f32>,
-    /// The largest of them.
+    /// Heights, m, page by page: what is near in the world is near in memory, whatever the direction.
+    points: Vec<f32>,
+    /// Number of pages along y.
+    columns: usize,
+    /// The largest height.
     pub highest: f32,
-    /// Largest heights of squares of `BLOCK` and the squares around them, like `heights`; empty until they are noted.
+    /// Largest heights of squares of `BLOCK` and the squares around them, row by row; empty until they are noted.
     blocks: Vec<f32>,
     /// Number of squares along x and y.
     num_blocks: [usize; 2],
@@ -38,10 +49,48 @@ pub struct Terrain<'a, S> {
 }
 
 impl HeightGrid {
-    /// A level grid; `heights` may then be changed, and [`note_blocks`](Self::note_blocks) must follow.
+    /// A level grid; heights may then be changed, and [`note_blocks`](Self::note_blocks) must follow.
     pub fn level(origin: [f32; 2], cell: f32, size: [usize; 2], height: f32) -> Self {
-        let heights = vec![height; size[0] * size[1]];
-        Self { origin, cell, size, heights, highest: height, blocks: Vec::new(), num_blocks: [0; 2] }
+        let [rows, columns] = size.map(|points| (points - 1).div_ceil(PAGE));
+        let points = vec![height; rows * columns * PAGE_POINTS];
+        Self { origin, cell, size, points, columns, highest: height, blocks: Vec::new(), num_blocks: [0; 2] }
+    }
+
+    /// Where a point of a page is kept.
+    fn place(&self, page: [usize; 2], within: [usize; 2]) -> usize {
+        (page[0] * self.columns + page[1]) * PAGE_POINTS + within[0] * EDGE + within[1]
+    }
+
+    /// Height of a point, m: `i` along x, `j` along y.
+    pub fn height(&self, i: usize, j: usize) -> f32 {
+        let page = [0, 1].map(|axis| ([i, j][axis] / PAGE).min((self.size[axis] - 2) / PAGE));
+        self.points[self.place(page, [i - page[0] * PAGE, j - page[1] * PAGE])]
+    }
+
+    /// Changes the height of a point, m.
+    pub fn set_height(&mut self, i: usize, j: usize, height: f32) {
+        // a point at the edge of a page belongs to the page before as well
+        let pages = |k: usize, axis: usize| {
+            let last = (self.size[axis] - 2) / PAGE;
+            (k.saturating_sub(1) / PAGE).min(last)..=(k / PAGE).min(last)
+        };
+        for row in pages(i, 0) {
+            for column in pages(j, 1) {
+                let at = self.place([row, column], [i - row * PAGE, j - column * PAGE]);
+                self.points[at] = height;
+            }
+        }
+    }
+
+    /// Gives all points of one height another, m.
+    pub fn replace(&mut self, old: f32, new: f32) {
+        self.points.iter_mut().filter(|height| **height == old).for_each(|height| *height = new);
+    }
+
+    /// All heights row by row, `[size[0] * size[1]]`, m.
+    pub fn heights(&self) -> Vec<f32> {
+        let [rows, columns] = self.size;
+        (0..rows).flat_map(|i| (0..columns).map(move |j| self.height(i, j))).collect()
     }
 
     /// Notes the largest heights, after all heights are known.
@@ -50,10 +99,10 @@ impl HeightGrid {
         let stride = ((BLOCK / self.cell).round() as usize).max(1);
         let num = [rows.div_ceil(stride), columns.div_ceil(stride)];
         let mut own = vec![f32::MIN; num[0] * num[1]];
-        for (i, row) in self.heights.chunks_exact(columns).enumerate() {
-            for (j, points) in row.chunks(stride).enumerate() {
-                let most = &mut own[i / stride * num[1] + j];
-                *most = points.iter().copied().fold(*most, f32::max);
+        for i in 0..rows {
+            for j in 0..columns {
+                let most = &mut own[i / stride * num[1] + j / stride];
+                *most = most.max(self.height(i, j));
             }
         }
         let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
@@ -67,52 +116,151 @@ impl HeightGrid {
         self.highest = own.iter().copied().fold(f32::MIN, f32::max);
     }
 
-    /// No height within `reach` of a place is larger than this, m.
+    /// Of the first `n` places of a group: no height within `reach` is larger than this, m.
     #[inline(always)]
-    fn bound(&self, x: f32, y: f32, reach: f32) -> f32 {
+    fn bound_group(&self, x: &[f32; GROUP], y: &[f32; GROUP], reach: &[f32; GROUP], n: usize) -> [f32; GROUP] {
         let stride = (BLOCK / self.cell).round().max(1.0);
         // the squares around hold what is within an edge length, less the cell between the last point and the next square
-        if reach > (stride - 1.0) * self.cell {
-            return self.highest;
+        let far = (stride - 1.0) * self.cell;
+        let mut at = [0u32; GROUP];
+        for k in 0..GROUP {
+            at[k] = self.block(x[k], 0, stride) * self.num_blocks[1] as u32 + self.block(y[k], 1, stride);
         }
-        let block = |x: f32, axis: usize| {
-            let points = ((x - self.origin[axis]) / self.cell).clamp(0.0, (self.size[axis] - 1) as f32);
-            ((points / stride) as usize).min(self.num_blocks[axis] - 1)
-        };
-        self.blocks[block(x, 0) * self.num_blocks[1] + block(y, 1)]
+        let mut bound = [self.highest; GROUP];
+        for k in 0..n {
+            bound[k] = if reach[k] > far { self.highest } else { self.blocks[at[k] as usize] };
+        }
+        bound
+    }
+
+    /// The square of a coordinate, of those of `stride` points.
+    #[inline(always)]
+    fn block(&self, x: f32, axis: usize, stride: f32) -> u32 {
+        let points = not_below_zero((x - self.origin[axis]) / self.cell);
+        let last = (self.size[axis] - 1) as f32;
+        let block = floor((if points < last { points } else { last }) / stride);
+        let last = (self.num_blocks[axis] - 1) as f32;
+        whole(if block < last { block } else { last })
     }
 
     /// Height, m, and slope along x and y at a place. A place that is not finite has the height of a corner.
-    #[inline(always)]
     pub fn sample(&self, x: f32, y: f32) -> (f32, [f32; 2]) {
-        let (i, u) = Self::split((x - self.origin[0]) / self.cell, self.size[0]);
-        let (j, v) = Self::split((y - self.origin[1]) / self.cell, self.size[1]);
-        let at = i * self.size[1] + j;
-        let (a, b) = (self.heights[at], self.heights[at + 1]);
-        let (c, d) = (self.heights[at + self.size[1]], self.heights[at + self.size[1] + 1]);
-        let (along_x, along_y) = if u > v { (c - a, d - c) } else { (d - b, b - a) };
-        let height = a + along_x * u + along_y * v;
-        (height, [along_x, along_y].map(|rise| (rise / self.cell).clamp(-STEEPEST, STEEPEST)))
+        let mut found = Samples::zeros();
+        self.sample_group(&[x; GROUP], &[y; GROUP], 1, &mut found);
+        (found.height[0], [found.along_x[0], found.along_y[0]].map(|rise| self.slope(rise)))
     }
 
-    /// The cell of a coordinate in cells, and where in it.
+    /// The slope of a rise from one point to the next.
     #[inline(always)]
-    fn split(x: f32, points: usize) -> (usize, f32) {
-        // a NaN becomes 0 in the cast
-        let x = x.clamp(0.0, (points - 1) as f32);
-        let i = (x as usize).min(points - 2);
-        (i, x - i as f32)
+    fn slope(&self, rise: f32) -> f32 {
+        (rise / self.cell).clamp(-STEEPEST, STEEPEST)
+    }
+
+    /// Heights, m, and rises from one point to the next, below the first `n` places of a group. Without branches in its
+    /// arithmetic, so that it runs in lanes and the loads of all places are under way together.
+    #[inline(always)]
+    fn sample_group<const N: usize>(&self, x: &[f32; N], y: &[f32; N], n: usize, found: &mut Samples<N>) {
+        let (mut at, mut u, mut v) = ([0u32; N], [0.0f32; N], [0.0f32; N]);
+        let columns = self.columns as u32;
+        for k in 0..N {
+            let (i, in_x) = Self::split((x[k] - self.origin[0]) / self.cell, self.size[0]);
+            let (j, in_y) = Self::split((y[k] - self.origin[1]) / self.cell, self.size[1]);
+            let page = (i / PAGE as u32) * columns + j / PAGE as u32;
+            at[k] = page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32;
+            (u[k], v[k]) = (in_x, in_y);
+        }
+        let mut corners = [[0.0f32; N]; 4];
+        for k in 0..n {
+            // the four corners of a cell lie in one page
+            let page = &self.points[at[k] as usize..][..EDGE + 2];
+            (corners[0][k], corners[1][k]) = (page[0], page[1]);
+            (corners[2][k], corners[3][k]) = (page[EDGE], page[EDGE + 1]);
+        }
+        for k in 0..N {
+            let (a, b, c, d) = (corners[0][k], corners[1][k], corners[2][k], corners[3][k]);
+            let first = u[k] > v[k];
+            let along_x = if first { c - a } else { d - b };
+            let along_y = if first { d - c } else { b - a };
+            found.height[k] = a + along_x * u[k] + along_y * v[k];
+            (found.along_x[k], found.along_y[k]) = (along_x, along_y);
+        }
+    }
+
+    /// Heights below places, m, as many as there is room for.
+    pub fn heights_at(&self, mut places: impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
+        if heights.len() <= GROUP {
+            return self.heights_of_group::<GROUP>(&mut places, heights);
+        }
+        for heights in heights.chunks_mut(LARGE_GROUP) {
+            self.heights_of_group::<LARGE_GROUP>(&mut places, heights);
+        }
+    }
+
+    fn heights_of_group<const N: usize>(&self, places: &mut impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
+        let (mut x, mut y) = ([0.0; N], [0.0; N]);
+        for (place, (x, y)) in places.zip(x.iter_mut().zip(&mut y)).take(heights.len()) {
+            [*x, *y] = place;
+        }
+        let mut found = Samples::<N>::zeros();
+        self.sample_group(&x, &y, heights.len(), &mut found);
+        heights.copy_from_slice(&found.height[..heights.len()]);
+    }
+
+    /// The cell of a coordinate in cells, and where in it; the first cell for a NaN.
+    #[inline(always)]
+    fn split(x: f32, points: usize) -> (u32, f32) {
+        let x = not_below_zero(x);
+        let x = if x < (points - 1) as f32 { x } else { (points - 1) as f32 };
+        let i = floor(x);
+        let i = if i < (points - 2) as f32 { i } else { (points - 2) as f32 };
+        (whole(i), x - i)
     }
 
     /// The largest height of the points within a square about a place, m.
     pub fn highest_near(&self, x: f32, y: f32, half: f32) -> f32 {
         let range = |centre: f32, axis: usize| {
             let of = |x: f32| Self::split((x - self.origin[axis]) / self.cell, self.size[axis]).0;
-            of(centre - half)..=of(centre + half) + 1
+            of(centre - half) as usize..=of(centre + half) as usize + 1
         };
         let (rows, columns) = (range(x, 0), range(y, 1));
-        rows.flat_map(|i| columns.clone().map(move |j| self.heights[i * self.size[1] + j])).fold(f32::MIN, f32::max)
+        rows.flat_map(|i| columns.clone().map(move |j| self.height(i, j))).fold(f32::MIN, f32::max)
     }
+}
+
+/// What is found below a group of places: heights, and rises from one point to the next along x and y, m.
+struct Samples<const N: usize> {
+    height: [f32; N],
+    along_x: [f32; N],
+    along_y: [f32; N],
+}
+
+impl<const N: usize> Samples<N> {
+    #[inline(always)]
+    fn zeros() -> Self {
+        Self { height: [0.0; N], along_x: [0.0; N], along_y: [0.0; N] }
+    }
+}
+
+/// From this number on a float of single precision has no digits after the point.
+const WHOLE: f32 = 8_388_608.0;
+
+/// The number, or 0 where it is below or a NaN.
+#[inline(always)]
+fn not_below_zero(x: f32) -> f32 {
+    if x > 0.0 { x } else { 0.0 }
+}
+
+/// The largest whole number up to a number of 0 to 4 million, by operations that every instruction set has in lanes.
+#[inline(always)]
+fn floor(x: f32) -> f32 {
+    let nearest = (x + WHOLE) - WHOLE;
+    if nearest > x { nearest - 1.0 } else { nearest }
+}
+
+/// A whole number of 0 to 4 million as an integer.
+#[inline(always)]
+fn whole(x: f32) -> u32 {
+    (x + WHOLE).to_bits() - WHOLE.to_bits()
 }
 
 impl<S: Real> Terrain<'_, S> {
@@ -120,13 +268,17 @@ impl<S: Real> Terrain<'_, S> {
     #[inline(always)]
     pub(super) fn below(&self, x: S, y: S) -> (S, Vec3<S>) {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
+        let (mut places, mut found) = ([[0.0; GROUP]; 2], Samples::zeros());
+        for lane in 0..S::LANES {
+            (places[0][lane], places[1][lane]) = (x.lane(lane) as f32, y.lane(lane) as f32);
+        }
+        self.grid.sample_group(&places[0], &places[1], S::LANES, &mut found);
         let mut height = S::zero();
         let mut slope = [S::zero(); 2];
         for lane in 0..S::LANES {
-            let (h, [along_x, along_y]) = self.grid.sample(x.lane(lane) as f32, y.lane(lane) as f32);
-            height.set_lane(lane, f64::from(h));
-            slope[0].set_lane(lane, f64::from(along_x));
-            slope[1].set_lane(lane, f64::from(along_y));
+            height.set_lane(lane, f64::from(found.height[lane]));
+            slope[0].set_lane(lane, f64::from(self.grid.slope(found.along_x[lane])));
+            slope[1].set_lane(lane, f64::from(self.grid.slope(found.along_y[lane])));
         }
         let one = S::one();
         let up = one / slope[0].mul_add(slope[0], slope[1].mul_add(slope[1], one)).sqrt();
@@ -137,10 +289,15 @@ impl<S: Real> Terrain<'_, S> {
     #[inline(always)]
     pub(super) fn bound(&self, x: S, y: S, reach: S) -> S {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
+        let mut places = [[0.0; GROUP]; 3];
+        for lane in 0..S::LANES {
+            (places[0][lane], places[1][lane]) = (x.lane(lane) as f32, y.lane(lane) as f32);
+            places[2][lane] = reach.lane(lane) as f32;
+        }
+        let found = self.grid.bound_group(&places[0], &places[1], &places[2], S::LANES);
         let mut bound = S::zero();
         for lane in 0..S::LANES {
-            let most = self.grid.bound(x.lane(lane) as f32, y.lane(lane) as f32, reach.lane(lane) as f32);
-            bound.set_lane(lane, f64::from(most));
+            bound.set_lane(lane, f64::from(found[lane]));
         }
         bound
     }

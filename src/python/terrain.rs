@@ -27,7 +27,7 @@ pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) 
     dict.set_item("task", &config.name)?;
     dict.set_item("origin", grid.origin)?;
     dict.set_item("cell", grid.cell)?;
-    dict.set_item("heights", PyArray1::from_vec(py, grid.heights).reshape(grid.size)?)?;
+    dict.set_item("heights", PyArray1::from_vec(py, grid.heights()).reshape(grid.size)?)?;
     let (mut mesh, mut tiles) = (Mesh::default(), Vec::new());
     if let Some(config) = &config.scene.terrain {
         let layout = TerrainLayout::new(config);

@@ -94,8 +94,8 @@ impl<L: Lanes> LanePacks<L> {
             .step_by(L::LANES)
             .map(|first| Pack {
                 count: L::LANES.min(num_envs - first),
-                stiffness: parameters.stiffness.clone(),
-                damping: parameters.damping.clone(),
+                stiffness: parameters.stiffness.to_vec(),
+                damping: parameters.damping.to_vec(),
                 parameters: parameters.clone(),
                 state: State::zeros(topology),
                 drive: Drive::zeros(topology, 1),
@@ -182,7 +182,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
     fn write_joints(&mut self, envs: &EnvIds, field: JointField, rows: &Rows) {
         for row in 0..envs.len() {
             let (pack, lanes) = self.at_mut(envs.get(row));
-            let to = match field {
+            let to: &mut [L] = match field {
                 JointField::Target => &mut pack.drive.targets[0],
                 JointField::Effort => &mut pack.drive.feedforward,
                 JointField::Stiffness => &mut pack.stiffness,

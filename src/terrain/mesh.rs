@@ -80,9 +80,10 @@ impl Mesh {
     pub fn rasterise(&self, origin: [f32; 2], grid: &mut HeightGrid) {
         // points that lie on an edge but for rounding are inside, in cells
         const EDGE: f32 = 1e-3;
+        let (first, cell) = (grid.origin, grid.cell);
         let cells = |v: u32| {
             let [x, y, z] = self.vertices[v as usize];
-            [(origin[0] + x - grid.origin[0]) / grid.cell, (origin[1] + y - grid.origin[1]) / grid.cell, z]
+            [(origin[0] + x - first[0]) / cell, (origin[1] + y - first[1]) / cell, z]
         };
         for triangle in &self.triangles {
             let [a, b, c] = triangle.map(cells);
@@ -115,8 +116,9 @@ impl Mesh {
                     }
                     let (u, v) = (u.clamp(0.0, 1.0), v.clamp(0.0, 1.0));
                     let z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]);
-                    let to = &mut grid.heights[i * grid.size[1] + j];
-                    *to = to.max(z);
+                    if z > grid.height(i, j) {
+                        grid.set_height(i, j, z);
+                    }
                 }
             }
         }

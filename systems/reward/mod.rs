@@ -12,7 +12,7 @@ use crate::batch::Batch;
 use crate::components::{Episode, EpisodeSums};
 use crate::rows::{Workers, read_rows, write_rows};
 
-/// `reward = sum of weight * value * step_dt`, summed per term for the logs.
+/// `reward = sum of weight * value * step_dt`, summed per term for the logs, as are the tracking errors.
 ///
 /// A robot only computes the terms of its own set. An env whose state broke gets 0, as does one that is only reset in
 /// this step.
@@ -37,13 +37,15 @@ pub(super) fn compute_rewards(
             }
             let view = views.get(first + i);
             let terms = &task.rewards[usize::from(views.tags[first + i].0)];
+            let sums = &mut sums[i];
+            sums.add_errors(&view);
             let mut total = 0.0;
-            for (term, sum) in terms.iter().zip(sums[i].terms.iter_mut()) {
+            for (term, sum) in terms.iter().zip(sums.terms.iter_mut()) {
                 let value = term.weight * (term.value)(&view) * task.step_dt;
                 *sum += value;
                 total += value;
             }
-            sums[i].reward += total;
+            sums.reward += total;
             rewards[i] = total;
         }
     });

@@ -1,0 +1,98 @@
+//! Packs between components and kernel: robots are gathered into lanes and scattered back.
+
+use super::physics::{PhysicsRows, get, get_arrays, history_length, put, state_numbers};
+use super::terminate::StateLimits;
+use crate::components::ContactImpulse;
+use crate::dynamics::{Drive, Parameters, Real, Report, State, Workspace};
+use crate::morphology::MorphologyModel;
+
+/// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
+pub(super) struct Bench<L> {
+    /// Where the envs' origins are on the terrain, m.
+    pub(super) origin: [L; 2],
+    /// Of a body as the morphology has it.
+    pub(super) nominal: Parameters<L>,
+    pub(super) state: State<L>,
+    pub(super) drive: Drive<L>,
+    pub(super) report: Report<L>,
+    pub(super) work: Workspace<L>,
+}
+
+impl<L: Real> Bench<L> {
+    /// For a morphology whose numbers are `nominal` in every lane.
+    pub(super) fn new(model: &MorphologyModel, nominal: &Parameters<L>, decimation: usize) -> Self {
+        let topology = &model.topology;
+        Self {
+            origin: [L::zero(); 2],
+            nominal: nominal.clone(),
+            state: State::zeros(topology),
+            drive: Drive::zeros(topology, history_length(model.max_delay(), decimation)),
+            report: Report::zeros(topology, decimation),
+            work: Workspace::new(topology),
+        }
+    }
+
+    /// Reads the first `count` rows into the lanes.
+    pub(super) fn gather(&mut self, rows: &PhysicsRows, count: usize) {
+        for &contact in &self.state.pressing {
+            self.state.impulse[contact as usize] = [L::zero(); 3];
+        }
+        self.state.pressing.clear();
+        for lane in 0..L::LANES {
+            // idle lanes shadow the last robot
+            let row = lane.min(count - 1);
+            let (state, drive) = (&mut self.state, &mut self.drive);
+            rows.read_motion(row, state, lane);
+            put(&mut self.origin, &rows.origins[row].position, lane);
+            for ContactImpulse { contact, impulse } in &rows.impulses[row].contacts {
+                if let Some(all) = state.impulse.get_mut(*contact as usize) {
+                    put(all, impulse, lane);
+                    state.pressing.push(*contact);
+                }
+            }
+            put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
+            for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
+                put(targets, from, lane);
+            }
+            put(&mut drive.delay, &rows.delays[row].0, lane);
+            put(&mut drive.base_force, &rows.wrenches[row].force, lane);
+            put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
+        }
+        self.state.pressing.sort_unstable();
+        self.state.pressing.dedup();
+    }
+
+    /// The first lane whose new state is not finite or beyond the limits.
+    pub(super) fn first_broken(&self, limits: &StateLimits, count: usize) -> Option<usize> {
+        let numbers = state_numbers(&self.state, &self.report.joint_effort);
+        (0..count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
+    }
+
+    /// Writes the lanes to the first `count` rows.
+    pub(super) fn scatter(&self, rows: &mut PhysicsRows, count: usize) {
+        let (state, report) = (&self.state, &self.report);
+        for lane in 0..count {
+            rows.write_motion(lane, state, lane);
+            let contacts = &mut rows.impulses[lane].contacts;
+            contacts.clear();
+            for &contact in &state.pressing {
+                let mut impulse = [0.0; 3];
+                get(&state.impulse[contact as usize], &mut impulse, lane);
+                // those of the lane's own alone
+                if impulse != [0.0; 3] {
+                    contacts.push(ContactImpulse { contact, impulse });
+                }
+            }
+            get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
+            get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
+            get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
+            get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);
+            let bodies = report.body_force.len();
+            for (step, normal) in report.normal_force.iter().enumerate() {
+                get(normal, &mut rows.forces[lane].normal[step * bodies..(step + 1) * bodies], lane);
+            }
+            get_arrays(&report.site_position, &mut rows.feet[lane].position, lane);
+            get_arrays(&report.site_velocity, &mut rows.feet[lane].velocity, lane);
+        }
+    }
+}
