@@ -6,6 +6,7 @@
 //! these components, and forces are those that do work on them.
 
 use super::articulation::{JointMotion, Parameters, Topology};
+use super::blocks::{BLOCK, gather, scatter};
 use super::kinematics;
 use super::lanes::Real;
 use super::math::{
@@ -115,16 +116,26 @@ impl<S: Real> Dynamics<'_, S> {
             m[row * nv + column] = x;
             m[column * nv + row] = x;
         };
-        for j in 0..topology.num_joints() {
-            set(first + j, first + j, factor.diagonal[j]);
-            for (p, &i) in topology.ancestors(j).iter().enumerate() {
-                set(first + j, first + i, factor.couplings[topology.row(j) + p]);
+        for (block, own) in topology.blocks().iter().zip(&factor.blocks) {
+            for place in 0..block.len {
+                let j = first + block.joints[place];
+                set(j, j, own.diagonal[place]);
+                for t in 0..place {
+                    set(j, first + block.joints[t], own.inner[place + t - 1]);
+                }
+                for (carrier, couplings) in block.carriers.iter().zip(&factor.couplings[block.first_coupling..]) {
+                    for t in 0..carrier.count {
+                        set(j, first + topology.blocks()[carrier.block].joints[t], couplings[place][t]);
+                    }
+                }
             }
         }
         if topology.floating {
-            for j in 0..topology.num_joints() {
-                for (r, x) in self.base_to_qvel(&factor.base_couplings[j]).into_iter().enumerate() {
-                    set(r, 6 + j, x);
+            for (block, own) in topology.blocks().iter().zip(&factor.blocks) {
+                for (j, couplings) in block.joints[..block.len].iter().zip(&own.base) {
+                    for (r, x) in self.base_to_qvel(couplings).into_iter().enumerate() {
+                        set(r, 6 + j, x);
+                    }
                 }
             }
             for k in 0..3 {
@@ -155,10 +166,14 @@ impl<S: Real> Dynamics<'_, S> {
         let given = [angular[0], angular[1], angular[2], linear[0], linear[1], linear[2]];
         let mut base: [S; 6] = std::array::from_fn(|r| given[r] - self.work.bias_base[r]);
         let mut joint: Vec<S> = joints.iter().zip(&self.work.bias_joint).map(|(&f, &c)| f - c).collect();
+        let blocks = self.topology.blocks();
+        let mut by_block = vec![[S::zero(); BLOCK]; blocks.len()];
+        gather(blocks, &joint, &mut by_block);
         let factor = &mut self.work.factor;
         factor.factorise(self.topology);
-        factor.half_solve(self.topology, &mut base, &mut joint);
-        factor.from_sparse(self.topology, &mut base, &mut joint);
+        factor.half_solve(self.topology, &mut base, &mut by_block);
+        factor.from_sparse(self.topology, &mut base, &mut by_block);
+        scatter(blocks, &by_block, &mut joint);
         self.to_qvel(&base, &joint)
     }
 
@@ -269,9 +284,11 @@ impl<S: Real> Dynamics<'_, S> {
                 set(3 + k, &cross(&unit[k], &at), &unit[k]);
             }
         }
-        for &j in topology.path(link) {
-            let axis = &self.work.axes[j];
-            set(first + j, &add(&axis.lin, &cross(&axis.ang, &at)), &axis.ang);
+        for part in topology.path(link) {
+            for &j in &topology.blocks()[part.joints.block].joints[..part.joints.count] {
+                let axis = &self.work.axes[j];
+                set(first + j, &add(&axis.lin, &cross(&axis.ang, &at)), &axis.ang);
+            }
         }
         if topology.floating {
             for k in 0..3 {

@@ -1,13 +1,14 @@
 //! Contacts and joint bounds as velocity constraints: which take part in a step, and what they ask for.
 
-use super::articulation::{BOUND_BLOCK, ContactKind, Parameters, Topology};
+use super::articulation::{ContactKind, Parameters, Topology};
+use super::blocks::BLOCK;
 use super::kinematics::forward_kinematics;
 use super::lanes::Real;
 use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale,
     splat,
 };
-use super::rows::{BoundBlock, BoundRow, ContactWork, NEVER, half_solve_path, products};
+use super::rows::{BoundRow, ContactWork, NEVER, half_solve_units, products};
 use super::state::{State, Workspace};
 use super::terrain::Terrain;
 
@@ -263,7 +264,7 @@ fn push_speed<S: Real>(depth: S, settings: &ContactSettings, inverse_dt: S) -> S
 /// Builds the rows of every joint near a position limit, near its velocity limit, or with Coulomb friction, and of those in its
 /// block.
 ///
-/// `velocity` is the joints' velocity at the start of the step, `free` the one without constraints.
+/// `free` is the joints' velocity without constraints, `[blocks]`.
 #[inline(always)]
 pub fn build_bounds<S: Real>(
     topology: &Topology,
@@ -271,44 +272,36 @@ pub fn build_bounds<S: Real>(
     settings: &ContactSettings,
     dt: S,
     state: &State<S>,
-    free: &[S],
+    free: &[[S; BLOCK]],
     work: &mut Workspace<S>,
 ) {
     let Workspace { factor, contact: work, .. } = work;
-    let z = S::zero();
+    let ContactWork { bounds, bound_joint, stride, violation, .. } = work;
     let inverse_dt = S::one() / dt;
-    work.bounds.clear();
-    for (block, joints) in topology.bound_blocks().iter().enumerate() {
-        let mut rows = [BoundRow::free(); BOUND_BLOCK];
-        let (mut limits, mut rubs) = (false, false);
-        for (row, &j) in rows.iter_mut().zip(joints) {
-            bound(parameters, settings, inverse_dt, dt, state, j, free[j], row, &mut work.violation);
-            limits |= row.limits;
-            rubs |= row.rubs;
+    let blocks = bounds.iter_mut().zip(topology.blocks()).zip(bound_joint.chunks_exact_mut(*stride));
+    for (b, ((block, shape), joint)) in blocks.enumerate() {
+        (block.limits, block.active) = (false, false);
+        for place in 0..shape.len {
+            let (j, row) = (shape.joints[place], &mut block.rows[place]);
+            bound(parameters, settings, inverse_dt, dt, state, j, free[b][place], row, violation);
+            block.limits |= row.limits;
+            block.active |= row.limits | row.rubs;
         }
-        let Some(&last) = joints.last().filter(|_| limits || rubs) else {
+        if !block.active {
             continue;
-        };
-        let path = topology.path(last + 1);
-        let start = work.bounds.len() * work.stride;
-        let joint = &mut work.bound_joint[start..start + path.len()];
-        joint.fill([z; BOUND_BLOCK]);
-        for i in 0..joints.len() {
-            // paths begin at the leaf, blocks at the base
-            joint[joints.len() - 1 - i][i] = S::one();
         }
-        let mut base = [[z; 6]; BOUND_BLOCK];
-        match path.len() {
-            3 => half_solve_path::<S, BOUND_BLOCK, 3>(topology, factor, path, joint, &mut base),
-            _ => half_solve_path::<S, BOUND_BLOCK, 0>(topology, factor, path, joint, &mut base),
+        for place in shape.len..BLOCK {
+            block.rows[place] = BoundRow::free();
         }
-        let product = products(&base, joint);
-        for i in 0..joints.len() {
-            rows[i].diagonal = product[i];
-            rows[i].inverse = S::one() / product[i];
+        let path = topology.path_of_block(shape);
+        let joint = &mut joint[..path.len()];
+        half_solve_units(topology, factor, path, joint, &mut block.base);
+        let product = products(&block.base, joint);
+        for place in 0..BLOCK {
+            block.rows[place].diagonal = product[place];
+            block.rows[place].inverse = S::one() / product[place];
         }
-        let coupling = [product[3], product[4], product[5]];
-        work.bounds.push(BoundBlock { block, last, limits, base, coupling, rows });
+        block.coupling = [product[3], product[4], product[5]];
     }
 }
 
@@ -325,7 +318,7 @@ fn bound<S: Real>(
     row: &mut BoundRow<S>,
     violation: &mut S,
 ) {
-    let (z, big) = (S::zero(), S::splat(-NEVER));
+    let (z, never) = (S::zero(), S::splat(NEVER));
     let q = state.joint_position[j];
     let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
     let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
@@ -334,6 +327,8 @@ fn bound<S: Real>(
     let near = S::or(S::or((q - reach).lt(lower), upper.lt(q + reach)), (fastest * S::splat(SPEED_MARGIN)).lt(speed));
     row.rubs = S::any(z.lt(parameters.joint_friction[j]));
     row.max_friction = parameters.joint_friction[j] * dt;
+    (row.friction_impulse, row.push_impulse) = (z, z);
+    (row.lowest, row.highest, row.limit_impulse) = (never, -never, z);
     row.limits = S::any(near);
     if row.limits {
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
@@ -342,8 +337,8 @@ fn bound<S: Real>(
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);
         let highest = S::select(high.lt(z), -down, high * inverse_dt).min(fastest);
         *violation = violation.max(S::select(near, up.max(down), z));
-        row.lowest = S::select(near, lowest, -big);
-        row.highest = S::select(near, highest, big);
+        row.lowest = S::select(near, lowest, never);
+        row.highest = S::select(near, highest, -never);
         row.limit_impulse = S::select(near, state.limit_impulse[j], z);
     }
 }
@@ -369,9 +364,8 @@ pub fn report<S: Real>(
     normal_force.fill(z);
     let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
     let on_ground = work.contacts().len() - work.pair_frames.len();
-    state.limit_impulse.fill(z);
-    for block in &work.bounds {
-        for (row, &j) in block.rows.iter().zip(&topology.bound_blocks()[block.block]) {
+    for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
+        for (row, &j) in block.rows.iter().zip(&shape.joints[..shape.len]) {
             // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
             state.limit_impulse[j] = row.limit_impulse + z;
         }

@@ -2,7 +2,9 @@
 
 use super::articulation::{Axis, JointMotion, Parameters, Topology};
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, mul_vec, rotate_sym, scale, splat};
+use super::math::{
+    Mat3, Spatial, SpatialInertia, Sym3, Vec3, add, add_scaled, cross, cross_add, mul_sym, mul_vec, rotate_sym, scale, splat,
+};
 use super::state::{LinkState, Workspace};
 
 /// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
@@ -95,12 +97,11 @@ pub fn forward_kinematics<S: Real>(
     }
 }
 
-/// Spatial inertia of a link that is not the base.
+/// Centre of mass of a link that is not the base, and inertia about it.
 #[inline(always)]
-fn link_inertia<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>) -> SpatialInertia<S> {
+fn about_com<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>) -> (Vec3<S>, Sym3<S>) {
     let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com[link]));
-    let about_com = rotate_sym(&at.rotation, &parameters.inertia[link]);
-    SpatialInertia::new(parameters.mass[link], &com, &about_com)
+    (com, rotate_sym(&at.rotation, &parameters.inertia[link]))
 }
 
 /// Spatial inertia of every link.
@@ -108,14 +109,25 @@ fn link_inertia<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState
 pub fn link_inertias<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
     work.inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
     for link in 1..topology.num_links() {
-        work.inertia[link] = link_inertia(parameters, link, &work.links[link]);
+        let (com, inertia) = about_com(parameters, link, &work.links[link]);
+        work.inertia[link] = SpatialInertia::new(parameters.mass[link], &com, &inertia);
     }
 }
 
-/// The force that a link's motion and gravity ask for.
+/// The force that a link's motion and gravity ask for, by Newton's and Euler's equations about its centre of mass `com`.
 #[inline(always)]
-fn link_force<S: Real>(inertia: &SpatialInertia<S>, velocity: &Spatial<S>, acceleration: &Spatial<S>) -> Spatial<S> {
-    inertia.apply(acceleration).plus(&velocity.cross_force(&inertia.apply(velocity)))
+fn link_force<S: Real>(
+    mass: S,
+    com: &Vec3<S>,
+    inertia: &Sym3<S>,
+    velocity: &Spatial<S>,
+    acceleration: &Spatial<S>,
+) -> Spatial<S> {
+    let (w, turning) = (&velocity.ang, &acceleration.ang);
+    let of_com = cross_add(w, com, &velocity.lin);
+    let lin = scale(&cross_add(w, &of_com, &cross_add(turning, com, &acceleration.lin)), mass);
+    let torque = cross_add(w, &mul_sym(inertia, w), &mul_sym(inertia, turning));
+    Spatial { ang: cross_add(com, &lin, &torque), lin }
 }
 
 /// Bias forces and the mass matrix, in one pass from the base to the leaves and one back.
@@ -140,19 +152,26 @@ pub fn equations_of_motion<S: Real>(
     let minus_gravity = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
     acceleration[0] = minus_gravity;
     inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
-    force[0] = link_force(&inertia[0], &links[0].velocity, &minus_gravity);
+    let (velocity_of_base, about) = (&links[0].velocity, &parameters.inertia[0]);
+    force[0] = link_force(parameters.mass[0], &parameters.com[0], about, velocity_of_base, &minus_gravity);
     for (j, joint) in topology.joints.iter().enumerate() {
         let (at, axis) = (&links[j + 1], &axes[j]);
         let relative = Spatial { ang: scale(&axis.ang, velocity[j]), lin: scale(&axis.lin, velocity[j]) };
         acceleration[j + 1] = acceleration[joint.parent].plus(&at.velocity.cross_motion(&relative));
-        inertia[j + 1] = link_inertia(parameters, j + 1, at);
-        force[j + 1] = link_force(&inertia[j + 1], &at.velocity, &acceleration[j + 1]);
+        let (mass, (com, about)) = (parameters.mass[j + 1], about_com(parameters, j + 1, at));
+        inertia[j + 1] = SpatialInertia::new(mass, &com, &about);
+        force[j + 1] = link_force(mass, &com, &about, &at.velocity, &acceleration[j + 1]);
     }
-    for (j, joint) in topology.joints.iter().enumerate().rev() {
-        bias_joint[j] = axes[j].dot(&force[j + 1]);
-        force[joint.parent] = force[joint.parent].plus(&force[j + 1]);
-        factor.set_joint(topology, j, &inertia[j + 1], axes, parameters.armature[j]);
-        inertia[joint.parent] = inertia[joint.parent].plus(&inertia[j + 1]);
+    for (b, block) in topology.blocks().iter().enumerate().rev() {
+        for place in (0..block.len).rev() {
+            let j = block.joints[place];
+            let parent = topology.joints[j].parent;
+            bias_joint[j] = axes[j].dot(&force[j + 1]);
+            force[parent] = force[parent].plus(&force[j + 1]);
+            factor.set_joint(topology, b, place, &inertia[j + 1], axes, parameters.armature[j]);
+            inertia[parent] = inertia[parent].plus(&inertia[j + 1]);
+        }
+        factor.set_empty_places(block, b);
     }
     *bias_base = force[0].to_array();
     factor.set_base(&inertia[0]);

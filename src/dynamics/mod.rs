@@ -2,6 +2,7 @@
 
 pub mod algorithms;
 pub mod articulation;
+pub mod blocks;
 pub mod contact;
 pub mod factor;
 pub mod kinematics;

@@ -4,10 +4,12 @@
 //! `J M^-1 J^T = Z^T Z` and a sweep works on the sparse velocity `y = H u` (see [`factor`](super::factor)): a row's velocity is
 //! `Z . y`, and an impulse `l` changes `y` by `Z l`.
 
-use super::articulation::{BOUND_BLOCK, PairTopology, Topology};
+use super::articulation::{PairTopology, Topology};
+use super::blocks::{BLOCK, PathPart};
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Spatial, Vec3, cross, dot, scale, sub};
+use super::sparse_velocity::{JointRows, dot6_onto, first_velocity};
 
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
 /// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
@@ -83,22 +85,20 @@ impl<S: Real> BoundRow<S> {
     }
 }
 
-/// Some joints of a chain, of which at least one is near a limit or has dry friction.
+/// The bounds of a block's joints.
 ///
 /// Which joints share a block is the topology's matter, not that of the moment: the order of operations in a lane must not
 /// depend on its neighbours.
 #[derive(Clone, Debug)]
 pub(super) struct BoundBlock<S> {
-    /// Index in [`Topology::bound_blocks`].
-    pub(super) block: usize,
-    /// The last of its joints.
-    pub(super) last: usize,
     /// Whether any lane is near a limit of any joint.
     pub(super) limits: bool,
-    pub(super) base: [[S; 6]; BOUND_BLOCK],
+    /// Whether that is so or any joint has dry friction in any lane: else the block takes no part.
+    pub(super) active: bool,
+    pub(super) base: [[S; 6]; BLOCK],
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
-    pub(super) rows: [BoundRow<S>; BOUND_BLOCK],
+    pub(super) rows: [BoundRow<S>; BLOCK],
 }
 
 /// Scratch memory of the contact solver.
@@ -107,8 +107,9 @@ pub struct ContactWork<S> {
     /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
     pub(super) contacts: Vec<ContactRows<S>>,
     pub(super) num_contacts: usize,
+    /// `[blocks]`.
     pub(super) bounds: Vec<BoundBlock<S>>,
-    /// Number of joints that rows have room for.
+    /// Number of blocks that rows have room for.
     pub(super) stride: usize,
     /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
     pub(super) violation: S,
@@ -119,17 +120,17 @@ pub struct ContactWork<S> {
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows: `[contact * stride + p]`, `p` along the path.
-    pub(super) contact_joint: Vec<[S; 3]>,
+    pub(super) contact_joint: Vec<JointRows<S>>,
     /// The same of the joint bounds.
-    pub(super) bound_joint: Vec<[S; BOUND_BLOCK]>,
+    pub(super) bound_joint: Vec<JointRows<S>>,
     /// The sparse velocity `y`.
     pub base: [S; 6],
-    /// See `base`.
-    pub joints: Vec<S>,
+    /// See `base`; `[blocks]`.
+    pub joints: Vec<[S; BLOCK]>,
     /// The sparse velocity that moves the bodies: with what pushes penetrations out.
     pub moved_base: [S; 6],
     /// See `moved_base`.
-    pub moved_joints: Vec<S>,
+    pub moved_joints: Vec<[S; BLOCK]>,
 }
 
 impl<S: Real> ContactWork<S> {
@@ -137,24 +138,30 @@ impl<S: Real> ContactWork<S> {
     pub fn new(topology: &Topology) -> Self {
         let z = S::zero();
         // at least one: a robot may have no joints
-        let stride = topology.max_contact_path().max(1);
-        let (contacts, joints) = (topology.num_impulses(), topology.num_joints());
-        let blocks = topology.bound_blocks().len();
+        let stride = topology.max_path().max(1);
+        let (contacts, blocks) = (topology.num_impulses(), topology.blocks().len());
+        let free = BoundBlock {
+            limits: false,
+            active: false,
+            base: [[z; 6]; BLOCK],
+            coupling: [z; 3],
+            rows: [BoundRow::free(); BLOCK],
+        };
         Self {
             contacts: Vec::new(),
             num_contacts: 0,
-            bounds: Vec::with_capacity(blocks),
+            bounds: vec![free; blocks],
             stride,
             violation: z,
             compliance: z,
             ground_frames: Vec::with_capacity(topology.contacts.len()),
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
-            contact_joint: vec![[z; 3]; contacts * stride],
-            bound_joint: vec![[z; BOUND_BLOCK]; blocks * stride],
+            contact_joint: vec![[[z; 3]; BLOCK]; contacts * stride],
+            bound_joint: vec![[[z; 3]; BLOCK]; blocks * stride],
             base: [z; 6],
-            joints: vec![z; joints],
+            joints: vec![[z; BLOCK]; blocks],
             moved_base: [z; 6],
-            moved_joints: vec![z; joints],
+            moved_joints: vec![[z; BLOCK]; blocks],
         }
     }
 
@@ -176,13 +183,13 @@ impl<S: Real> ContactWork<S> {
 
     /// The rows about to be added, and their joint parts.
     #[inline(always)]
-    pub(super) fn next(&self) -> (&ContactRows<S>, &[[S; 3]]) {
+    pub(super) fn next(&self) -> (&ContactRows<S>, &[JointRows<S>]) {
         (&self.contacts[self.num_contacts], &self.contact_joint[self.num_contacts * self.stride..])
     }
 
     /// Room for another contact: its rows and their joint parts.
     #[inline(always)]
-    fn next_mut(&mut self) -> (&mut ContactRows<S>, &mut [[S; 3]]) {
+    fn next_mut(&mut self) -> (&mut ContactRows<S>, &mut [JointRows<S>]) {
         if self.num_contacts == self.contacts.len() {
             self.contacts.push(ContactRows::zero());
         }
@@ -210,19 +217,26 @@ impl<S: Real> ContactWork<S> {
         for d in 0..3 {
             let direction = &frame[d];
             let moment = cross(&point, direction);
-            row.base[d] = if topology.floating {
-                [moment[0], moment[1], moment[2], direction[0], direction[1], direction[2]]
-            } else {
-                [S::zero(); 6]
-            };
-            for (x, &j) in joint.iter_mut().zip(path) {
-                x[d] = dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction);
+            row.base[d] = [moment[0], moment[1], moment[2], direction[0], direction[1], direction[2]];
+        }
+        let blocks = topology.blocks();
+        for (part, x) in path.iter().zip(joint.iter_mut()) {
+            let joints = &blocks[part.joints.block].joints;
+            for s in 0..BLOCK {
+                if s < part.joints.count {
+                    let axis = axes[joints[s]].to_array();
+                    for d in 0..3 {
+                        x[s][d] = dot6_onto(&axis, &row.base[d], S::zero());
+                    }
+                } else {
+                    x[s] = [S::zero(); 3];
+                }
             }
         }
-        match path.len() {
-            3 => half_solve_path::<S, 3, 3>(topology, factor, path, joint, &mut row.base),
-            _ => half_solve_path::<S, 3, 0>(topology, factor, path, joint, &mut row.base),
+        if !topology.floating {
+            row.base = [[S::zero(); 6]; 3];
         }
+        half_solve_path(topology, factor, path, joint, &mut row.base);
         self.finish(topology, SOFTNESS);
     }
 
@@ -238,35 +252,28 @@ impl<S: Real> ContactWork<S> {
         frame: &[Vec3<S>; 3],
         point: &Vec3<S>,
     ) {
-        let PairTopology { side, ancestors, .. } = pair;
         let path = topology.path(pair.path);
+        let blocks = topology.blocks();
         let (row, joint) = self.next_mut();
         let joint = &mut joint[..path.len()];
         (row.contact, row.path) = (impulse, pair.path);
         for d in 0..3 {
             let direction = &frame[d];
             let moment = cross(point, direction);
-            for (p, &j) in path.iter().enumerate() {
-                // what carries both links feels nothing
-                joint[p][d] = (dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction)) * S::splat(side[p]);
+            for ((part, side), x) in path.iter().zip(&pair.side).zip(joint.iter_mut()) {
+                for s in 0..BLOCK {
+                    // what carries both links feels nothing
+                    x[s][d] = if s < part.joints.count {
+                        let axis = &axes[blocks[part.joints.block].joints[s]];
+                        (dot(&axis.ang, &moment) + dot(&axis.lin, direction)) * S::splat(side[s])
+                    } else {
+                        S::zero()
+                    };
+                }
             }
         }
         row.base = [[S::zero(); 6]; 3];
-        for p in 0..path.len() {
-            let (x, first) = (joint[p], topology.row(path[p]));
-            for (i, &q) in ancestors[p].iter().enumerate() {
-                let l = factor.couplings[first + i];
-                for d in 0..3 {
-                    joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
-                }
-            }
-            for d in 0..3 {
-                for r in 0..6 {
-                    row.base[d][r] = factor.base_couplings[path[p]][r].neg_mul_add(x[d], row.base[d][r]);
-                }
-            }
-        }
-        scale_rows(topology, factor, path, joint, &mut row.base);
+        half_solve_path(topology, factor, path, joint, &mut row.base);
         self.pair_frames.push(*frame);
         self.finish(topology, PAIR_SOFTNESS);
     }
@@ -339,55 +346,123 @@ impl<S: Real> ContactRows<S> {
 
     /// The velocity along the normal; `joint` are the rows' joint parts.
     #[inline(always)]
-    pub(super) fn normal_velocity(&self, path: &[usize], joint: &[[S; 3]], base: &[S; 6], joints: &[S]) -> S {
-        let mut sum = dot6(&self.base[0], base);
-        for (z, &j) in joint.iter().zip(path) {
-            sum = z[0].mul_add(joints[j], sum);
-        }
-        sum
+    pub(super) fn normal_velocity(
+        &self,
+        path: &[PathPart],
+        joint: &[JointRows<S>],
+        base: &[S; 6],
+        joints: &[[S; BLOCK]],
+    ) -> S {
+        first_velocity(path, &self.base[0], joint, base, joints)
     }
 }
 
-/// `H^-T J^T` along a path, in place: `joint[p]` belongs to `path[p]`. `P` is the length of the path if it is known beforehand,
-/// else 0.
+/// `H^-T J^T` along a path, in place: `joint[p]` belongs to `path[p]`.
 #[inline(always)]
-pub(super) fn half_solve_path<S: Real, const N: usize, const P: usize>(
+fn half_solve_path<S: Real>(
     topology: &Topology,
     factor: &Factor<S>,
-    path: &[usize],
-    joint: &mut [[S; N]],
-    base: &mut [[S; 6]; N],
+    path: &[PathPart],
+    joint: &mut [JointRows<S>],
+    base: &mut [[S; 6]; 3],
 ) {
-    let length = if P > 0 { P } else { path.len() };
-    let (path, joint) = (&path[..length], &mut joint[..length]);
-    for p in 0..length {
-        let k = path[p];
-        let x = joint[p];
-        let row = topology.row(k);
-        for q in p + 1..length {
-            let l = factor.couplings[row + q - p - 1];
-            for d in 0..N {
-                joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
-            }
+    eliminate(topology, factor, path, 0, joint, base);
+    solve_base(topology, factor, base);
+}
+
+/// The same of three unit vectors, one for each joint of the block where the path begins.
+#[inline(always)]
+pub(super) fn half_solve_units<S: Real>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    path: &[PathPart],
+    joint: &mut [JointRows<S>],
+    base: &mut [[S; 6]; 3],
+) {
+    let (z, one) = (S::zero(), S::one());
+    let block = path[0].joints.block;
+    let own = &factor.blocks[block];
+    let root = &factor.root.as_chunks::<BLOCK>().0[block];
+    let [l10, l20, l21] = own.inner;
+    let (x01, x12) = (-l10, -l21);
+    let x02 = l10.neg_mul_add(x12, -l20);
+    let [b0, b1, b2] = &own.base;
+    for r in 0..6 {
+        base[0][r] = -b0[r];
+        base[1][r] = x01.neg_mul_add(b0[r], -b1[r]);
+        base[2][r] = x02.neg_mul_add(b0[r], x12.neg_mul_add(b1[r], -b2[r]));
+    }
+    if path.len() > 1 {
+        joint.fill([[z; 3]; BLOCK]);
+        pass_on(topology, factor, &path[0], &[[one, x01, x02], [z, one, x12], [z, z, one]], joint);
+        eliminate(topology, factor, path, 1, joint, base);
+    }
+    let [r0, r1, r2] = [root[0][1], root[1][1], root[2][1]];
+    joint[0] = [[r0, x01 * r0, x02 * r0], [z, r1, x12 * r1], [z, z, r2]];
+    solve_base(topology, factor, base);
+}
+
+/// Eliminates the joints of a path from a part on, and scales them by `D^-1/2`.
+#[inline(always)]
+fn eliminate<S: Real>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    path: &[PathPart],
+    first: usize,
+    joint: &mut [JointRows<S>],
+    base: &mut [[S; 6]; 3],
+) {
+    let roots = factor.root.as_chunks::<BLOCK>().0;
+    for p in first..path.len() {
+        let block = path[p].joints.block;
+        let (own, root) = (&factor.blocks[block], &roots[block]);
+        let [l10, l20, l21] = own.inner;
+        let mut x = joint[p];
+        for d in 0..3 {
+            x[1][d] = l21.neg_mul_add(x[2][d], x[1][d]);
+            x[0][d] = l10.neg_mul_add(x[1][d], l20.neg_mul_add(x[2][d], x[0][d]));
         }
-        for d in 0..N {
+        pass_on(topology, factor, &path[p], &x, joint);
+        for d in 0..3 {
             for r in 0..6 {
-                base[d][r] = factor.base_couplings[k][r].neg_mul_add(x[d], base[d][r]);
+                let y = own.base[2][r].neg_mul_add(x[2][d], base[d][r]);
+                let y = own.base[1][r].neg_mul_add(x[1][d], y);
+                base[d][r] = own.base[0][r].neg_mul_add(x[0][d], y);
+            }
+        }
+        for s in 0..BLOCK {
+            for d in 0..3 {
+                joint[p][s][d] = x[s][d] * root[s][1];
             }
         }
     }
-    scale_rows(topology, factor, path, joint, base);
 }
 
-/// `D^-1/2 G^-1` of rows that have been eliminated along a path.
+/// What eliminating a part of a path changes in the parts that carry it.
 #[inline(always)]
-fn scale_rows<S: Real, const N: usize>(
+fn pass_on<S: Real>(
     topology: &Topology,
     factor: &Factor<S>,
-    path: &[usize],
-    joint: &mut [[S; N]],
-    base: &mut [[S; 6]; N],
+    part: &PathPart,
+    x: &JointRows<S>,
+    joint: &mut [JointRows<S>],
 ) {
+    let first = topology.blocks()[part.joints.block].first_coupling;
+    for (l, &carrier) in factor.couplings[first..].iter().zip(&part.carriers) {
+        let on = &mut joint[carrier];
+        for s in 0..BLOCK {
+            for t in 0..BLOCK {
+                for d in 0..3 {
+                    on[t][d] = l[s][t].neg_mul_add(x[s][d], on[t][d]);
+                }
+            }
+        }
+    }
+}
+
+/// `D^-1/2 G^-1` of the base's part.
+#[inline(always)]
+fn solve_base<S: Real>(topology: &Topology, factor: &Factor<S>, base: &mut [[S; 6]; 3]) {
     if topology.floating {
         for row in base.iter_mut() {
             factor.base_forward(row);
@@ -396,33 +471,16 @@ fn scale_rows<S: Real, const N: usize>(
             }
         }
     }
-    for (row, &j) in joint.iter_mut().zip(path) {
-        for x in row {
-            *x = *x * factor.root[j][1];
-        }
-    }
-}
-
-#[inline(always)]
-pub(super) fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
-    // two chains, for latency
-    let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
-    let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
-    even + odd
 }
 
 /// Products of three rows: 0-0, 1-1, 2-2, 0-1, 0-2, 1-2.
 #[inline(always)]
-pub(super) fn products<S: Real>(base: &[[S; 6]; 3], joint: &[[S; 3]]) -> [S; 6] {
-    let mut product = [
-        dot6(&base[0], &base[0]),
-        dot6(&base[1], &base[1]),
-        dot6(&base[2], &base[2]),
-        dot6(&base[0], &base[1]),
-        dot6(&base[0], &base[2]),
-        dot6(&base[1], &base[2]),
-    ];
-    for x in joint {
+pub(super) fn products<S: Real>(base: &[[S; 6]; 3], joint: &[JointRows<S>]) -> [S; 6] {
+    let mut product = [S::zero(); 6];
+    for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+        product[i] = dot6_onto(&base[a], &base[b], product[i]);
+    }
+    for x in joint.iter().flatten() {
         for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             product[i] = x[a].mul_add(x[b], product[i]);
         }

@@ -1,10 +1,11 @@
 //! Warm-started Gauss-Seidel sweeps over contacts and joint bounds.
 
 use super::articulation::{Parameters, Topology};
+use super::blocks::{BLOCK, PathPart};
 use super::contact::ContactSettings;
 use super::lanes::Real;
 use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER};
-use super::sparse_velocity::{Along, Copied, PathVelocity, apply, velocities};
+use super::sparse_velocity::{JointRows, apply, apply_first, velocities};
 
 /// Sweeps that push penetrations out.
 const PUSH_SWEEPS: usize = 4;
@@ -69,7 +70,7 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     let z = S::zero();
     // on the way, the change of the velocity by the whole impulses is kept where the moved velocity will be
     work.moved_base = [z; 6];
-    work.moved_joints.fill(z);
+    work.moved_joints.fill([z; BLOCK]);
     let ContactWork {
         contacts,
         num_contacts,
@@ -84,17 +85,16 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     let (mut targets, mut energy) = (z, S::splat(1e-20));
     for (row, joint) in contacts[..*num_contacts].iter().zip(contact_joint.chunks_exact(*stride)) {
         let path = topology.path(row.path);
-        apply(&row.base, joint, &row.impulse, moved_base, &mut Along { path, y_joint: moved_joints });
+        apply(path, &row.base, joint, &row.impulse, moved_base, moved_joints);
         let normal = row.impulse[0];
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
     }
-    for (block, joint) in bounds.iter().zip(bound_joint.chunks_exact(*stride)) {
+    for ((block, shape), joint) in bounds.iter().zip(topology.blocks()).zip(bound_joint.chunks_exact(*stride)) {
         if block.limits {
             let rows = &block.rows;
             let impulse = [rows[0].limit_impulse, rows[1].limit_impulse, rows[2].limit_impulse];
-            let path = topology.path(block.last + 1);
-            apply(&block.base, joint, &impulse, moved_base, &mut Along { path, y_joint: moved_joints });
+            apply(topology.path_of_block(shape), &block.base, joint, &impulse, moved_base, moved_joints);
             for row in rows {
                 let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
                 targets = target.mul_add(row.limit_impulse, targets);
@@ -102,12 +102,13 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
         }
     }
     let mut gain = targets;
-    for (&change, &y) in work.moved_joints.iter().zip(&work.joints).chain(work.moved_base.iter().zip(&work.base)) {
+    let changes = work.moved_joints.as_flattened().iter().chain(&work.moved_base);
+    for (&change, &y) in changes.zip(work.joints.as_flattened().iter().chain(&work.base)) {
         gain = change.neg_mul_add(y, gain);
         energy = change.mul_add(change, energy);
     }
     let share = (gain / energy).clamp(z, S::one());
-    for (y, &change) in work.joints.iter_mut().zip(&work.moved_joints) {
+    for (y, &change) in work.joints.as_flattened_mut().iter_mut().zip(work.moved_joints.as_flattened()) {
         *y = share.mul_add(change, *y);
     }
     for (y, &change) in work.base.iter_mut().zip(&work.moved_base) {
@@ -174,14 +175,7 @@ fn sweep_contacts<S: Real>(
         if !row.awake {
             continue;
         }
-        let path = topology.path(row.path);
-        if path.len() == 3 {
-            let mut y = Copied::<S, 3>::new(path, y_joint);
-            visit_contact(&friction, active, row, joint, y_base, &mut y);
-            y.put_back(path, y_joint);
-        } else {
-            visit_contact(&friction, active, row, joint, y_base, &mut Along { path, y_joint });
-        }
+        visit_contact(&friction, active, topology.path(row.path), row, joint, y_base, y_joint);
     }
 }
 
@@ -190,12 +184,13 @@ fn sweep_contacts<S: Real>(
 fn visit_contact<S: Real>(
     friction: &[S; 2],
     active: S::Mask,
+    path: &[PathPart],
     row: &mut ContactRows<S>,
-    joint: &[[S; 3]],
+    joint: &[JointRows<S>],
     y_base: &mut [S; 6],
-    y_joint: &mut impl PathVelocity<S>,
+    y_joint: &mut [[S; BLOCK]],
 ) {
-    let w = velocities(&row.base, joint, y_base, y_joint);
+    let w = velocities(path, &row.base, joint, y_base, y_joint);
     let old = row.impulse;
     let missing = row.softness.mul_add(old[0], w[0] - row.target);
     let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
@@ -217,7 +212,7 @@ fn visit_contact<S: Real>(
         S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
     ];
     row.impulse = new;
-    apply(&row.base, joint, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
+    apply(path, &row.base, joint, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
 /// One sweep over the contacts' normals, for the motion that pushes penetrations out.
@@ -232,12 +227,7 @@ fn push_contacts<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut Conta
         let push = missing.neg_mul_add(row.inverse[0], row.push_impulse).max(S::zero());
         let change = push - row.push_impulse;
         row.push_impulse = push;
-        for (y, &z) in y_base.iter_mut().zip(&row.base[0]) {
-            *y = z.mul_add(change, *y);
-        }
-        for (z, &j) in joint.iter().zip(path) {
-            y_joint[j] = z[0].mul_add(change, y_joint[j]);
-        }
+        apply_first(path, &row.base[0], joint, change, y_base, y_joint);
     }
 }
 
@@ -245,14 +235,9 @@ fn push_contacts<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut Conta
 #[inline(always)]
 fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) {
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
-    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
-        let path = topology.path(block.last + 1);
-        if path.len() == 3 {
-            let mut y = Copied::<S, 3>::new(path, joints);
-            visit_bounds(active, block, joint, base, &mut y);
-            y.put_back(path, joints);
-        } else {
-            visit_bounds(active, block, joint, base, &mut Along { path, y_joint: joints });
+    for ((block, shape), joint) in bounds.iter_mut().zip(topology.blocks()).zip(bound_joint.chunks_exact(*stride)) {
+        if block.active {
+            visit_bounds(active, topology.path_of_block(shape), block, joint, base, joints);
         }
     }
 }
@@ -261,12 +246,13 @@ fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
 #[inline(always)]
 fn visit_bounds<S: Real>(
     active: S::Mask,
+    path: &[PathPart],
     block: &mut BoundBlock<S>,
-    joint: &[[S; 3]],
+    joint: &[JointRows<S>],
     y_base: &mut [S; 6],
-    y_joint: &mut impl PathVelocity<S>,
+    y_joint: &mut [[S; BLOCK]],
 ) {
-    let mut w = velocities(&block.base, joint, y_base, y_joint);
+    let mut w = velocities(path, &block.base, joint, y_base, y_joint);
     let mut change = [S::zero(); 3];
     for i in 0..3 {
         let row = &mut block.rows[i];
@@ -281,7 +267,7 @@ fn visit_bounds<S: Real>(
         }
         block.pass_on(i, change[i], &mut w);
     }
-    apply(&block.base, joint, &change, y_base, y_joint);
+    apply(path, &block.base, joint, &change, y_base, y_joint);
 }
 
 /// One sweep over the joints' limits alone, in the lanes that are `active`; whether it changed anything. Without a change
@@ -290,17 +276,17 @@ fn visit_bounds<S: Real>(
 fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> bool {
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
     let mut most = S::zero();
-    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+    for ((block, shape), joint) in bounds.iter_mut().zip(topology.blocks()).zip(bound_joint.chunks_exact(*stride)) {
         if block.limits {
-            let mut y = Along { path: topology.path(block.last + 1), y_joint: joints };
-            let mut w = velocities(&block.base, joint, base, &y);
+            let path = topology.path_of_block(shape);
+            let mut w = velocities(path, &block.base, joint, base, joints);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
                 change[i] = block.rows[i].limit(w[i], active);
                 most = most.max(change[i].abs());
                 block.pass_on(i, change[i], &mut w);
             }
-            apply(&block.base, joint, &change, base, &mut y);
+            apply(path, &block.base, joint, &change, base, joints);
         }
     }
     S::any(S::zero().lt(most))
@@ -311,17 +297,17 @@ fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
 fn push_limits<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) -> bool {
     let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
     let mut most = S::zero();
-    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+    for ((block, shape), joint) in bounds.iter_mut().zip(topology.blocks()).zip(bound_joint.chunks_exact(*stride)) {
         if block.limits {
-            let mut y = Along { path: topology.path(block.last + 1), y_joint: joints };
-            let mut w = velocities(&block.base, joint, base, &y);
+            let path = topology.path_of_block(shape);
+            let mut w = velocities(path, &block.base, joint, base, joints);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
                 change[i] = block.rows[i].push(w[i], pushes);
                 most = most.max(change[i].abs());
                 block.pass_on(i, change[i], &mut w);
             }
-            apply(&block.base, joint, &change, base, &mut y);
+            apply(path, &block.base, joint, &change, base, joints);
         }
     }
     S::any(S::zero().lt(most))

@@ -1,6 +1,7 @@
 //! The moving numbers of a pack, and the scratch memory of a step.
 
 use super::articulation::Topology;
+use super::blocks::BLOCK;
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, SpatialInertia, Vec3};
@@ -154,8 +155,8 @@ pub struct Workspace<S> {
     pub factor: Factor<S>,
     /// Base velocity in base axes: angular, linear.
     pub velocity_base: [S; 6],
-    /// Right-hand sides and solutions.
-    pub rhs_joint: Vec<S>,
+    /// Right-hand sides and solutions, `[blocks]`.
+    pub rhs_joint: Vec<[S; BLOCK]>,
     /// Actuator effort before the implicit correction, N m.
     pub effort: Vec<S>,
     /// What the actuator loses per unit of velocity change; zero when saturated.
@@ -187,7 +188,7 @@ impl<S: Real> Workspace<S> {
             bias_joint: vec![z; joints],
             factor: Factor::new(topology),
             velocity_base: [z; 6],
-            rhs_joint: vec![z; joints],
+            rhs_joint: vec![[z; BLOCK]; topology.blocks().len()],
             effort: vec![z; joints],
             effort_slope: vec![z; joints],
             target: vec![z; joints],
