@@ -203,7 +203,7 @@ impl<S: Real> Dynamics<'_, S> {
             let carried = add(&cross(&parent.angular_acceleration, &arm), &cross(&w, &cross(&w, &arm)));
             let carried = Motion { acceleration: add(&parent.acceleration, &carried), ..parent };
             let (qd, qdd) = (self.state.joint_velocity[j], joints[j]);
-            let axis = &self.work.axes[j];
+            let axis = &self.work.links[j + 1].axis;
             motions.push(match joint.motion {
                 JointMotion::Revolute => {
                     let spin = scale(&axis.ang, qd);
@@ -242,7 +242,7 @@ impl<S: Real> Dynamics<'_, S> {
         let mut effort = vec![S::zero(); topology.num_joints()];
         for (j, joint) in topology.joints.iter().enumerate().rev() {
             let (force, moment) = forces[j + 1];
-            let axis = &self.work.axes[j];
+            let axis = &self.work.links[j + 1].axis;
             let along = match joint.motion {
                 JointMotion::Revolute => dot(&axis.ang, &moment),
                 JointMotion::Prismatic => dot(&axis.lin, &force),
@@ -286,7 +286,7 @@ impl<S: Real> Dynamics<'_, S> {
         }
         for part in topology.path(link) {
             for &j in &topology.blocks()[part.joints.block].joints[..part.joints.count] {
-                let axis = &self.work.axes[j];
+                let axis = &self.work.links[j + 1].axis;
                 set(first + j, &add(&axis.lin, &cross(&axis.ang, &at)), &axis.ang);
             }
         }
@@ -328,9 +328,9 @@ impl<S: Real> Dynamics<'_, S> {
         let gravity = self.gravity.map(S::splat);
         let mut double_kinetic = S::zero();
         let mut moment = [S::zero(); 3];
-        for (at, inertia) in self.work.links.iter().zip(&self.work.inertia) {
-            double_kinetic = double_kinetic + at.velocity.dot(&inertia.apply(&at.velocity));
-            moment = add(&moment, &inertia.moment);
+        for at in &self.work.links {
+            double_kinetic = double_kinetic + at.velocity.dot(&at.inertia.apply(&at.velocity));
+            moment = add(&moment, &at.inertia.moment);
         }
         for (&v, &armature) in self.state.joint_velocity.iter().zip(&self.parameters.armature) {
             double_kinetic = (armature * v).mul_add(v, double_kinetic);
@@ -345,8 +345,8 @@ impl<S: Real> Dynamics<'_, S> {
         self.kinematics();
         kinematics::link_inertias(self.topology, self.parameters, self.work);
         let mut total = Spatial::zero();
-        for (at, inertia) in self.work.links.iter().zip(&self.work.inertia) {
-            total = total.plus(&inertia.apply(&at.velocity));
+        for at in &self.work.links {
+            total = total.plus(&at.inertia.apply(&at.velocity));
         }
         let com = self.base_com();
         let about_com = sub(&total.ang, &cross(&com, &total.lin));
@@ -363,7 +363,7 @@ impl<S: Real> Dynamics<'_, S> {
 
     /// Centre of mass in base axes about the base's origin; link inertias must be in the workspace.
     fn base_com(&self) -> Vec3<S> {
-        let moment = self.work.inertia.iter().fold([S::zero(); 3], |sum, inertia| add(&sum, &inertia.moment));
+        let moment = self.work.links.iter().fold([S::zero(); 3], |sum, link| add(&sum, &link.inertia.moment));
         scale(&moment, S::one() / self.parameters.total_mass())
     }
 }

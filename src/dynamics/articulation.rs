@@ -312,12 +312,6 @@ impl Topology {
         &self.blocks.blocks
     }
 
-    /// The joints that carry a block's last joint, and itself.
-    #[inline(always)]
-    pub(super) fn path_of_block(&self, block: &Block) -> &[PathPart] {
-        self.path(block.joints[block.len - 1] + 1)
-    }
-
     /// Number of couplings between blocks.
     pub(super) fn num_couplings(&self) -> usize {
         self.blocks.num_couplings

@@ -105,6 +105,9 @@ impl Blocks {
 /// Numbers of joints by blocks; zero at places without a joint.
 #[inline(always)]
 pub(super) fn gather<S: Real>(blocks: &[Block], joints: &[S], by_block: &mut [[S; BLOCK]]) {
+    for out in by_block.iter_mut().skip(blocks.len()) {
+        *out = [S::zero(); BLOCK];
+    }
     for (block, out) in blocks.iter().zip(by_block) {
         for place in 0..BLOCK {
             out[place] = if place < block.len { joints[block.joints[place]] } else { S::zero() };

@@ -8,7 +8,7 @@ use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale,
     splat,
 };
-use super::rows::{BoundRow, ContactWork, NEVER, half_solve_units, products};
+use super::rows::{BoundRow, ContactWork, NEVER};
 use super::state::{State, Workspace};
 use super::terrain::Terrain;
 
@@ -156,10 +156,10 @@ pub fn build_contacts<S: Real>(
     state: &State<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { base_rotation, links, axes, inertia, factor, contact: rows, .. } = work;
+    let Workspace { base_rotation, links, factor, contact: rows, .. } = work;
     let margin = S::splat(CONTACT_MARGIN);
     // composite by now: the whole robot's
-    rows.clear(inertia[0].mass);
+    rows.clear(links[0].inertia.mass);
     let Some(plane) = &settings.ground else {
         return;
     };
@@ -203,7 +203,7 @@ pub fn build_contacts<S: Real>(
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
-            rows.build_ground(topology, factor, axes, &axes_here, c, &centre, radius);
+            rows.build_ground(topology, factor, links, &axes_here, c, &centre, radius);
             if terrain.is_some() {
                 rows.ground_frames.push(axes_here);
             }
@@ -211,8 +211,8 @@ pub fn build_contacts<S: Real>(
             let zero = S::zero();
             let mut bounce = S::splat(NEVER);
             if S::any(zero.lt(parameters.restitution)) {
-                let (row, joint) = rows.next();
-                let approach = row.normal_velocity(topology.path(link), joint, &rows.base, &rows.joints);
+                let (row, further) = rows.next();
+                let approach = row.first_velocity(topology, further, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
                 bounce = S::select(bounces, -(approach * parameters.restitution), bounce);
             }
@@ -276,13 +276,13 @@ pub fn build_bounds<S: Real>(
     work: &mut Workspace<S>,
 ) {
     let Workspace { factor, contact: work, .. } = work;
-    let ContactWork { bounds, bound_joint, stride, violation, .. } = work;
+    let ContactWork { bounds, bound_further, stride, violation, .. } = work;
     let inverse_dt = S::one() / dt;
-    let blocks = bounds.iter_mut().zip(topology.blocks()).zip(bound_joint.chunks_exact_mut(*stride));
-    for (b, ((block, shape), joint)) in blocks.enumerate() {
+    let blocks = bounds.iter_mut().zip(topology.blocks()).zip(bound_further.chunks_exact_mut(*stride));
+    for (b, ((block, shape), further)) in blocks.enumerate() {
         (block.limits, block.active) = (false, false);
         for place in 0..shape.len {
-            let (j, row) = (shape.joints[place], &mut block.rows[place]);
+            let (j, row) = (shape.joints[place], &mut block.joints[place]);
             bound(parameters, settings, inverse_dt, dt, state, j, free[b][place], row, violation);
             block.limits |= row.limits;
             block.active |= row.limits | row.rubs;
@@ -291,15 +291,14 @@ pub fn build_bounds<S: Real>(
             continue;
         }
         for place in shape.len..BLOCK {
-            block.rows[place] = BoundRow::free();
+            block.joints[place] = BoundRow::free();
         }
-        let path = topology.path_of_block(shape);
-        let joint = &mut joint[..path.len()];
-        half_solve_units(topology, factor, path, joint, &mut block.base);
-        let product = products(&block.base, joint);
+        block.rows.set_path(topology, shape.joints[shape.len - 1] + 1);
+        block.rows.half_solve_units(topology, factor, further);
+        let product = block.rows.products(topology, further);
         for place in 0..BLOCK {
-            block.rows[place].diagonal = product[place];
-            block.rows[place].inverse = S::one() / product[place];
+            block.joints[place].diagonal = product[place];
+            block.joints[place].inverse = S::one() / product[place];
         }
         block.coupling = [product[3], product[4], product[5]];
     }
@@ -346,8 +345,8 @@ fn bound<S: Real>(
 /// The deepest chain of joints that bounds can be solved on.
 pub const MAX_DEPTH: usize = 64;
 
-/// Stores the impulses for the next warm start and sums contact forces per body: `force` in world axes, N, and the norm
-/// of the normal part.
+/// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, and, where it is
+/// asked for, `force` in world axes, N.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
@@ -356,16 +355,13 @@ pub fn report<S: Real>(
     base_rotation: &Mat3<S>,
     work: &ContactWork<S>,
     state: &mut State<S>,
-    force: &mut [Vec3<S>],
     normal_force: &mut [S],
+    force: Option<&mut [Vec3<S>]>,
 ) {
     let z = S::zero();
-    force.fill([z; 3]);
     normal_force.fill(z);
-    let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
-    let on_ground = work.contacts().len() - work.pair_frames.len();
     for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
-        for (row, &j) in block.rows.iter().zip(&shape.joints[..shape.len]) {
+        for (row, &j) in block.joints.iter().zip(&shape.joints[..shape.len]) {
             // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
             state.limit_impulse[j] = row.limit_impulse + z;
         }
@@ -374,26 +370,49 @@ pub fn report<S: Real>(
         state.impulse[contact as usize] = [z; 3];
     }
     state.pressing.clear();
-    for (c, row) in work.contacts().iter().enumerate() {
+    for row in work.contacts() {
         let impulse = normalised(&row.impulse);
         state.impulse[row.contact] = impulse;
         state.pressing.push(row.contact as u32);
-        let f = scale(&impulse, inverse_dt);
+        let bodies = match topology.pair_of(row.contact) {
+            Some(pair) => &pair.bodies[..],
+            None => std::slice::from_ref(&topology.contacts[row.contact].body),
+        };
+        for &body in bodies {
+            normal_force[body] = impulse[0].mul_add(inverse_dt, normal_force[body]);
+        }
+    }
+    if let Some(force) = force {
+        sum_forces(topology, settings, inverse_dt, base_rotation, work, force);
+    }
+}
+
+/// Net contact force of each body in world axes, N.
+#[inline(always)]
+fn sum_forces<S: Real>(
+    topology: &Topology,
+    settings: &ContactSettings,
+    inverse_dt: S,
+    base_rotation: &Mat3<S>,
+    work: &ContactWork<S>,
+    force: &mut [Vec3<S>],
+) {
+    force.fill([S::zero(); 3]);
+    let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
+    let on_ground = work.contacts().len() - work.pair_frames.len();
+    for (c, row) in work.contacts().iter().enumerate() {
+        let f = scale(&normalised(&row.impulse), inverse_dt);
         if let Some(pair) = topology.pair_of(row.contact) {
             let frame = in_world(base_rotation, &work.pair_frames[c - on_ground]);
             let [first, second] = pair.bodies;
             add_force(&mut force[first], &frame, &f);
             add_force(&mut force[second], &frame, &scale(&f, -S::one()));
-            for body in [first, second] {
-                normal_force[body] = normal_force[body] + f[0];
-            }
         } else {
             let body = topology.contacts[row.contact].body;
             match work.ground_frames.get(c) {
                 Some(frame) => add_force(&mut force[body], &in_world(base_rotation, frame), &f),
                 None => add_force(&mut force[body], &ground, &f),
             }
-            normal_force[body] = normal_force[body] + f[0];
         }
     }
 }

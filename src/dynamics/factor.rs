@@ -10,7 +10,8 @@
 use super::articulation::Topology;
 use super::blocks::{BLOCK, Block};
 use super::lanes::Real;
-use super::math::{Spatial, SpatialInertia};
+use super::math::SpatialInertia;
+use super::state::LinkState;
 
 /// `M = L^T D L = H^T H`, with `L` unit lower triangular and zero off the ancestors.
 #[derive(Clone, Debug)]
@@ -54,29 +55,28 @@ impl<S: Real> Factor<S> {
         }
     }
 
-    /// The mass matrix's row of the joint at a place of a block, from the composite inertia of what it moves.
+    /// The mass matrix's row of the joint at a place of a block, from the composite inertia of the link it moves.
     #[inline(always)]
     pub fn set_joint(
         &mut self,
         topology: &Topology,
         block: usize,
         place: usize,
-        inertia: &SpatialInertia<S>,
-        axes: &[Spatial<S>],
+        links: &[LinkState<S>],
         armature: S,
     ) {
         let (shape, own) = (&topology.blocks()[block], &mut self.blocks[block]);
-        let axis = &axes[shape.joints[place]];
+        let LinkState { axis, inertia, .. } = &links[shape.joints[place] + 1];
         let force = inertia.apply(axis);
         own.diagonal[place] = axis.dot(&force) + armature;
         for t in 0..place {
             // 1-0, 2-0, 2-1
-            own.inner[place + t - 1] = axes[shape.joints[t]].dot(&force);
+            own.inner[place + t - 1] = links[shape.joints[t] + 1].axis.dot(&force);
         }
         for (c, carrier) in shape.carriers.iter().enumerate() {
             let joints = &topology.blocks()[carrier.block].joints;
             for t in 0..BLOCK {
-                let x = if t < carrier.count { axes[joints[t]].dot(&force) } else { S::zero() };
+                let x = if t < carrier.count { links[joints[t] + 1].axis.dot(&force) } else { S::zero() };
                 self.couplings[shape.first_coupling + c][place][t] = x;
             }
         }

@@ -73,27 +73,35 @@ pub fn forward_kinematics<S: Real>(
     work: &mut Workspace<S>,
 ) {
     let (z, one) = (S::zero(), S::one());
-    work.links[0] =
-        LinkState { rotation: [[one, z, z], [z, one, z], [z, z, one]], position: [z; 3], velocity: *base_velocity };
+    let links = &mut work.links[..];
+    let base = &mut links[0];
+    base.rotation = [[one, z, z], [z, one, z], [z, z, one]];
+    base.position = [z; 3];
+    base.velocity = *base_velocity;
     for (j, joint) in topology.joints.iter().enumerate() {
-        let parent = &work.links[joint.parent];
+        // parents come before
+        let (before, rest) = links.split_at_mut(j + 1);
+        let (parent, link) = (&before[joint.parent], &mut rest[0]);
         let offset = &parameters.joint_offset[j];
-        let mut origin =
-            if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
-        let (rotation, axis) = match joint.motion {
+        link.position = if joint.parent == 0 {
+            *offset
+        } else {
+            add(&parent.position, &mul_vec(&parent.rotation, offset))
+        };
+        match joint.motion {
             JointMotion::Revolute => {
                 let (rotation, axis) = turned(&parent.rotation, joint.axis, position[j]);
-                (rotation, Spatial { ang: axis, lin: cross(&origin, &axis) })
+                link.rotation = rotation;
+                link.axis = Spatial { ang: axis, lin: cross(&link.position, &axis) };
             }
             JointMotion::Prismatic => {
                 let axis = direction(&parent.rotation, joint.axis);
-                origin = add_scaled(&origin, &axis, position[j]);
-                (parent.rotation, Spatial { ang: [z; 3], lin: axis })
+                link.position = add_scaled(&link.position, &axis, position[j]);
+                link.rotation = parent.rotation;
+                link.axis = Spatial { ang: [z; 3], lin: axis };
             }
-        };
-        let velocity = parent.velocity.plus_scaled(&axis, velocity[j]);
-        work.axes[j] = axis;
-        work.links[j + 1] = LinkState { rotation, position: origin, velocity };
+        }
+        link.velocity = parent.velocity.plus_scaled(&link.axis, velocity[j]);
     }
 }
 
@@ -107,10 +115,10 @@ fn about_com<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>
 /// Spatial inertia of every link.
 #[inline(always)]
 pub fn link_inertias<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
-    work.inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    work.links[0].inertia = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
     for link in 1..topology.num_links() {
         let (com, inertia) = about_com(parameters, link, &work.links[link]);
-        work.inertia[link] = SpatialInertia::new(parameters.mass[link], &com, &inertia);
+        work.links[link].inertia = SpatialInertia::new(parameters.mass[link], &com, &inertia);
     }
 }
 
@@ -148,33 +156,35 @@ pub fn equations_of_motion<S: Real>(
     gravity: &Vec3<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { links, axes, acceleration, inertia, force, bias_base, bias_joint, factor, .. } = work;
-    let minus_gravity = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
-    acceleration[0] = minus_gravity;
-    inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
-    let (velocity_of_base, about) = (&links[0].velocity, &parameters.inertia[0]);
-    force[0] = link_force(parameters.mass[0], &parameters.com[0], about, velocity_of_base, &minus_gravity);
+    let Workspace { links, bias_base, bias_joint, factor, .. } = work;
+    let base = &mut links[0];
+    base.acceleration = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
+    let (mass, com, about) = (parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    base.inertia = SpatialInertia::new(mass, com, about);
+    base.force = link_force(mass, com, about, &base.velocity, &base.acceleration);
     for (j, joint) in topology.joints.iter().enumerate() {
-        let (at, axis) = (&links[j + 1], &axes[j]);
-        let relative = Spatial { ang: scale(&axis.ang, velocity[j]), lin: scale(&axis.lin, velocity[j]) };
-        acceleration[j + 1] = acceleration[joint.parent].plus(&at.velocity.cross_motion(&relative));
-        let (mass, (com, about)) = (parameters.mass[j + 1], about_com(parameters, j + 1, at));
-        inertia[j + 1] = SpatialInertia::new(mass, &com, &about);
-        force[j + 1] = link_force(mass, &com, &about, &at.velocity, &acceleration[j + 1]);
+        let (before, rest) = links.split_at_mut(j + 1);
+        let (parent, link) = (&before[joint.parent], &mut rest[0]);
+        let relative = Spatial { ang: scale(&link.axis.ang, velocity[j]), lin: scale(&link.axis.lin, velocity[j]) };
+        link.acceleration = parent.acceleration.plus(&link.velocity.cross_motion(&relative));
+        let (mass, (com, about)) = (parameters.mass[j + 1], about_com(parameters, j + 1, link));
+        link.inertia = SpatialInertia::new(mass, &com, &about);
+        link.force = link_force(mass, &com, &about, &link.velocity, &link.acceleration);
     }
     for (b, block) in topology.blocks().iter().enumerate().rev() {
         for place in (0..block.len).rev() {
             let j = block.joints[place];
-            let parent = topology.joints[j].parent;
-            bias_joint[j] = axes[j].dot(&force[j + 1]);
-            force[parent] = force[parent].plus(&force[j + 1]);
-            factor.set_joint(topology, b, place, &inertia[j + 1], axes, parameters.armature[j]);
-            inertia[parent] = inertia[parent].plus(&inertia[j + 1]);
+            factor.set_joint(topology, b, place, links, parameters.armature[j]);
+            let (before, rest) = links.split_at_mut(j + 1);
+            let (parent, link) = (&mut before[topology.joints[j].parent], &rest[0]);
+            bias_joint[j] = link.axis.dot(&link.force);
+            parent.force = parent.force.plus(&link.force);
+            parent.inertia = parent.inertia.plus(&link.inertia);
         }
         factor.set_empty_places(block, b);
     }
-    *bias_base = force[0].to_array();
-    factor.set_base(&inertia[0]);
+    *bias_base = links[0].force.to_array();
+    factor.set_base(&links[0].inertia);
 }
 
 /// Position and velocity, in base axes, of a point fixed to a link.

@@ -12,7 +12,7 @@ pub mod proximity;
 pub mod rows;
 pub mod self_contact;
 pub mod solver;
-mod sparse_velocity;
+mod sparse_rows;
 pub mod state;
 pub mod step;
 pub mod terrain;

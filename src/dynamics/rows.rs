@@ -8,8 +8,9 @@ use super::articulation::{PairTopology, Topology};
 use super::blocks::{BLOCK, PathPart};
 use super::factor::Factor;
 use super::lanes::Real;
-use super::math::{Spatial, Vec3, cross, dot, scale, sub};
-use super::sparse_velocity::{JointRows, dot6_onto, first_velocity};
+use super::math::{Vec3, cross, dot, scale, sub};
+use super::state::LinkState;
+use super::sparse_rows::{JointRows, SparseRows};
 
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
 /// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
@@ -25,9 +26,7 @@ pub(super) const NEVER: f64 = -1e6;
 pub(super) struct ContactRows<S> {
     /// Which impulse it has.
     pub(super) contact: usize,
-    /// The path of the joints it acts on, in the topology.
-    pub(super) path: usize,
-    pub(super) base: [[S; 6]; 3],
+    pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     pub(super) coupling: [S; 3],
     pub(super) inverse: [S; 3],
@@ -95,10 +94,10 @@ pub(super) struct BoundBlock<S> {
     pub(super) limits: bool,
     /// Whether that is so or any joint has dry friction in any lane: else the block takes no part.
     pub(super) active: bool,
-    pub(super) base: [[S; 6]; BLOCK],
+    pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
-    pub(super) rows: [BoundRow<S>; BLOCK],
+    pub(super) joints: [BoundRow<S>; BLOCK],
 }
 
 /// Scratch memory of the contact solver.
@@ -109,7 +108,7 @@ pub struct ContactWork<S> {
     pub(super) num_contacts: usize,
     /// `[blocks]`.
     pub(super) bounds: Vec<BoundBlock<S>>,
-    /// Number of blocks that rows have room for.
+    /// Number of blocks after the first that rows have room for.
     pub(super) stride: usize,
     /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
     pub(super) violation: S,
@@ -119,10 +118,10 @@ pub struct ContactWork<S> {
     pub(super) ground_frames: Vec<[Vec3<S>; 3]>,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
-    /// Joint parts of the contact rows: `[contact * stride + p]`, `p` along the path.
-    pub(super) contact_joint: Vec<JointRows<S>>,
+    /// Joint parts of the contact rows in the blocks after the first: `[contact * stride + p]`, `p` along the path.
+    pub(super) contact_further: Vec<JointRows<S>>,
     /// The same of the joint bounds.
-    pub(super) bound_joint: Vec<JointRows<S>>,
+    pub(super) bound_further: Vec<JointRows<S>>,
     /// The sparse velocity `y`.
     pub base: [S; 6],
     /// See `base`; `[blocks]`.
@@ -137,16 +136,18 @@ impl<S: Real> ContactWork<S> {
     /// Memory for a topology.
     pub fn new(topology: &Topology) -> Self {
         let z = S::zero();
-        // at least one: a robot may have no joints
-        let stride = topology.max_path().max(1);
+        // at least one: it is the size of chunks
+        let stride = topology.max_path().saturating_sub(1).max(1);
         let (contacts, blocks) = (topology.num_impulses(), topology.blocks().len());
         let free = BoundBlock {
             limits: false,
             active: false,
-            base: [[z; 6]; BLOCK],
+            rows: SparseRows::zero(),
             coupling: [z; 3],
-            rows: [BoundRow::free(); BLOCK],
+            joints: [BoundRow::free(); BLOCK],
         };
+        // a robot may have no joints, but every row reads the velocity of a block
+        let velocities = vec![[z; BLOCK]; blocks.max(1)];
         Self {
             contacts: Vec::new(),
             num_contacts: 0,
@@ -156,12 +157,12 @@ impl<S: Real> ContactWork<S> {
             compliance: z,
             ground_frames: Vec::with_capacity(topology.contacts.len()),
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
-            contact_joint: vec![[[z; 3]; BLOCK]; contacts * stride],
-            bound_joint: vec![[[z; 3]; BLOCK]; blocks * stride],
+            contact_further: vec![[[z; 3]; BLOCK]; contacts * stride],
+            bound_further: vec![[[z; 3]; BLOCK]; blocks * stride],
             base: [z; 6],
-            joints: vec![[z; BLOCK]; blocks],
+            joints: velocities.clone(),
             moved_base: [z; 6],
-            moved_joints: vec![[z; BLOCK]; blocks],
+            moved_joints: velocities,
         }
     }
 
@@ -181,19 +182,19 @@ impl<S: Real> ContactWork<S> {
         &self.contacts[..self.num_contacts]
     }
 
-    /// The rows about to be added, and their joint parts.
+    /// The rows about to be added, and their further joint parts.
     #[inline(always)]
-    pub(super) fn next(&self) -> (&ContactRows<S>, &[JointRows<S>]) {
-        (&self.contacts[self.num_contacts], &self.contact_joint[self.num_contacts * self.stride..])
+    pub(super) fn next(&self) -> (&SparseRows<S>, &[JointRows<S>]) {
+        (&self.contacts[self.num_contacts].rows, &self.contact_further[self.num_contacts * self.stride..])
     }
 
-    /// Room for another contact: its rows and their joint parts.
+    /// Room for another contact: its rows and their further joint parts.
     #[inline(always)]
     fn next_mut(&mut self) -> (&mut ContactRows<S>, &mut [JointRows<S>]) {
         if self.num_contacts == self.contacts.len() {
             self.contacts.push(ContactRows::zero());
         }
-        (&mut self.contacts[self.num_contacts], &mut self.contact_joint[self.num_contacts * self.stride..])
+        (&mut self.contacts[self.num_contacts], &mut self.contact_further[self.num_contacts * self.stride..])
     }
 
     /// Builds the rows of a point of a link that touches the ground, `centre` less `radius` along the normal.
@@ -202,41 +203,36 @@ impl<S: Real> ContactWork<S> {
         &mut self,
         topology: &Topology,
         factor: &Factor<S>,
-        axes: &[Spatial<S>],
+        links: &[LinkState<S>],
         frame: &[Vec3<S>; 3],
         contact: usize,
         centre: &Vec3<S>,
         radius: S,
     ) {
         let link = topology.contacts[contact].link;
-        let path = topology.path(link);
-        let (row, joint) = self.next_mut();
-        let joint = &mut joint[..path.len()];
         let point = sub(centre, &scale(&frame[0], radius));
-        (row.contact, row.path) = (contact, link);
+        let (ContactRows { contact: which, rows, .. }, further) = self.next_mut();
+        *which = contact;
+        rows.set_path(topology, link);
         for d in 0..3 {
-            let direction = &frame[d];
-            let moment = cross(&point, direction);
-            row.base[d] = [moment[0], moment[1], moment[2], direction[0], direction[1], direction[2]];
+            let [mx, my, mz] = cross(&point, &frame[d]);
+            let [x, y, z] = frame[d];
+            rows.base[d] = [mx, my, mz, x, y, z];
         }
-        let blocks = topology.blocks();
-        for (part, x) in path.iter().zip(joint.iter_mut()) {
-            let joints = &blocks[part.joints.block].joints;
-            for s in 0..BLOCK {
-                if s < part.joints.count {
-                    let axis = axes[joints[s]].to_array();
-                    for d in 0..3 {
-                        x[s][d] = dot6_onto(&axis, &row.base[d], S::zero());
-                    }
-                } else {
-                    x[s] = [S::zero(); 3];
+        let path = topology.path(link);
+        match path.split_first() {
+            Some((part, rest)) => {
+                rows.own = joint_rows(topology, links, part, &rows.base);
+                for (part, out) in rest.iter().zip(further.iter_mut()) {
+                    *out = joint_rows(topology, links, part, &rows.base);
                 }
             }
+            None => rows.own = [[S::zero(); 3]; BLOCK],
         }
         if !topology.floating {
-            row.base = [[S::zero(); 6]; 3];
+            rows.base = [[S::zero(); 6]; 3];
         }
-        half_solve_path(topology, factor, path, joint, &mut row.base);
+        rows.half_solve(topology, factor, further);
         self.finish(topology, SOFTNESS);
     }
 
@@ -246,34 +242,32 @@ impl<S: Real> ContactWork<S> {
         &mut self,
         topology: &Topology,
         factor: &Factor<S>,
-        axes: &[Spatial<S>],
+        links: &[LinkState<S>],
         pair: &PairTopology,
         impulse: usize,
         frame: &[Vec3<S>; 3],
         point: &Vec3<S>,
     ) {
-        let path = topology.path(pair.path);
-        let blocks = topology.blocks();
-        let (row, joint) = self.next_mut();
-        let joint = &mut joint[..path.len()];
-        (row.contact, row.path) = (impulse, pair.path);
+        let (ContactRows { contact: which, rows, .. }, further) = self.next_mut();
+        *which = impulse;
+        rows.set_path(topology, pair.path);
         for d in 0..3 {
-            let direction = &frame[d];
-            let moment = cross(point, direction);
-            for ((part, side), x) in path.iter().zip(&pair.side).zip(joint.iter_mut()) {
-                for s in 0..BLOCK {
+            let [mx, my, mz] = cross(point, &frame[d]);
+            let [x, y, z] = frame[d];
+            rows.base[d] = [mx, my, mz, x, y, z];
+        }
+        let parts = topology.path(pair.path).iter().zip(&pair.side);
+        for ((part, side), out) in parts.zip(std::iter::once(&mut rows.own).chain(further.iter_mut())) {
+            *out = joint_rows(topology, links, part, &rows.base);
+            for (row, &side) in out.iter_mut().zip(side) {
+                for x in row {
                     // what carries both links feels nothing
-                    x[s][d] = if s < part.joints.count {
-                        let axis = &axes[blocks[part.joints.block].joints[s]];
-                        (dot(&axis.ang, &moment) + dot(&axis.lin, direction)) * S::splat(side[s])
-                    } else {
-                        S::zero()
-                    };
+                    *x = *x * S::splat(side);
                 }
             }
         }
-        row.base = [[S::zero(); 6]; 3];
-        half_solve_path(topology, factor, path, joint, &mut row.base);
+        rows.base = [[S::zero(); 6]; 3];
+        rows.half_solve(topology, factor, further);
         self.pair_frames.push(*frame);
         self.finish(topology, PAIR_SOFTNESS);
     }
@@ -286,9 +280,8 @@ impl<S: Real> ContactWork<S> {
         // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
         // give way at all: keep the division finite
         let least = self.compliance * S::splat(0.5);
-        let (row, joint) = self.next_mut();
-        let joint = &joint[..topology.path(row.path).len()];
-        let product = products(&row.base, joint);
+        let (row, further) = self.next_mut();
+        let product = row.rows.products(topology, further);
         let half = S::splat(0.5);
         let difference = (product[1] - product[2]) * half;
         let radius = difference.mul_add(difference, product[5] * product[5]).sqrt();
@@ -324,13 +317,11 @@ impl<S: Real> ContactWork<S> {
 }
 
 impl<S: Real> ContactRows<S> {
-    #[inline(always)]
     fn zero() -> Self {
         let z = S::zero();
         Self {
             contact: 0,
-            path: 0,
-            base: [[z; 6]; 3],
+            rows: SparseRows::zero(),
             coupling: [z; 3],
             inverse: [z; 3],
             diagonal: z,
@@ -343,147 +334,24 @@ impl<S: Real> ContactRows<S> {
             awake: true,
         }
     }
-
-    /// The velocity along the normal; `joint` are the rows' joint parts.
-    #[inline(always)]
-    pub(super) fn normal_velocity(
-        &self,
-        path: &[PathPart],
-        joint: &[JointRows<S>],
-        base: &[S; 6],
-        joints: &[[S; BLOCK]],
-    ) -> S {
-        first_velocity(path, &self.base[0], joint, base, joints)
-    }
 }
 
-/// `H^-T J^T` along a path, in place: `joint[p]` belongs to `path[p]`.
+/// `J` of a block's joints for forces along three directions, given as their moment about the base's origin and themselves.
 #[inline(always)]
-fn half_solve_path<S: Real>(
+fn joint_rows<S: Real>(
     topology: &Topology,
-    factor: &Factor<S>,
-    path: &[PathPart],
-    joint: &mut [JointRows<S>],
-    base: &mut [[S; 6]; 3],
-) {
-    eliminate(topology, factor, path, 0, joint, base);
-    solve_base(topology, factor, base);
-}
-
-/// The same of three unit vectors, one for each joint of the block where the path begins.
-#[inline(always)]
-pub(super) fn half_solve_units<S: Real>(
-    topology: &Topology,
-    factor: &Factor<S>,
-    path: &[PathPart],
-    joint: &mut [JointRows<S>],
-    base: &mut [[S; 6]; 3],
-) {
-    let (z, one) = (S::zero(), S::one());
-    let block = path[0].joints.block;
-    let own = &factor.blocks[block];
-    let root = &factor.root.as_chunks::<BLOCK>().0[block];
-    let [l10, l20, l21] = own.inner;
-    let (x01, x12) = (-l10, -l21);
-    let x02 = l10.neg_mul_add(x12, -l20);
-    let [b0, b1, b2] = &own.base;
-    for r in 0..6 {
-        base[0][r] = -b0[r];
-        base[1][r] = x01.neg_mul_add(b0[r], -b1[r]);
-        base[2][r] = x02.neg_mul_add(b0[r], x12.neg_mul_add(b1[r], -b2[r]));
-    }
-    if path.len() > 1 {
-        joint.fill([[z; 3]; BLOCK]);
-        pass_on(topology, factor, &path[0], &[[one, x01, x02], [z, one, x12], [z, z, one]], joint);
-        eliminate(topology, factor, path, 1, joint, base);
-    }
-    let [r0, r1, r2] = [root[0][1], root[1][1], root[2][1]];
-    joint[0] = [[r0, x01 * r0, x02 * r0], [z, r1, x12 * r1], [z, z, r2]];
-    solve_base(topology, factor, base);
-}
-
-/// Eliminates the joints of a path from a part on, and scales them by `D^-1/2`.
-#[inline(always)]
-fn eliminate<S: Real>(
-    topology: &Topology,
-    factor: &Factor<S>,
-    path: &[PathPart],
-    first: usize,
-    joint: &mut [JointRows<S>],
-    base: &mut [[S; 6]; 3],
-) {
-    let roots = factor.root.as_chunks::<BLOCK>().0;
-    for p in first..path.len() {
-        let block = path[p].joints.block;
-        let (own, root) = (&factor.blocks[block], &roots[block]);
-        let [l10, l20, l21] = own.inner;
-        let mut x = joint[p];
-        for d in 0..3 {
-            x[1][d] = l21.neg_mul_add(x[2][d], x[1][d]);
-            x[0][d] = l10.neg_mul_add(x[1][d], l20.neg_mul_add(x[2][d], x[0][d]));
-        }
-        pass_on(topology, factor, &path[p], &x, joint);
-        for d in 0..3 {
-            for r in 0..6 {
-                let y = own.base[2][r].neg_mul_add(x[2][d], base[d][r]);
-                let y = own.base[1][r].neg_mul_add(x[1][d], y);
-                base[d][r] = own.base[0][r].neg_mul_add(x[0][d], y);
-            }
-        }
-        for s in 0..BLOCK {
-            for d in 0..3 {
-                joint[p][s][d] = x[s][d] * root[s][1];
-            }
-        }
-    }
-}
-
-/// What eliminating a part of a path changes in the parts that carry it.
-#[inline(always)]
-fn pass_on<S: Real>(
-    topology: &Topology,
-    factor: &Factor<S>,
+    links: &[LinkState<S>],
     part: &PathPart,
-    x: &JointRows<S>,
-    joint: &mut [JointRows<S>],
-) {
-    let first = topology.blocks()[part.joints.block].first_coupling;
-    for (l, &carrier) in factor.couplings[first..].iter().zip(&part.carriers) {
-        let on = &mut joint[carrier];
-        for s in 0..BLOCK {
-            for t in 0..BLOCK {
-                for d in 0..3 {
-                    on[t][d] = l[s][t].neg_mul_add(x[s][d], on[t][d]);
-                }
-            }
+    directions: &[[S; 6]; 3],
+) -> JointRows<S> {
+    let mut rows = [[S::zero(); 3]; BLOCK];
+    let joints = &topology.blocks()[part.joints.block].joints;
+    for s in 0..part.joints.count {
+        let axis = &links[joints[s] + 1].axis;
+        for d in 0..3 {
+            let [mx, my, mz, x, y, z] = directions[d];
+            rows[s][d] = dot(&axis.ang, &[mx, my, mz]) + dot(&axis.lin, &[x, y, z]);
         }
     }
-}
-
-/// `D^-1/2 G^-1` of the base's part.
-#[inline(always)]
-fn solve_base<S: Real>(topology: &Topology, factor: &Factor<S>, base: &mut [[S; 6]; 3]) {
-    if topology.floating {
-        for row in base.iter_mut() {
-            factor.base_forward(row);
-            for (x, root) in row.iter_mut().zip(&factor.base_root) {
-                *x = *x * root[1];
-            }
-        }
-    }
-}
-
-/// Products of three rows: 0-0, 1-1, 2-2, 0-1, 0-2, 1-2.
-#[inline(always)]
-pub(super) fn products<S: Real>(base: &[[S; 6]; 3], joint: &[JointRows<S>]) -> [S; 6] {
-    let mut product = [S::zero(); 6];
-    for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-        product[i] = dot6_onto(&base[a], &base[b], product[i]);
-    }
-    for x in joint.iter().flatten() {
-        for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            product[i] = x[a].mul_add(x[b], product[i]);
-        }
-    }
-    product
+    rows
 }

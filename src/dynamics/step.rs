@@ -215,8 +215,8 @@ fn physics_step<S: Real>(
         &work.base_rotation,
         &work.contact,
         state,
-        &mut report.body_force,
         &mut report.normal_force[substep],
+        (substep + 1 == settings.decimation).then_some(&mut report.body_force),
     );
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
