@@ -190,22 +190,24 @@ pub fn build_contacts<S: Real>(
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
         for c in candidates {
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
-            let mut axes_here = frame;
+            let surface;
+            let mut axes_here = &frame;
             if let Some(terrain) = terrain {
                 if !S::any(gap.lt(highest)) {
                     continue;
                 }
                 let centre = add(&at.position, &mul_vec(&at.rotation, &local));
-                (gap, axes_here) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
+                (gap, surface) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
+                axes_here = &surface;
             }
             let near = gap.lt(margin);
             if !S::any(near) {
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
-            rows.build_ground(topology, factor, links, &axes_here, c, &centre, radius);
+            rows.build_ground(topology, factor, links, axes_here, c, &centre, radius);
             if terrain.is_some() {
-                rows.ground_frames.push(axes_here);
+                rows.ground_frames.push(*axes_here);
             }
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();

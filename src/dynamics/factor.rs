@@ -57,14 +57,7 @@ impl<S: Real> Factor<S> {
 
     /// The mass matrix's row of the joint at a place of a block, from the composite inertia of the link it moves.
     #[inline(always)]
-    pub fn set_joint(
-        &mut self,
-        topology: &Topology,
-        block: usize,
-        place: usize,
-        links: &[LinkState<S>],
-        armature: S,
-    ) {
+    pub fn set_joint(&mut self, topology: &Topology, block: usize, place: usize, links: &[LinkState<S>], armature: S) {
         let (shape, own) = (&topology.blocks()[block], &mut self.blocks[block]);
         let LinkState { axis, inertia, .. } = &links[shape.joints[place] + 1];
         let force = inertia.apply(axis);
@@ -195,20 +188,27 @@ impl<S: Real> Factor<S> {
         if !topology.floating {
             return;
         }
-        for k in 0..6 {
-            let root = self.base[k][k].sqrt();
-            let inverse_root = S::one() / root;
-            let inverse = inverse_root * inverse_root;
-            self.base_root[k] = [root, inverse_root];
-            for r in k + 1..6 {
-                let a = self.base[r][k] * inverse;
-                for c in k + 1..=r {
-                    self.base[r][c] = a.neg_mul_add(self.base[c][k], self.base[r][c]);
-                }
+        // a loop over the pivots would not be unrolled
+        self.eliminate_base::<0>();
+        self.eliminate_base::<1>();
+        self.eliminate_base::<2>();
+        self.eliminate_base::<3>();
+        self.eliminate_base::<4>();
+        self.eliminate_base::<5>();
+    }
+
+    /// Eliminates one row of the base block.
+    #[inline(always)]
+    fn eliminate_base<const K: usize>(&mut self) {
+        let inverse = split(self.base[K][K], &mut self.base_root[K]);
+        for r in K + 1..6 {
+            let a = self.base[r][K] * inverse;
+            for c in K + 1..=r {
+                self.base[r][c] = a.neg_mul_add(self.base[c][K], self.base[r][c]);
             }
-            for r in k + 1..6 {
-                self.base[r][k] = self.base[r][k] * inverse;
-            }
+        }
+        for r in K + 1..6 {
+            self.base[r][K] = self.base[r][K] * inverse;
         }
     }
 

@@ -3,7 +3,8 @@
 use super::articulation::{Axis, JointMotion, Parameters, Topology};
 use super::lanes::Real;
 use super::math::{
-    Mat3, Spatial, SpatialInertia, Sym3, Vec3, add, add_scaled, cross, cross_add, mul_sym, mul_vec, rotate_sym, scale, splat,
+    Mat3, Spatial, SpatialInertia, Sym3, Vec3, add, add_scaled, cross, cross_add, mul_sym, mul_vec, rotate_sym, scale,
+    splat,
 };
 use super::state::{LinkState, Workspace};
 
@@ -83,11 +84,8 @@ pub fn forward_kinematics<S: Real>(
         let (before, rest) = links.split_at_mut(j + 1);
         let (parent, link) = (&before[joint.parent], &mut rest[0]);
         let offset = &parameters.joint_offset[j];
-        link.position = if joint.parent == 0 {
-            *offset
-        } else {
-            add(&parent.position, &mul_vec(&parent.rotation, offset))
-        };
+        link.position =
+            if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
         match joint.motion {
             JointMotion::Revolute => {
                 let (rotation, axis) = turned(&parent.rotation, joint.axis, position[j]);

@@ -12,11 +12,7 @@ pub type Sym3<S> = [S; 6];
 /// `a x b`.
 #[inline(always)]
 pub fn cross<S: Real>(a: &Vec3<S>, b: &Vec3<S>) -> Vec3<S> {
-    [
-        a[2].neg_mul_add(b[1], a[1] * b[2]),
-        a[0].neg_mul_add(b[2], a[2] * b[0]),
-        a[1].neg_mul_add(b[0], a[0] * b[1]),
-    ]
+    [a[2].neg_mul_add(b[1], a[1] * b[2]), a[0].neg_mul_add(b[2], a[2] * b[0]), a[1].neg_mul_add(b[0], a[0] * b[1])]
 }
 
 /// `a x b + c`.

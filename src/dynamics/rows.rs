@@ -9,8 +9,8 @@ use super::blocks::{BLOCK, PathPart};
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Vec3, cross, dot, scale, sub};
-use super::state::LinkState;
 use super::sparse_rows::{JointRows, SparseRows};
+use super::state::LinkState;
 
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
 /// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.

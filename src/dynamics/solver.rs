@@ -252,18 +252,23 @@ fn visit_bounds<S: Real>(
 ) {
     let mut w = block.rows.velocities(topology, further, y_base, y_joint);
     let mut change = [S::zero(); 3];
-    for i in 0..3 {
-        let row = &mut block.joints[i];
-        if row.rubs {
-            let old = row.friction_impulse;
-            let friction = w[i].neg_mul_add(row.inverse, old).clamp(-row.max_friction, row.max_friction);
-            row.friction_impulse = S::select(active, friction, old);
-            change[i] = row.friction_impulse - old;
+    if block.limits {
+        for i in 0..3 {
+            let row = &mut block.joints[i];
+            if row.rubs {
+                change[i] = row.rub(w[i], active);
+            }
+            if row.limits {
+                change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
+            }
+            block.pass_on(i, change[i], &mut w);
         }
-        if row.limits {
-            change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
+    } else {
+        // friction that is zero changes nothing: no branches
+        for i in 0..3 {
+            change[i] = block.joints[i].rub(w[i], active);
+            block.pass_on(i, change[i], &mut w);
         }
-        block.pass_on(i, change[i], &mut w);
     }
     block.rows.apply(topology, further, &change, y_base, y_joint);
 }
@@ -323,6 +328,15 @@ impl<S: Real> BoundBlock<S> {
 }
 
 impl<S: Real> BoundRow<S> {
+    /// Brings a velocity to zero, as far as dry friction can: the change of its impulse.
+    #[inline(always)]
+    fn rub(&mut self, w: S, active: S::Mask) -> S {
+        let old = self.friction_impulse;
+        let friction = w.neg_mul_add(self.inverse, old).clamp(-self.max_friction, self.max_friction);
+        self.friction_impulse = S::select(active, friction, old);
+        self.friction_impulse - old
+    }
+
     /// Brings a velocity into its bounds: the change of the impulse.
     #[inline(always)]
     fn limit(&mut self, w: S, active: S::Mask) -> S {

@@ -190,15 +190,16 @@ impl<S: Real> SparseRows<S> {
     pub(super) fn half_solve(&mut self, topology: &Topology, factor: &Factor<S>, further: &mut [JointRows<S>]) {
         let path = topology.path(self.path);
         if let Some((part, rest)) = path.split_first() {
-            let x = eliminate_inner(factor, part, &self.own);
+            self.own = eliminate_inner(factor, part, &self.own);
             if !rest.is_empty() {
-                pass_on(topology, factor, part, &x, further);
+                pass_on(topology, factor, part, &self.own, further);
             }
-            eliminate_base(factor, part, &x, &mut self.base);
-            self.own = scaled(factor, part, &x);
             self.half_solve_further(topology, factor, rest, further);
+            self.solve_base(topology, factor, Some(part), rest, further);
+            scale(factor, part, &mut self.own);
+        } else {
+            self.solve_base(topology, factor, None, path, further);
         }
-        self.solve_base(topology, factor);
     }
 
     /// The same of three unit vectors, one for each joint of the block where the path begins.
@@ -208,29 +209,28 @@ impl<S: Real> SparseRows<S> {
         let Some((part, rest)) = topology.path(self.path).split_first() else {
             return;
         };
-        let own = &factor.blocks[part.joints.block];
-        let [l10, l20, l21] = own.inner;
+        let [l10, l20, l21] = factor.blocks[part.joints.block].inner;
         let (x01, x12) = (-l10, -l21);
         let x02 = l10.neg_mul_add(x12, -l20);
-        let [b0, b1, b2] = &own.base;
+        self.own = [[one, x01, x02], [z, one, x12], [z, z, one]];
+        if !rest.is_empty() {
+            further[..rest.len()].fill([[z; 3]; BLOCK]);
+            pass_on(topology, factor, part, &self.own, further);
+        }
+        self.half_solve_further(topology, factor, rest, further);
+        let [b0, b1, b2] = &factor.blocks[part.joints.block].base;
         for r in 0..6 {
             self.base[0][r] = -b0[r];
             self.base[1][r] = x01.neg_mul_add(b0[r], -b1[r]);
             self.base[2][r] = x02.neg_mul_add(b0[r], x12.neg_mul_add(b1[r], -b2[r]));
         }
-        let x = [[one, x01, x02], [z, one, x12], [z, z, one]];
-        if !rest.is_empty() {
-            further[..rest.len()].fill([[z; 3]; BLOCK]);
-            pass_on(topology, factor, part, &x, further);
-        }
+        self.solve_base(topology, factor, None, rest, further);
         let root = &factor.root.as_chunks::<BLOCK>().0[part.joints.block];
         let [r0, r1, r2] = [root[0][1], root[1][1], root[2][1]];
         self.own = [[r0, x01 * r0, x02 * r0], [z, r1, x12 * r1], [z, z, r2]];
-        self.half_solve_further(topology, factor, rest, further);
-        self.solve_base(topology, factor);
     }
 
-    /// Eliminates the blocks of a path after the first.
+    /// Eliminates the blocks of a path after the first among themselves.
     #[inline(always)]
     fn half_solve_further(
         &mut self,
@@ -242,21 +242,39 @@ impl<S: Real> SparseRows<S> {
         for (p, part) in rest.iter().enumerate() {
             let x = eliminate_inner(factor, part, &further[p]);
             pass_on(topology, factor, part, &x, further);
-            eliminate_base(factor, part, &x, &mut self.base);
-            further[p] = scaled(factor, part, &x);
+            further[p] = x;
         }
     }
 
-    /// `D^-1/2 G^-1` of the base's part.
+    /// What eliminating the joints changes in the base's part, of which `D^-1/2 G^-1` follows; and `D^-1/2` of the blocks after
+    /// the first. A first block that is not given is done with.
     #[inline(always)]
-    fn solve_base(&mut self, topology: &Topology, factor: &Factor<S>) {
+    fn solve_base(
+        &mut self,
+        topology: &Topology,
+        factor: &Factor<S>,
+        first: Option<&PathPart>,
+        rest: &[PathPart],
+        further: &mut [JointRows<S>],
+    ) {
         if topology.floating {
-            for row in &mut self.base {
-                factor.base_forward(row);
-                for (x, root) in row.iter_mut().zip(&factor.base_root) {
-                    *x = *x * root[1];
+            for d in 0..3 {
+                // a copy, which stays in registers
+                let mut row = self.base[d];
+                if let Some(part) = first {
+                    eliminate_base(factor, part, &self.own, d, &mut row);
+                }
+                for (part, x) in rest.iter().zip(further.iter()) {
+                    eliminate_base(factor, part, x, d, &mut row);
+                }
+                factor.base_forward(&mut row);
+                for r in 0..6 {
+                    self.base[d][r] = row[r] * factor.base_root[r][1];
                 }
             }
+        }
+        for (part, x) in rest.iter().zip(further) {
+            scale(factor, part, x);
         }
     }
 }
@@ -303,15 +321,13 @@ fn eliminate_inner<S: Real>(factor: &Factor<S>, part: &PathPart, rows: &JointRow
     x
 }
 
-/// What eliminating a block's joints changes in the base's part.
+/// What eliminating a block's joints changes in the base's part of one of three rows.
 #[inline(always)]
-fn eliminate_base<S: Real>(factor: &Factor<S>, part: &PathPart, x: &JointRows<S>, base: &mut [[S; 6]; 3]) {
+fn eliminate_base<S: Real>(factor: &Factor<S>, part: &PathPart, x: &JointRows<S>, row: usize, base: &mut [S; 6]) {
     let own = &factor.blocks[part.joints.block].base;
-    for d in 0..3 {
+    for s in (0..BLOCK).rev() {
         for r in 0..6 {
-            let y = own[2][r].neg_mul_add(x[2][d], base[d][r]);
-            let y = own[1][r].neg_mul_add(x[1][d], y);
-            base[d][r] = own[0][r].neg_mul_add(x[0][d], y);
+            base[r] = own[s][r].neg_mul_add(x[s][row], base[r]);
         }
     }
 }
@@ -340,13 +356,11 @@ fn pass_on<S: Real>(
 
 /// `D^-1/2` of a block's joints.
 #[inline(always)]
-fn scaled<S: Real>(factor: &Factor<S>, part: &PathPart, x: &JointRows<S>) -> JointRows<S> {
+fn scale<S: Real>(factor: &Factor<S>, part: &PathPart, x: &mut JointRows<S>) {
     let root = &factor.root.as_chunks::<BLOCK>().0[part.joints.block];
-    let mut out = *x;
     for s in 0..BLOCK {
         for d in 0..3 {
-            out[s][d] = out[s][d] * root[s][1];
+            x[s][d] = x[s][d] * root[s][1];
         }
     }
-    out
 }
