@@ -284,11 +284,9 @@ impl<S: Real> Dynamics<'_, S> {
                 set(3 + k, &cross(&unit[k], &at), &unit[k]);
             }
         }
-        for part in topology.path(link) {
-            for &j in &topology.blocks()[part.joints.block].joints[..part.joints.count] {
-                let axis = &self.work.links[j + 1].axis;
-                set(first + j, &add(&axis.lin, &cross(&axis.ang, &at)), &axis.ang);
-            }
+        for j in topology.chain(link) {
+            let axis = &self.work.links[j + 1].axis;
+            set(first + j, &add(&axis.lin, &cross(&axis.ang, &at)), &axis.ang);
         }
         if topology.floating {
             for k in 0..3 {

@@ -317,10 +317,15 @@ impl Topology {
         self.blocks.num_couplings
     }
 
+    /// The joints that carry a link, nearest first.
+    pub fn chain(&self, link: usize) -> impl Iterator<Item = usize> {
+        let carrier = |link: usize| link.checked_sub(1);
+        std::iter::successors(carrier(link), move |&joint| carrier(self.joints[joint].parent))
+    }
+
     /// The longest chain of joints.
     pub fn max_depth(&self) -> usize {
-        let depth = |path: &Vec<PathPart>| path.iter().map(|part| part.joints.count).sum();
-        self.paths[..self.num_links()].iter().map(depth).max().unwrap_or(0)
+        (0..self.num_links()).map(|link| self.chain(link).count()).max().unwrap_or(0)
     }
 
     /// The contact candidates of a link.
