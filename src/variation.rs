@@ -116,9 +116,9 @@ impl BodyScales {
 
 /// The foot of a leg in its shank, or where the part of the leg hangs that carries it, m.
 fn foot_in(topology: &Topology, p: &Parameters<f64>, shank: usize, leg: usize) -> Vec3<f64> {
-    let below = topology.path(topology.sites[leg]).iter().find(|&&joint| topology.joints[joint].parent == shank);
+    let below = topology.chain(topology.sites[leg]).find(|&joint| topology.joints[joint].parent == shank);
     match below {
-        Some(&joint) => p.joint_offset[joint],
+        Some(joint) => p.joint_offset[joint],
         None => p.site_position[leg],
     }
 }

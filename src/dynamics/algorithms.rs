@@ -6,6 +6,7 @@
 //! these components, and forces are those that do work on them.
 
 use super::articulation::{JointMotion, Parameters, Topology};
+use super::blocks::{BLOCK, gather, scatter};
 use super::kinematics;
 use super::lanes::Real;
 use super::math::{
@@ -115,16 +116,26 @@ impl<S: Real> Dynamics<'_, S> {
             m[row * nv + column] = x;
             m[column * nv + row] = x;
         };
-        for j in 0..topology.num_joints() {
-            set(first + j, first + j, factor.diagonal[j]);
-            for (p, &i) in topology.ancestors(j).iter().enumerate() {
-                set(first + j, first + i, factor.couplings[topology.row(j) + p]);
+        for (block, own) in topology.blocks().iter().zip(&factor.blocks) {
+            for place in 0..block.len {
+                let j = first + block.joints[place];
+                set(j, j, own.diagonal[place]);
+                for t in 0..place {
+                    set(j, first + block.joints[t], own.inner[place + t - 1]);
+                }
+                for (carrier, couplings) in block.carriers.iter().zip(&factor.couplings[block.first_coupling..]) {
+                    for t in 0..carrier.count {
+                        set(j, first + topology.blocks()[carrier.block].joints[t], couplings[place][t]);
+                    }
+                }
             }
         }
         if topology.floating {
-            for j in 0..topology.num_joints() {
-                for (r, x) in self.base_to_qvel(&factor.base_couplings[j]).into_iter().enumerate() {
-                    set(r, 6 + j, x);
+            for (block, own) in topology.blocks().iter().zip(&factor.blocks) {
+                for (j, couplings) in block.joints[..block.len].iter().zip(&own.base) {
+                    for (r, x) in self.base_to_qvel(couplings).into_iter().enumerate() {
+                        set(r, 6 + j, x);
+                    }
                 }
             }
             for k in 0..3 {
@@ -155,10 +166,14 @@ impl<S: Real> Dynamics<'_, S> {
         let given = [angular[0], angular[1], angular[2], linear[0], linear[1], linear[2]];
         let mut base: [S; 6] = std::array::from_fn(|r| given[r] - self.work.bias_base[r]);
         let mut joint: Vec<S> = joints.iter().zip(&self.work.bias_joint).map(|(&f, &c)| f - c).collect();
+        let blocks = self.topology.blocks();
+        let mut by_block = vec![[S::zero(); BLOCK]; blocks.len()];
+        gather(blocks, &joint, &mut by_block);
         let factor = &mut self.work.factor;
         factor.factorise(self.topology);
-        factor.half_solve(self.topology, &mut base, &mut joint);
-        factor.from_sparse(self.topology, &mut base, &mut joint);
+        factor.half_solve(self.topology, &mut base, &mut by_block);
+        factor.from_sparse(self.topology, &mut base, &mut by_block);
+        scatter(blocks, &by_block, &mut joint);
         self.to_qvel(&base, &joint)
     }
 
@@ -188,7 +203,7 @@ impl<S: Real> Dynamics<'_, S> {
             let carried = add(&cross(&parent.angular_acceleration, &arm), &cross(&w, &cross(&w, &arm)));
             let carried = Motion { acceleration: add(&parent.acceleration, &carried), ..parent };
             let (qd, qdd) = (self.state.joint_velocity[j], joints[j]);
-            let axis = &self.work.axes[j];
+            let axis = &self.work.links[j + 1].axis;
             motions.push(match joint.motion {
                 JointMotion::Revolute => {
                     let spin = scale(&axis.ang, qd);
@@ -227,7 +242,7 @@ impl<S: Real> Dynamics<'_, S> {
         let mut effort = vec![S::zero(); topology.num_joints()];
         for (j, joint) in topology.joints.iter().enumerate().rev() {
             let (force, moment) = forces[j + 1];
-            let axis = &self.work.axes[j];
+            let axis = &self.work.links[j + 1].axis;
             let along = match joint.motion {
                 JointMotion::Revolute => dot(&axis.ang, &moment),
                 JointMotion::Prismatic => dot(&axis.lin, &force),
@@ -269,8 +284,8 @@ impl<S: Real> Dynamics<'_, S> {
                 set(3 + k, &cross(&unit[k], &at), &unit[k]);
             }
         }
-        for &j in topology.path(link) {
-            let axis = &self.work.axes[j];
+        for j in topology.chain(link) {
+            let axis = &self.work.links[j + 1].axis;
             set(first + j, &add(&axis.lin, &cross(&axis.ang, &at)), &axis.ang);
         }
         if topology.floating {
@@ -311,9 +326,9 @@ impl<S: Real> Dynamics<'_, S> {
         let gravity = self.gravity.map(S::splat);
         let mut double_kinetic = S::zero();
         let mut moment = [S::zero(); 3];
-        for (at, inertia) in self.work.links.iter().zip(&self.work.inertia) {
-            double_kinetic = double_kinetic + at.velocity.dot(&inertia.apply(&at.velocity));
-            moment = add(&moment, &inertia.moment);
+        for at in &self.work.links {
+            double_kinetic = double_kinetic + at.velocity.dot(&at.inertia.apply(&at.velocity));
+            moment = add(&moment, &at.inertia.moment);
         }
         for (&v, &armature) in self.state.joint_velocity.iter().zip(&self.parameters.armature) {
             double_kinetic = (armature * v).mul_add(v, double_kinetic);
@@ -328,8 +343,8 @@ impl<S: Real> Dynamics<'_, S> {
         self.kinematics();
         kinematics::link_inertias(self.topology, self.parameters, self.work);
         let mut total = Spatial::zero();
-        for (at, inertia) in self.work.links.iter().zip(&self.work.inertia) {
-            total = total.plus(&inertia.apply(&at.velocity));
+        for at in &self.work.links {
+            total = total.plus(&at.inertia.apply(&at.velocity));
         }
         let com = self.base_com();
         let about_com = sub(&total.ang, &cross(&com, &total.lin));
@@ -346,7 +361,7 @@ impl<S: Real> Dynamics<'_, S> {
 
     /// Centre of mass in base axes about the base's origin; link inertias must be in the workspace.
     fn base_com(&self) -> Vec3<S> {
-        let moment = self.work.inertia.iter().fold([S::zero(); 3], |sum, inertia| add(&sum, &inertia.moment));
+        let moment = self.work.links.iter().fold([S::zero(); 3], |sum, link| add(&sum, &link.inertia.moment));
         scale(&moment, S::one() / self.parameters.total_mass())
     }
 }

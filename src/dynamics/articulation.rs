@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::blocks::{BLOCK, Block, Blocks, PathPart};
 use super::lanes::Real;
 use super::math::{Sym3, Vec3};
 use super::numbers::Numbers;
@@ -143,12 +144,10 @@ pub struct PairTopology {
     pub(super) bodies: [usize; 2],
     /// The first of its impulses.
     pub(super) first_impulse: usize,
-    /// Which path holds the joints on the ways from both links to the base, leaves first; and the side of the joint: 1
-    /// carries the first link only, -1 the second only, 0 both.
+    /// Which path holds the joints on the ways from both links to the base; and the side of each of its joints: 1 carries the
+    /// first link only, -1 the second only, 0 both.
     pub(super) path: usize,
-    pub(super) side: Vec<f64>,
-    /// Where the ancestors of `path[p]` stand in `path`.
-    pub(super) ancestors: Vec<Vec<usize>>,
+    pub(super) side: Vec<[f64; BLOCK]>,
 }
 
 /// The pairs between two links.
@@ -180,21 +179,13 @@ pub struct Topology {
     pub sites: Vec<usize>,
     /// Whether any actuator delays its target.
     pub has_delay: bool,
-    /// `paths[link]`: the joints from the link to the base, nearest first; after the links' the paths of the pairs.
-    paths: Vec<Vec<usize>>,
-    /// `rows[j]`: where the couplings of joint `j` with its ancestors start in a factor.
-    rows: Vec<usize>,
-    /// Joints whose bounds are solved together: pieces of chains, the nearest to the base first.
-    bound_blocks: Vec<Vec<usize>>,
+    blocks: Blocks,
+    /// `paths[link]`: the joints that carry the link; after the links' the paths of the pairs.
+    paths: Vec<Vec<PathPart>>,
     /// `link_contacts[link]`: its range in `contacts`.
     link_contacts: Vec<std::ops::Range<usize>>,
-    num_couplings: usize,
-    max_depth: usize,
     pair_of_impulse: Vec<usize>,
 }
-
-/// How many joints' bounds are solved together at most.
-pub(super) const BOUND_BLOCK: usize = 3;
 
 impl Topology {
     /// Builds the derived tables.
@@ -209,26 +200,8 @@ impl Topology {
         sites: Vec<usize>,
         has_delay: bool,
     ) -> Self {
-        let mut paths: Vec<Vec<usize>> = vec![Vec::new()];
-        let mut rows = Vec::new();
-        let mut num_couplings = 0;
-        for (j, joint) in joints.iter().enumerate() {
-            let mut path = vec![j];
-            path.extend(&paths[joint.parent]);
-            rows.push(num_couplings);
-            num_couplings += path.len() - 1;
-            paths.push(path);
-        }
-        let mut bound_blocks: Vec<Vec<usize>> = Vec::new();
-        for (j, joint) in joints.iter().enumerate() {
-            let goes_on = |block: &&mut Vec<usize>| {
-                block.len() < BOUND_BLOCK && block.last().is_some_and(|&last| last + 1 == joint.parent)
-            };
-            match bound_blocks.iter_mut().find(goes_on) {
-                Some(block) => block.push(j),
-                None => bound_blocks.push(vec![j]),
-            }
-        }
+        let blocks = Blocks::new(&joints);
+        let paths: Vec<_> = (0..=joints.len()).map(|link| blocks.path(link)).collect();
         contacts.sort_by_key(|c| c.link);
         let link_contacts = (0..paths.len())
             .map(|link| {
@@ -236,7 +209,6 @@ impl Topology {
                 start..contacts.partition_point(|c| c.link <= link)
             })
             .collect();
-        let max_depth = paths.iter().map(Vec::len).max().unwrap_or(0);
         Self {
             floating,
             joints,
@@ -247,12 +219,9 @@ impl Topology {
             num_bodies,
             sites,
             has_delay,
+            blocks,
             paths,
-            rows,
-            bound_blocks,
             link_contacts,
-            num_couplings,
-            max_depth,
             pair_of_impulse: Vec::new(),
         }
     }
@@ -273,12 +242,17 @@ impl Topology {
                 Some(group) if group.links == links_of(pair) => group.pairs.end += 1,
                 _ => groups.push(PairGroup { links: links_of(pair), pairs: new.len()..new.len() + 1 }),
             }
-            let [first, second] = pair.map(|c| self.path(colliders[c].link));
-            let mut path: Vec<usize> = first.iter().chain(second).copied().collect();
-            path.sort_unstable_by(|a, b| b.cmp(a));
-            path.dedup();
-            let side = |j: &usize| f64::from(i8::from(first.contains(j)) - i8::from(second.contains(j)));
-            let place = |j: &usize| path.iter().position(|k| k == j);
+            let [first, second] = links_of(pair).map(|link| self.path(link));
+            let path = self.blocks.path_of_both(links_of(pair));
+            let carries = |path: &[PathPart], block: usize, place: usize| {
+                path.iter().any(|part| part.joints.block == block && place < part.joints.count)
+            };
+            let side_of = |part: &PathPart| {
+                let block = part.joints.block;
+                std::array::from_fn(|place| {
+                    f64::from(i8::from(carries(first, block, place)) - i8::from(carries(second, block, place)))
+                })
+            };
             let spans: &[[f64; 2]] = if long { &[[-1.0, 0.0], [0.0, 1.0]] } else { &[[-1.0, 1.0]] };
             let first_impulse = self.contacts.len() + pair_of_impulse.len();
             pair_of_impulse.extend(spans.iter().map(|_| new.len()));
@@ -287,8 +261,7 @@ impl Topology {
                 bodies: pair.map(|c| colliders[c].body),
                 spans,
                 first_impulse,
-                side: path.iter().map(side).collect(),
-                ancestors: path.iter().map(|&j| self.ancestors(j).iter().filter_map(place).collect()).collect(),
+                side: path.iter().map(side_of).collect(),
                 path: paths.len(),
             });
             paths.push(path);
@@ -312,8 +285,8 @@ impl Topology {
         Some(&self.pairs[self.pair_of_impulse[i]])
     }
 
-    /// The most joints that any contact acts on.
-    pub(super) fn max_contact_path(&self) -> usize {
+    /// The most blocks that any contact acts on.
+    pub(super) fn max_path(&self) -> usize {
         self.paths.iter().map(Vec::len).max().unwrap_or(0)
     }
 
@@ -327,38 +300,33 @@ impl Topology {
         self.joints.len() + 1
     }
 
-    /// The joints from a link to the base, nearest first.
+    /// The joints that carry a link, those of the nearest block first; with numbers from [`num_links`](Self::num_links) on those of
+    /// the pairs.
     #[inline(always)]
-    pub fn path(&self, link: usize) -> &[usize] {
+    pub(super) fn path(&self, link: usize) -> &[PathPart] {
         &self.paths[link]
     }
 
-    /// The ancestors of a joint, nearest first.
+    /// The joints in blocks, each after those that carry it.
     #[inline(always)]
-    pub fn ancestors(&self, joint: usize) -> &[usize] {
-        &self.paths[joint + 1][1..]
+    pub fn blocks(&self) -> &[Block] {
+        &self.blocks.blocks
     }
 
-    /// Where a joint's couplings start; `row(j) + p` belongs to `ancestors(j)[p]`.
-    #[inline(always)]
-    pub fn row(&self, joint: usize) -> usize {
-        self.rows[joint]
+    /// Number of couplings between blocks.
+    pub(super) fn num_couplings(&self) -> usize {
+        self.blocks.num_couplings
     }
 
-    /// Number of joint-joint couplings of the mass matrix.
-    pub fn num_couplings(&self) -> usize {
-        self.num_couplings
-    }
-
-    /// Joints whose bounds are solved together, at most [`BOUND_BLOCK`] of one chain, the nearest to the base first.
-    #[inline(always)]
-    pub(super) fn bound_blocks(&self) -> &[Vec<usize>] {
-        &self.bound_blocks
+    /// The joints that carry a link, nearest first.
+    pub fn chain(&self, link: usize) -> impl Iterator<Item = usize> {
+        let carrier = |link: usize| link.checked_sub(1);
+        std::iter::successors(carrier(link), move |&joint| carrier(self.joints[joint].parent))
     }
 
     /// The longest chain of joints.
     pub fn max_depth(&self) -> usize {
-        self.max_depth
+        (0..self.num_links()).map(|link| self.chain(link).count()).max().unwrap_or(0)
     }
 
     /// The contact candidates of a link.

@@ -1,13 +1,14 @@
 //! Contacts and joint bounds as velocity constraints: which take part in a step, and what they ask for.
 
-use super::articulation::{BOUND_BLOCK, ContactKind, Parameters, Topology};
+use super::articulation::{ContactKind, Parameters, Topology};
+use super::blocks::BLOCK;
 use super::kinematics::forward_kinematics;
 use super::lanes::Real;
 use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale,
     splat,
 };
-use super::rows::{BoundBlock, BoundRow, ContactWork, NEVER, half_solve_path, products};
+use super::rows::{BoundRow, ContactWork, NEVER};
 use super::state::{State, Workspace};
 use super::terrain::Terrain;
 
@@ -155,10 +156,10 @@ pub fn build_contacts<S: Real>(
     state: &State<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { base_rotation, links, axes, inertia, factor, contact: rows, .. } = work;
+    let Workspace { base_rotation, links, factor, contact: rows, .. } = work;
     let margin = S::splat(CONTACT_MARGIN);
     // composite by now: the whole robot's
-    rows.clear(inertia[0].mass);
+    rows.clear(links[0].inertia.mass);
     let Some(plane) = &settings.ground else {
         return;
     };
@@ -190,29 +191,31 @@ pub fn build_contacts<S: Real>(
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
         for c in candidates {
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
-            let mut axes_here = frame;
+            let surface;
+            let mut axes_here = &frame;
             if let Some(terrain) = terrain {
                 if !S::any(gap.lt(highest)) {
                     continue;
                 }
                 let centre = add(&at.position, &mul_vec(&at.rotation, &local));
-                (gap, axes_here) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
+                (gap, surface) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
+                axes_here = &surface;
             }
             let near = gap.lt(margin);
             if !S::any(near) {
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
-            rows.build_ground(topology, factor, axes, &axes_here, c, &centre, radius);
+            rows.build_ground(topology, factor, links, axes_here, c, &centre, radius);
             if terrain.is_some() {
-                rows.ground_frames.push(axes_here);
+                rows.ground_frames.push(*axes_here);
             }
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
             let mut bounce = S::splat(NEVER);
             if S::any(zero.lt(parameters.restitution)) {
-                let (row, joint) = rows.next();
-                let approach = row.normal_velocity(topology.path(link), joint, &rows.base, &rows.joints);
+                let (row, further) = rows.next();
+                let approach = row.first_velocity(topology, further, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
                 bounce = S::select(bounces, -(approach * parameters.restitution), bounce);
             }
@@ -264,7 +267,7 @@ fn push_speed<S: Real>(depth: S, settings: &ContactSettings, inverse_dt: S) -> S
 /// Builds the rows of every joint near a position limit, near its velocity limit, or with Coulomb friction, and of those in its
 /// block.
 ///
-/// `velocity` is the joints' velocity at the start of the step, `free` the one without constraints.
+/// `free` is the joints' velocity without constraints, `[blocks]`.
 #[inline(always)]
 pub fn build_bounds<S: Real>(
     topology: &Topology,
@@ -272,44 +275,35 @@ pub fn build_bounds<S: Real>(
     settings: &ContactSettings,
     dt: S,
     state: &State<S>,
-    free: &[S],
+    free: &[[S; BLOCK]],
     work: &mut Workspace<S>,
 ) {
     let Workspace { factor, contact: work, .. } = work;
-    let z = S::zero();
+    let ContactWork { bounds, bound_further, stride, violation, .. } = work;
     let inverse_dt = S::one() / dt;
-    work.bounds.clear();
-    for (block, joints) in topology.bound_blocks().iter().enumerate() {
-        let mut rows = [BoundRow::free(); BOUND_BLOCK];
-        let (mut limits, mut rubs) = (false, false);
-        for (row, &j) in rows.iter_mut().zip(joints) {
-            bound(parameters, settings, inverse_dt, dt, state, j, free[j], row, &mut work.violation);
-            limits |= row.limits;
-            rubs |= row.rubs;
+    let blocks = bounds.iter_mut().zip(topology.blocks()).zip(bound_further.chunks_exact_mut(*stride));
+    for (b, ((block, shape), further)) in blocks.enumerate() {
+        (block.limits, block.active) = (false, false);
+        for place in 0..shape.len {
+            let (j, row) = (shape.joints[place], &mut block.joints[place]);
+            bound(parameters, settings, inverse_dt, dt, state, j, free[b][place], row, violation);
+            block.limits |= row.limits;
+            block.active |= row.limits | row.rubs;
         }
-        let Some(&last) = joints.last().filter(|_| limits || rubs) else {
+        if !block.active {
             continue;
-        };
-        let path = topology.path(last + 1);
-        let start = work.bounds.len() * work.stride;
-        let joint = &mut work.bound_joint[start..start + path.len()];
-        joint.fill([z; BOUND_BLOCK]);
-        for i in 0..joints.len() {
-            // paths begin at the leaf, blocks at the base
-            joint[joints.len() - 1 - i][i] = S::one();
         }
-        let mut base = [[z; 6]; BOUND_BLOCK];
-        match path.len() {
-            3 => half_solve_path::<S, BOUND_BLOCK, 3>(topology, factor, path, joint, &mut base),
-            _ => half_solve_path::<S, BOUND_BLOCK, 0>(topology, factor, path, joint, &mut base),
+        for place in shape.len..BLOCK {
+            block.joints[place] = BoundRow::free();
         }
-        let product = products(&base, joint);
-        for i in 0..joints.len() {
-            rows[i].diagonal = product[i];
-            rows[i].inverse = S::one() / product[i];
+        block.rows.set_path(topology, shape.joints[shape.len - 1] + 1);
+        block.rows.half_solve_units(topology, factor, further);
+        let product = block.rows.products(topology, further);
+        for place in 0..BLOCK {
+            block.joints[place].diagonal = product[place];
+            block.joints[place].inverse = S::one() / product[place];
         }
-        let coupling = [product[3], product[4], product[5]];
-        work.bounds.push(BoundBlock { block, last, limits, base, coupling, rows });
+        block.coupling = [product[3], product[4], product[5]];
     }
 }
 
@@ -326,7 +320,7 @@ fn bound<S: Real>(
     row: &mut BoundRow<S>,
     violation: &mut S,
 ) {
-    let (z, big) = (S::zero(), S::splat(-NEVER));
+    let (z, never) = (S::zero(), S::splat(NEVER));
     let q = state.joint_position[j];
     let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
     let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
@@ -335,6 +329,8 @@ fn bound<S: Real>(
     let near = S::or(S::or((q - reach).lt(lower), upper.lt(q + reach)), (fastest * S::splat(SPEED_MARGIN)).lt(speed));
     row.rubs = S::any(z.lt(parameters.joint_friction[j]));
     row.max_friction = parameters.joint_friction[j] * dt;
+    (row.friction_impulse, row.push_impulse) = (z, z);
+    (row.lowest, row.highest, row.limit_impulse) = (never, -never, z);
     row.limits = S::any(near);
     if row.limits {
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
@@ -343,8 +339,8 @@ fn bound<S: Real>(
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);
         let highest = S::select(high.lt(z), -down, high * inverse_dt).min(fastest);
         *violation = violation.max(S::select(near, up.max(down), z));
-        row.lowest = S::select(near, lowest, -big);
-        row.highest = S::select(near, highest, big);
+        row.lowest = S::select(near, lowest, never);
+        row.highest = S::select(near, highest, -never);
         row.limit_impulse = S::select(near, state.limit_impulse[j], z);
     }
 }
@@ -352,8 +348,8 @@ fn bound<S: Real>(
 /// The deepest chain of joints that bounds can be solved on.
 pub const MAX_DEPTH: usize = 64;
 
-/// Stores the impulses for the next warm start and sums contact forces per body: `force` in world axes, N, and the norm
-/// of the normal part.
+/// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, and, where it is
+/// asked for, `force` in world axes, N.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
@@ -362,17 +358,13 @@ pub fn report<S: Real>(
     base_rotation: &Mat3<S>,
     work: &ContactWork<S>,
     state: &mut State<S>,
-    force: &mut [Vec3<S>],
     normal_force: &mut [S],
+    force: Option<&mut [Vec3<S>]>,
 ) {
     let z = S::zero();
-    force.fill([z; 3]);
     normal_force.fill(z);
-    let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
-    let on_ground = work.contacts().len() - work.pair_frames.len();
-    state.limit_impulse.fill(z);
-    for block in &work.bounds {
-        for (row, &j) in block.rows.iter().zip(&topology.bound_blocks()[block.block]) {
+    for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
+        for (row, &j) in block.joints.iter().zip(&shape.joints[..shape.len]) {
             // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
             state.limit_impulse[j] = row.limit_impulse + z;
         }
@@ -381,26 +373,49 @@ pub fn report<S: Real>(
         state.impulse[contact as usize] = [z; 3];
     }
     state.pressing.clear();
-    for (c, row) in work.contacts().iter().enumerate() {
+    for row in work.contacts() {
         let impulse = normalised(&row.impulse);
         state.impulse[row.contact] = impulse;
         state.pressing.push(row.contact as u32);
-        let f = scale(&impulse, inverse_dt);
+        let bodies = match topology.pair_of(row.contact) {
+            Some(pair) => &pair.bodies[..],
+            None => std::slice::from_ref(&topology.contacts[row.contact].body),
+        };
+        for &body in bodies {
+            normal_force[body] = impulse[0].mul_add(inverse_dt, normal_force[body]);
+        }
+    }
+    if let Some(force) = force {
+        sum_forces(topology, settings, inverse_dt, base_rotation, work, force);
+    }
+}
+
+/// Net contact force of each body in world axes, N.
+#[inline(always)]
+fn sum_forces<S: Real>(
+    topology: &Topology,
+    settings: &ContactSettings,
+    inverse_dt: S,
+    base_rotation: &Mat3<S>,
+    work: &ContactWork<S>,
+    force: &mut [Vec3<S>],
+) {
+    force.fill([S::zero(); 3]);
+    let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
+    let on_ground = work.contacts().len() - work.pair_frames.len();
+    for (c, row) in work.contacts().iter().enumerate() {
+        let f = scale(&normalised(&row.impulse), inverse_dt);
         if let Some(pair) = topology.pair_of(row.contact) {
             let frame = in_world(base_rotation, &work.pair_frames[c - on_ground]);
             let [first, second] = pair.bodies;
             add_force(&mut force[first], &frame, &f);
             add_force(&mut force[second], &frame, &scale(&f, -S::one()));
-            for body in [first, second] {
-                normal_force[body] = normal_force[body] + f[0];
-            }
         } else {
             let body = topology.contacts[row.contact].body;
             match work.ground_frames.get(c) {
                 Some(frame) => add_force(&mut force[body], &in_world(base_rotation, frame), &f),
                 None => add_force(&mut force[body], &ground, &f),
             }
-            normal_force[body] = normal_force[body] + f[0];
         }
     }
 }

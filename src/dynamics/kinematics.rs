@@ -2,7 +2,10 @@
 
 use super::articulation::{Axis, JointMotion, Parameters, Topology};
 use super::lanes::Real;
-use super::math::{Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, mul_vec, rotate_sym, scale, splat};
+use super::math::{
+    Mat3, Spatial, SpatialInertia, Sym3, Vec3, add, add_scaled, cross, cross_add, mul_sym, mul_vec, rotate_sym, scale,
+    splat,
+};
 use super::state::{LinkState, Workspace};
 
 /// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
@@ -71,51 +74,66 @@ pub fn forward_kinematics<S: Real>(
     work: &mut Workspace<S>,
 ) {
     let (z, one) = (S::zero(), S::one());
-    work.links[0] =
-        LinkState { rotation: [[one, z, z], [z, one, z], [z, z, one]], position: [z; 3], velocity: *base_velocity };
+    let links = &mut work.links[..];
+    let base = &mut links[0];
+    base.rotation = [[one, z, z], [z, one, z], [z, z, one]];
+    base.position = [z; 3];
+    base.velocity = *base_velocity;
     for (j, joint) in topology.joints.iter().enumerate() {
-        let parent = &work.links[joint.parent];
+        // parents come before
+        let (before, rest) = links.split_at_mut(j + 1);
+        let (parent, link) = (&before[joint.parent], &mut rest[0]);
         let offset = &parameters.joint_offset[j];
-        let mut origin =
+        link.position =
             if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
-        let (rotation, axis) = match joint.motion {
+        match joint.motion {
             JointMotion::Revolute => {
                 let (rotation, axis) = turned(&parent.rotation, joint.axis, position[j]);
-                (rotation, Spatial { ang: axis, lin: cross(&origin, &axis) })
+                link.rotation = rotation;
+                link.axis = Spatial { ang: axis, lin: cross(&link.position, &axis) };
             }
             JointMotion::Prismatic => {
                 let axis = direction(&parent.rotation, joint.axis);
-                origin = add_scaled(&origin, &axis, position[j]);
-                (parent.rotation, Spatial { ang: [z; 3], lin: axis })
+                link.position = add_scaled(&link.position, &axis, position[j]);
+                link.rotation = parent.rotation;
+                link.axis = Spatial { ang: [z; 3], lin: axis };
             }
-        };
-        let velocity = parent.velocity.plus_scaled(&axis, velocity[j]);
-        work.axes[j] = axis;
-        work.links[j + 1] = LinkState { rotation, position: origin, velocity };
+        }
+        link.velocity = parent.velocity.plus_scaled(&link.axis, velocity[j]);
     }
 }
 
-/// Spatial inertia of a link that is not the base.
+/// Centre of mass of a link that is not the base, and inertia about it.
 #[inline(always)]
-fn link_inertia<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>) -> SpatialInertia<S> {
+fn about_com<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>) -> (Vec3<S>, Sym3<S>) {
     let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com[link]));
-    let about_com = rotate_sym(&at.rotation, &parameters.inertia[link]);
-    SpatialInertia::new(parameters.mass[link], &com, &about_com)
+    (com, rotate_sym(&at.rotation, &parameters.inertia[link]))
 }
 
 /// Spatial inertia of every link.
 #[inline(always)]
 pub fn link_inertias<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
-    work.inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    work.links[0].inertia = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
     for link in 1..topology.num_links() {
-        work.inertia[link] = link_inertia(parameters, link, &work.links[link]);
+        let (com, inertia) = about_com(parameters, link, &work.links[link]);
+        work.links[link].inertia = SpatialInertia::new(parameters.mass[link], &com, &inertia);
     }
 }
 
-/// The force that a link's motion and gravity ask for.
+/// The force that a link's motion and gravity ask for, by Newton's and Euler's equations about its centre of mass `com`.
 #[inline(always)]
-fn link_force<S: Real>(inertia: &SpatialInertia<S>, velocity: &Spatial<S>, acceleration: &Spatial<S>) -> Spatial<S> {
-    inertia.apply(acceleration).plus(&velocity.cross_force(&inertia.apply(velocity)))
+fn link_force<S: Real>(
+    mass: S,
+    com: &Vec3<S>,
+    inertia: &Sym3<S>,
+    velocity: &Spatial<S>,
+    acceleration: &Spatial<S>,
+) -> Spatial<S> {
+    let (w, turning) = (&velocity.ang, &acceleration.ang);
+    let of_com = cross_add(w, com, &velocity.lin);
+    let lin = scale(&cross_add(w, &of_com, &cross_add(turning, com, &acceleration.lin)), mass);
+    let torque = cross_add(w, &mul_sym(inertia, w), &mul_sym(inertia, turning));
+    Spatial { ang: cross_add(com, &lin, &torque), lin }
 }
 
 /// Bias forces and the mass matrix, in one pass from the base to the leaves and one back.
@@ -136,26 +154,35 @@ pub fn equations_of_motion<S: Real>(
     gravity: &Vec3<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { links, axes, acceleration, inertia, force, bias_base, bias_joint, factor, .. } = work;
-    let minus_gravity = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
-    acceleration[0] = minus_gravity;
-    inertia[0] = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
-    force[0] = link_force(&inertia[0], &links[0].velocity, &minus_gravity);
+    let Workspace { links, bias_base, bias_joint, factor, .. } = work;
+    let base = &mut links[0];
+    base.acceleration = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
+    let (mass, com, about) = (parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    base.inertia = SpatialInertia::new(mass, com, about);
+    base.force = link_force(mass, com, about, &base.velocity, &base.acceleration);
     for (j, joint) in topology.joints.iter().enumerate() {
-        let (at, axis) = (&links[j + 1], &axes[j]);
-        let relative = Spatial { ang: scale(&axis.ang, velocity[j]), lin: scale(&axis.lin, velocity[j]) };
-        acceleration[j + 1] = acceleration[joint.parent].plus(&at.velocity.cross_motion(&relative));
-        inertia[j + 1] = link_inertia(parameters, j + 1, at);
-        force[j + 1] = link_force(&inertia[j + 1], &at.velocity, &acceleration[j + 1]);
+        let (before, rest) = links.split_at_mut(j + 1);
+        let (parent, link) = (&before[joint.parent], &mut rest[0]);
+        let relative = Spatial { ang: scale(&link.axis.ang, velocity[j]), lin: scale(&link.axis.lin, velocity[j]) };
+        link.acceleration = parent.acceleration.plus(&link.velocity.cross_motion(&relative));
+        let (mass, (com, about)) = (parameters.mass[j + 1], about_com(parameters, j + 1, link));
+        link.inertia = SpatialInertia::new(mass, &com, &about);
+        link.force = link_force(mass, &com, &about, &link.velocity, &link.acceleration);
     }
-    for (j, joint) in topology.joints.iter().enumerate().rev() {
-        bias_joint[j] = axes[j].dot(&force[j + 1]);
-        force[joint.parent] = force[joint.parent].plus(&force[j + 1]);
-        factor.set_joint(topology, j, &inertia[j + 1], axes, parameters.armature[j]);
-        inertia[joint.parent] = inertia[joint.parent].plus(&inertia[j + 1]);
+    for (b, block) in topology.blocks().iter().enumerate().rev() {
+        for place in (0..block.len).rev() {
+            let j = block.joints[place];
+            factor.set_joint(topology, b, place, links, parameters.armature[j]);
+            let (before, rest) = links.split_at_mut(j + 1);
+            let (parent, link) = (&mut before[topology.joints[j].parent], &rest[0]);
+            bias_joint[j] = link.axis.dot(&link.force);
+            parent.force = parent.force.plus(&link.force);
+            parent.inertia = parent.inertia.plus(&link.inertia);
+        }
+        factor.set_empty_places(block, b);
     }
-    *bias_base = force[0].to_array();
-    factor.set_base(&inertia[0]);
+    *bias_base = links[0].force.to_array();
+    factor.set_base(&links[0].inertia);
 }
 
 /// Position and velocity, in base axes, of a point fixed to a link.

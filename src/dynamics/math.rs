@@ -12,7 +12,17 @@ pub type Sym3<S> = [S; 6];
 /// `a x b`.
 #[inline(always)]
 pub fn cross<S: Real>(a: &Vec3<S>, b: &Vec3<S>) -> Vec3<S> {
-    [a[1].mul_add(b[2], -(a[2] * b[1])), a[2].mul_add(b[0], -(a[0] * b[2])), a[0].mul_add(b[1], -(a[1] * b[0]))]
+    [a[2].neg_mul_add(b[1], a[1] * b[2]), a[0].neg_mul_add(b[2], a[2] * b[0]), a[1].neg_mul_add(b[0], a[0] * b[1])]
+}
+
+/// `a x b + c`.
+#[inline(always)]
+pub fn cross_add<S: Real>(a: &Vec3<S>, b: &Vec3<S>, c: &Vec3<S>) -> Vec3<S> {
+    [
+        a[2].neg_mul_add(b[1], a[1].mul_add(b[2], c[0])),
+        a[0].neg_mul_add(b[2], a[2].mul_add(b[0], c[1])),
+        a[1].neg_mul_add(b[0], a[0].mul_add(b[1], c[2])),
+    ]
 }
 
 /// The same numbers in every lane.
@@ -177,13 +187,7 @@ impl<S: Real> Spatial<S> {
     /// `self x m` of two motion vectors (Featherstone's crm).
     #[inline(always)]
     pub fn cross_motion(&self, m: &Self) -> Self {
-        Self { ang: cross(&self.ang, &m.ang), lin: add(&cross(&self.ang, &m.lin), &cross(&self.lin, &m.ang)) }
-    }
-
-    /// `self x* f` of a motion and a force vector (Featherstone's crf).
-    #[inline(always)]
-    pub fn cross_force(&self, f: &Self) -> Self {
-        Self { ang: add(&cross(&self.ang, &f.ang), &cross(&self.lin, &f.lin)), lin: cross(&self.ang, &f.lin) }
+        Self { ang: cross(&self.ang, &m.ang), lin: cross_add(&self.ang, &m.lin, &cross(&self.lin, &m.ang)) }
     }
 }
 
@@ -238,8 +242,8 @@ impl<S: Real> SpatialInertia<S> {
     #[inline(always)]
     pub fn apply(&self, m: &Spatial<S>) -> Spatial<S> {
         Spatial {
-            ang: add(&mul_sym(&self.inertia, &m.ang), &cross(&self.moment, &m.lin)),
-            lin: add_scaled(&cross(&m.ang, &self.moment), &m.lin, self.mass),
+            ang: cross_add(&self.moment, &m.lin, &mul_sym(&self.inertia, &m.ang)),
+            lin: cross_add(&m.ang, &self.moment, &scale(&m.lin, self.mass)),
         }
     }
 }

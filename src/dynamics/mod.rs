@@ -2,6 +2,7 @@
 
 pub mod algorithms;
 pub mod articulation;
+pub mod blocks;
 pub mod contact;
 pub mod factor;
 pub mod kinematics;
@@ -12,7 +13,7 @@ pub mod proximity;
 pub mod rows;
 pub mod self_contact;
 pub mod solver;
-mod sparse_velocity;
+mod sparse_rows;
 pub mod state;
 pub mod step;
 pub mod terrain;

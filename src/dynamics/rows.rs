@@ -4,10 +4,13 @@
 //! `J M^-1 J^T = Z^T Z` and a sweep works on the sparse velocity `y = H u` (see [`factor`](super::factor)): a row's velocity is
 //! `Z . y`, and an impulse `l` changes `y` by `Z l`.
 
-use super::articulation::{BOUND_BLOCK, PairTopology, Topology};
+use super::articulation::{PairTopology, Topology};
+use super::blocks::{BLOCK, PathPart};
 use super::factor::Factor;
 use super::lanes::Real;
-use super::math::{Spatial, Vec3, cross, dot, scale, sub};
+use super::math::{Vec3, cross, dot, scale, sub};
+use super::sparse_rows::{JointRows, SparseRows};
+use super::state::LinkState;
 
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
 /// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
@@ -23,9 +26,7 @@ pub(super) const NEVER: f64 = -1e6;
 pub(super) struct ContactRows<S> {
     /// Which impulse it has.
     pub(super) contact: usize,
-    /// The path of the joints it acts on, in the topology.
-    pub(super) path: usize,
-    pub(super) base: [[S; 6]; 3],
+    pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     pub(super) coupling: [S; 3],
     pub(super) inverse: [S; 3],
@@ -83,22 +84,20 @@ impl<S: Real> BoundRow<S> {
     }
 }
 
-/// Some joints of a chain, of which at least one is near a limit or has dry friction.
+/// The bounds of a block's joints.
 ///
 /// Which joints share a block is the topology's matter, not that of the moment: the order of operations in a lane must not
 /// depend on its neighbours.
 #[derive(Clone, Debug)]
 pub(super) struct BoundBlock<S> {
-    /// Index in [`Topology::bound_blocks`].
-    pub(super) block: usize,
-    /// The last of its joints.
-    pub(super) last: usize,
     /// Whether any lane is near a limit of any joint.
     pub(super) limits: bool,
-    pub(super) base: [[S; 6]; BOUND_BLOCK],
+    /// Whether that is so or any joint has dry friction in any lane: else the block takes no part.
+    pub(super) active: bool,
+    pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
-    pub(super) rows: [BoundRow<S>; BOUND_BLOCK],
+    pub(super) joints: [BoundRow<S>; BLOCK],
 }
 
 /// Scratch memory of the contact solver.
@@ -107,8 +106,9 @@ pub struct ContactWork<S> {
     /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
     pub(super) contacts: Vec<ContactRows<S>>,
     pub(super) num_contacts: usize,
+    /// `[blocks]`.
     pub(super) bounds: Vec<BoundBlock<S>>,
-    /// Number of joints that rows have room for.
+    /// Number of blocks after the first that rows have room for.
     pub(super) stride: usize,
     /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
     pub(super) violation: S,
@@ -118,43 +118,51 @@ pub struct ContactWork<S> {
     pub(super) ground_frames: Vec<[Vec3<S>; 3]>,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
-    /// Joint parts of the contact rows: `[contact * stride + p]`, `p` along the path.
-    pub(super) contact_joint: Vec<[S; 3]>,
+    /// Joint parts of the contact rows in the blocks after the first: `[contact * stride + p]`, `p` along the path.
+    pub(super) contact_further: Vec<JointRows<S>>,
     /// The same of the joint bounds.
-    pub(super) bound_joint: Vec<[S; BOUND_BLOCK]>,
+    pub(super) bound_further: Vec<JointRows<S>>,
     /// The sparse velocity `y`.
     pub base: [S; 6],
-    /// See `base`.
-    pub joints: Vec<S>,
+    /// See `base`; `[blocks]`.
+    pub joints: Vec<[S; BLOCK]>,
     /// The sparse velocity that moves the bodies: with what pushes penetrations out.
     pub moved_base: [S; 6],
     /// See `moved_base`.
-    pub moved_joints: Vec<S>,
+    pub moved_joints: Vec<[S; BLOCK]>,
 }
 
 impl<S: Real> ContactWork<S> {
     /// Memory for a topology.
     pub fn new(topology: &Topology) -> Self {
         let z = S::zero();
-        // at least one: a robot may have no joints
-        let stride = topology.max_contact_path().max(1);
-        let (contacts, joints) = (topology.num_impulses(), topology.num_joints());
-        let blocks = topology.bound_blocks().len();
+        // at least one: it is the size of chunks
+        let stride = topology.max_path().saturating_sub(1).max(1);
+        let (contacts, blocks) = (topology.num_impulses(), topology.blocks().len());
+        let free = BoundBlock {
+            limits: false,
+            active: false,
+            rows: SparseRows::zero(),
+            coupling: [z; 3],
+            joints: [BoundRow::free(); BLOCK],
+        };
+        // a robot may have no joints, but every row reads the velocity of a block
+        let velocities = vec![[z; BLOCK]; blocks.max(1)];
         Self {
             contacts: Vec::new(),
             num_contacts: 0,
-            bounds: Vec::with_capacity(blocks),
+            bounds: vec![free; blocks],
             stride,
             violation: z,
             compliance: z,
             ground_frames: Vec::with_capacity(topology.contacts.len()),
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
-            contact_joint: vec![[z; 3]; contacts * stride],
-            bound_joint: vec![[z; BOUND_BLOCK]; blocks * stride],
+            contact_further: vec![[[z; 3]; BLOCK]; contacts * stride],
+            bound_further: vec![[[z; 3]; BLOCK]; blocks * stride],
             base: [z; 6],
-            joints: vec![z; joints],
+            joints: velocities.clone(),
             moved_base: [z; 6],
-            moved_joints: vec![z; joints],
+            moved_joints: velocities,
         }
     }
 
@@ -174,19 +182,19 @@ impl<S: Real> ContactWork<S> {
         &self.contacts[..self.num_contacts]
     }
 
-    /// The rows about to be added, and their joint parts.
+    /// The rows about to be added, and their further joint parts.
     #[inline(always)]
-    pub(super) fn next(&self) -> (&ContactRows<S>, &[[S; 3]]) {
-        (&self.contacts[self.num_contacts], &self.contact_joint[self.num_contacts * self.stride..])
+    pub(super) fn next(&self) -> (&SparseRows<S>, &[JointRows<S>]) {
+        (&self.contacts[self.num_contacts].rows, &self.contact_further[self.num_contacts * self.stride..])
     }
 
-    /// Room for another contact: its rows and their joint parts.
+    /// Room for another contact: its rows and their further joint parts.
     #[inline(always)]
-    fn next_mut(&mut self) -> (&mut ContactRows<S>, &mut [[S; 3]]) {
+    fn next_mut(&mut self) -> (&mut ContactRows<S>, &mut [JointRows<S>]) {
         if self.num_contacts == self.contacts.len() {
             self.contacts.push(ContactRows::zero());
         }
-        (&mut self.contacts[self.num_contacts], &mut self.contact_joint[self.num_contacts * self.stride..])
+        (&mut self.contacts[self.num_contacts], &mut self.contact_further[self.num_contacts * self.stride..])
     }
 
     /// Builds the rows of a point of a link that touches the ground, `centre` less `radius` along the normal.
@@ -195,34 +203,36 @@ impl<S: Real> ContactWork<S> {
         &mut self,
         topology: &Topology,
         factor: &Factor<S>,
-        axes: &[Spatial<S>],
+        links: &[LinkState<S>],
         frame: &[Vec3<S>; 3],
         contact: usize,
         centre: &Vec3<S>,
         radius: S,
     ) {
         let link = topology.contacts[contact].link;
-        let path = topology.path(link);
-        let (row, joint) = self.next_mut();
-        let joint = &mut joint[..path.len()];
         let point = sub(centre, &scale(&frame[0], radius));
-        (row.contact, row.path) = (contact, link);
+        let (ContactRows { contact: which, rows, .. }, further) = self.next_mut();
+        *which = contact;
+        rows.set_path(topology, link);
         for d in 0..3 {
-            let direction = &frame[d];
-            let moment = cross(&point, direction);
-            row.base[d] = if topology.floating {
-                [moment[0], moment[1], moment[2], direction[0], direction[1], direction[2]]
-            } else {
-                [S::zero(); 6]
-            };
-            for (x, &j) in joint.iter_mut().zip(path) {
-                x[d] = dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction);
+            let [mx, my, mz] = cross(&point, &frame[d]);
+            let [x, y, z] = frame[d];
+            rows.base[d] = [mx, my, mz, x, y, z];
+        }
+        let path = topology.path(link);
+        match path.split_first() {
+            Some((part, rest)) => {
+                rows.own = joint_rows(topology, links, part, &rows.base);
+                for (part, out) in rest.iter().zip(further.iter_mut()) {
+                    *out = joint_rows(topology, links, part, &rows.base);
+                }
             }
+            None => rows.own = [[S::zero(); 3]; BLOCK],
         }
-        match path.len() {
-            3 => half_solve_path::<S, 3, 3>(topology, factor, path, joint, &mut row.base),
-            _ => half_solve_path::<S, 3, 0>(topology, factor, path, joint, &mut row.base),
+        if !topology.floating {
+            rows.base = [[S::zero(); 6]; 3];
         }
+        rows.half_solve(topology, factor, further);
         self.finish(topology, SOFTNESS);
     }
 
@@ -232,41 +242,32 @@ impl<S: Real> ContactWork<S> {
         &mut self,
         topology: &Topology,
         factor: &Factor<S>,
-        axes: &[Spatial<S>],
+        links: &[LinkState<S>],
         pair: &PairTopology,
         impulse: usize,
         frame: &[Vec3<S>; 3],
         point: &Vec3<S>,
     ) {
-        let PairTopology { side, ancestors, .. } = pair;
-        let path = topology.path(pair.path);
-        let (row, joint) = self.next_mut();
-        let joint = &mut joint[..path.len()];
-        (row.contact, row.path) = (impulse, pair.path);
+        let (ContactRows { contact: which, rows, .. }, further) = self.next_mut();
+        *which = impulse;
+        rows.set_path(topology, pair.path);
         for d in 0..3 {
-            let direction = &frame[d];
-            let moment = cross(point, direction);
-            for (p, &j) in path.iter().enumerate() {
-                // what carries both links feels nothing
-                joint[p][d] = (dot(&axes[j].ang, &moment) + dot(&axes[j].lin, direction)) * S::splat(side[p]);
-            }
+            let [mx, my, mz] = cross(point, &frame[d]);
+            let [x, y, z] = frame[d];
+            rows.base[d] = [mx, my, mz, x, y, z];
         }
-        row.base = [[S::zero(); 6]; 3];
-        for p in 0..path.len() {
-            let (x, first) = (joint[p], topology.row(path[p]));
-            for (i, &q) in ancestors[p].iter().enumerate() {
-                let l = factor.couplings[first + i];
-                for d in 0..3 {
-                    joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
-                }
-            }
-            for d in 0..3 {
-                for r in 0..6 {
-                    row.base[d][r] = factor.base_couplings[path[p]][r].neg_mul_add(x[d], row.base[d][r]);
+        let parts = topology.path(pair.path).iter().zip(&pair.side);
+        for ((part, side), out) in parts.zip(std::iter::once(&mut rows.own).chain(further.iter_mut())) {
+            *out = joint_rows(topology, links, part, &rows.base);
+            for (row, &side) in out.iter_mut().zip(side) {
+                for x in row {
+                    // what carries both links feels nothing
+                    *x = *x * S::splat(side);
                 }
             }
         }
-        scale_rows(topology, factor, path, joint, &mut row.base);
+        rows.base = [[S::zero(); 6]; 3];
+        rows.half_solve(topology, factor, further);
         self.pair_frames.push(*frame);
         self.finish(topology, PAIR_SOFTNESS);
     }
@@ -279,9 +280,8 @@ impl<S: Real> ContactWork<S> {
         // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
         // give way at all: keep the division finite
         let least = self.compliance * S::splat(0.5);
-        let (row, joint) = self.next_mut();
-        let joint = &joint[..topology.path(row.path).len()];
-        let product = products(&row.base, joint);
+        let (row, further) = self.next_mut();
+        let product = row.rows.products(topology, further);
         let half = S::splat(0.5);
         let difference = (product[1] - product[2]) * half;
         let radius = difference.mul_add(difference, product[5] * product[5]).sqrt();
@@ -317,13 +317,11 @@ impl<S: Real> ContactWork<S> {
 }
 
 impl<S: Real> ContactRows<S> {
-    #[inline(always)]
     fn zero() -> Self {
         let z = S::zero();
         Self {
             contact: 0,
-            path: 0,
-            base: [[z; 6]; 3],
+            rows: SparseRows::zero(),
             coupling: [z; 3],
             inverse: [z; 3],
             diagonal: z,
@@ -336,96 +334,24 @@ impl<S: Real> ContactRows<S> {
             awake: true,
         }
     }
-
-    /// The velocity along the normal; `joint` are the rows' joint parts.
-    #[inline(always)]
-    pub(super) fn normal_velocity(&self, path: &[usize], joint: &[[S; 3]], base: &[S; 6], joints: &[S]) -> S {
-        let mut sum = dot6(&self.base[0], base);
-        for (z, &j) in joint.iter().zip(path) {
-            sum = z[0].mul_add(joints[j], sum);
-        }
-        sum
-    }
 }
 
-/// `H^-T J^T` along a path, in place: `joint[p]` belongs to `path[p]`. `P` is the length of the path if it is known beforehand,
-/// else 0.
+/// `J` of a block's joints for forces along three directions, given as their moment about the base's origin and themselves.
 #[inline(always)]
-pub(super) fn half_solve_path<S: Real, const N: usize, const P: usize>(
+fn joint_rows<S: Real>(
     topology: &Topology,
-    factor: &Factor<S>,
-    path: &[usize],
-    joint: &mut [[S; N]],
-    base: &mut [[S; 6]; N],
-) {
-    let length = if P > 0 { P } else { path.len() };
-    let (path, joint) = (&path[..length], &mut joint[..length]);
-    for p in 0..length {
-        let k = path[p];
-        let x = joint[p];
-        let row = topology.row(k);
-        for q in p + 1..length {
-            let l = factor.couplings[row + q - p - 1];
-            for d in 0..N {
-                joint[q][d] = l.neg_mul_add(x[d], joint[q][d]);
-            }
-        }
-        for d in 0..N {
-            for r in 0..6 {
-                base[d][r] = factor.base_couplings[k][r].neg_mul_add(x[d], base[d][r]);
-            }
+    links: &[LinkState<S>],
+    part: &PathPart,
+    directions: &[[S; 6]; 3],
+) -> JointRows<S> {
+    let mut rows = [[S::zero(); 3]; BLOCK];
+    let joints = &topology.blocks()[part.joints.block].joints;
+    for s in 0..part.joints.count {
+        let axis = &links[joints[s] + 1].axis;
+        for d in 0..3 {
+            let [mx, my, mz, x, y, z] = directions[d];
+            rows[s][d] = dot(&axis.ang, &[mx, my, mz]) + dot(&axis.lin, &[x, y, z]);
         }
     }
-    scale_rows(topology, factor, path, joint, base);
-}
-
-/// `D^-1/2 G^-1` of rows that have been eliminated along a path.
-#[inline(always)]
-fn scale_rows<S: Real, const N: usize>(
-    topology: &Topology,
-    factor: &Factor<S>,
-    path: &[usize],
-    joint: &mut [[S; N]],
-    base: &mut [[S; 6]; N],
-) {
-    if topology.floating {
-        for row in base.iter_mut() {
-            factor.base_forward(row);
-            for (x, root) in row.iter_mut().zip(&factor.base_root) {
-                *x = *x * root[1];
-            }
-        }
-    }
-    for (row, &j) in joint.iter_mut().zip(path) {
-        for x in row {
-            *x = *x * factor.root[j][1];
-        }
-    }
-}
-
-#[inline(always)]
-pub(super) fn dot6<S: Real>(a: &[S; 6], b: &[S; 6]) -> S {
-    // two chains, for latency
-    let even = a[0].mul_add(b[0], a[2].mul_add(b[2], a[4] * b[4]));
-    let odd = a[1].mul_add(b[1], a[3].mul_add(b[3], a[5] * b[5]));
-    even + odd
-}
-
-/// Products of three rows: 0-0, 1-1, 2-2, 0-1, 0-2, 1-2.
-#[inline(always)]
-pub(super) fn products<S: Real>(base: &[[S; 6]; 3], joint: &[[S; 3]]) -> [S; 6] {
-    let mut product = [
-        dot6(&base[0], &base[0]),
-        dot6(&base[1], &base[1]),
-        dot6(&base[2], &base[2]),
-        dot6(&base[0], &base[1]),
-        dot6(&base[0], &base[2]),
-        dot6(&base[1], &base[2]),
-    ];
-    for x in joint {
-        for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            product[i] = x[a].mul_add(x[b], product[i]);
-        }
-    }
-    product
+    rows
 }

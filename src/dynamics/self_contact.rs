@@ -103,7 +103,7 @@ pub fn build_pairs<S: Real>(
         return;
     }
     place_colliders(topology, parameters, work);
-    let Workspace { axes, factor, colliders, collider_boxes, contact: rows, .. } = work;
+    let Workspace { links, factor, colliders, collider_boxes, contact: rows, .. } = work;
     let inverse_dt = S::one() / dt;
     for group in &topology.pair_groups {
         let [a, b] = group.links;
@@ -128,7 +128,7 @@ pub fn build_pairs<S: Real>(
                 if !S::any(near) {
                     continue;
                 }
-                rows.build_pair(topology, factor, axes, pair, i, &frame(&found.normal), &found.point);
+                rows.build_pair(topology, factor, links, pair, i, &frame(&found.normal), &found.point);
                 rows.add(near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &state.impulse[i]);
             }
         }

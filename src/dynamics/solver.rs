@@ -1,10 +1,11 @@
 //! Warm-started Gauss-Seidel sweeps over contacts and joint bounds.
 
 use super::articulation::{Parameters, Topology};
+use super::blocks::BLOCK;
 use super::contact::ContactSettings;
 use super::lanes::Real;
 use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER};
-use super::sparse_velocity::{Along, Copied, PathVelocity, apply, velocities};
+use super::sparse_rows::JointRows;
 
 /// Sweeps that push penetrations out.
 const PUSH_SWEEPS: usize = 4;
@@ -69,45 +70,44 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     let z = S::zero();
     // on the way, the change of the velocity by the whole impulses is kept where the moved velocity will be
     work.moved_base = [z; 6];
-    work.moved_joints.fill(z);
+    work.moved_joints.fill([z; BLOCK]);
     let ContactWork {
         contacts,
         num_contacts,
-        contact_joint,
+        contact_further,
         bounds,
-        bound_joint,
+        bound_further,
         stride,
         moved_base,
         moved_joints,
         ..
     } = work;
     let (mut targets, mut energy) = (z, S::splat(1e-20));
-    for (row, joint) in contacts[..*num_contacts].iter().zip(contact_joint.chunks_exact(*stride)) {
-        let path = topology.path(row.path);
-        apply(&row.base, joint, &row.impulse, moved_base, &mut Along { path, y_joint: moved_joints });
+    for (row, further) in contacts[..*num_contacts].iter().zip(contact_further.chunks_exact(*stride)) {
+        row.rows.apply(topology, further, &row.impulse, moved_base, moved_joints);
         let normal = row.impulse[0];
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
     }
-    for (block, joint) in bounds.iter().zip(bound_joint.chunks_exact(*stride)) {
+    for (block, further) in bounds.iter().zip(bound_further.chunks_exact(*stride)) {
         if block.limits {
-            let rows = &block.rows;
-            let impulse = [rows[0].limit_impulse, rows[1].limit_impulse, rows[2].limit_impulse];
-            let path = topology.path(block.last + 1);
-            apply(&block.base, joint, &impulse, moved_base, &mut Along { path, y_joint: moved_joints });
-            for row in rows {
+            let joints = &block.joints;
+            let impulse = [joints[0].limit_impulse, joints[1].limit_impulse, joints[2].limit_impulse];
+            block.rows.apply(topology, further, &impulse, moved_base, moved_joints);
+            for row in joints {
                 let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
                 targets = target.mul_add(row.limit_impulse, targets);
             }
         }
     }
     let mut gain = targets;
-    for (&change, &y) in work.moved_joints.iter().zip(&work.joints).chain(work.moved_base.iter().zip(&work.base)) {
+    let changes = work.moved_joints.as_flattened().iter().chain(&work.moved_base);
+    for (&change, &y) in changes.zip(work.joints.as_flattened().iter().chain(&work.base)) {
         gain = change.neg_mul_add(y, gain);
         energy = change.mul_add(change, energy);
     }
     let share = (gain / energy).clamp(z, S::one());
-    for (y, &change) in work.joints.iter_mut().zip(&work.moved_joints) {
+    for (y, &change) in work.joints.as_flattened_mut().iter_mut().zip(work.moved_joints.as_flattened()) {
         *y = share.mul_add(change, *y);
     }
     for (y, &change) in work.base.iter_mut().zip(&work.moved_base) {
@@ -119,7 +119,7 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
         }
     }
     for block in &mut work.bounds {
-        for row in &mut block.rows {
+        for row in &mut block.joints {
             row.limit_impulse = row.limit_impulse * share;
         }
     }
@@ -129,8 +129,8 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
 #[inline(always)]
 fn unsettled<S: Real>(topology: &Topology, work: &ContactWork<S>) -> S::Mask {
     let mut most = S::zero();
-    for (row, joint) in work.contacts().iter().zip(work.contact_joint.chunks_exact(work.stride)) {
-        let w = row.normal_velocity(topology.path(row.path), joint, &work.base, &work.joints);
+    for (row, further) in work.contacts().iter().zip(work.contact_further.chunks_exact(work.stride)) {
+        let w = row.rows.first_velocity(topology, further, &work.base, &work.joints);
         let old = row.impulse[0];
         let missing = row.softness.mul_add(old, w - row.target);
         let normal = missing.neg_mul_add(row.inverse[0], old).max(S::zero());
@@ -168,34 +168,28 @@ fn sweep_contacts<S: Real>(
     active: S::Mask,
     work: &mut ContactWork<S>,
 ) {
-    let ContactWork { contacts, num_contacts, contact_joint, stride, base: y_base, joints: y_joint, .. } = work;
+    let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
     let friction = [parameters.static_friction, parameters.dynamic_friction];
-    for (row, joint) in contacts[..*num_contacts].iter_mut().zip(contact_joint.chunks_exact(*stride)) {
+    for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
         if !row.awake {
             continue;
         }
-        let path = topology.path(row.path);
-        if path.len() == 3 {
-            let mut y = Copied::<S, 3>::new(path, y_joint);
-            visit_contact(&friction, active, row, joint, y_base, &mut y);
-            y.put_back(path, y_joint);
-        } else {
-            visit_contact(&friction, active, row, joint, y_base, &mut Along { path, y_joint });
-        }
+        visit_contact(topology, &friction, active, row, further, y_base, y_joint);
     }
 }
 
 /// Brings the velocity of one contact to its target and its impulse into the friction cone.
 #[inline(always)]
 fn visit_contact<S: Real>(
+    topology: &Topology,
     friction: &[S; 2],
     active: S::Mask,
     row: &mut ContactRows<S>,
-    joint: &[[S; 3]],
+    further: &[JointRows<S>],
     y_base: &mut [S; 6],
-    y_joint: &mut impl PathVelocity<S>,
+    y_joint: &mut [[S; BLOCK]],
 ) {
-    let w = velocities(&row.base, joint, y_base, y_joint);
+    let w = row.rows.velocities(topology, further, y_base, y_joint);
     let old = row.impulse;
     let missing = row.softness.mul_add(old[0], w[0] - row.target);
     let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
@@ -217,42 +211,31 @@ fn visit_contact<S: Real>(
         S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
     ];
     row.impulse = new;
-    apply(&row.base, joint, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
+    row.rows.apply(topology, further, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
 /// One sweep over the contacts' normals, for the motion that pushes penetrations out.
 #[inline(always)]
 fn push_contacts<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) {
-    let ContactWork { contacts, num_contacts, contact_joint, stride, base: y_base, joints: y_joint, .. } = work;
-    for (row, joint) in contacts[..*num_contacts].iter_mut().zip(contact_joint.chunks_exact(*stride)) {
-        let path = topology.path(row.path);
-        let w = row.normal_velocity(path, joint, y_base, y_joint);
+    let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
+    for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
+        let w = row.rows.first_velocity(topology, further, y_base, y_joint);
         let target = S::select(pushes, row.push, S::splat(NEVER));
         let missing = row.softness.mul_add(row.push_impulse, w - target);
         let push = missing.neg_mul_add(row.inverse[0], row.push_impulse).max(S::zero());
         let change = push - row.push_impulse;
         row.push_impulse = push;
-        for (y, &z) in y_base.iter_mut().zip(&row.base[0]) {
-            *y = z.mul_add(change, *y);
-        }
-        for (z, &j) in joint.iter().zip(path) {
-            y_joint[j] = z[0].mul_add(change, y_joint[j]);
-        }
+        row.rows.apply_first(topology, further, change, y_base, y_joint);
     }
 }
 
 /// One sweep over the joints' limits and dry friction, in the lanes that are `active`.
 #[inline(always)]
 fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) {
-    let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
-    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
-        let path = topology.path(block.last + 1);
-        if path.len() == 3 {
-            let mut y = Copied::<S, 3>::new(path, joints);
-            visit_bounds(active, block, joint, base, &mut y);
-            y.put_back(path, joints);
-        } else {
-            visit_bounds(active, block, joint, base, &mut Along { path, y_joint: joints });
+    let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
+    for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
+        if block.active {
+            visit_bounds(topology, active, block, further, base, joints);
         }
     }
 }
@@ -260,47 +243,52 @@ fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
 /// Brings the velocities of a block's joints into their bounds, one after the other.
 #[inline(always)]
 fn visit_bounds<S: Real>(
+    topology: &Topology,
     active: S::Mask,
     block: &mut BoundBlock<S>,
-    joint: &[[S; 3]],
+    further: &[JointRows<S>],
     y_base: &mut [S; 6],
-    y_joint: &mut impl PathVelocity<S>,
+    y_joint: &mut [[S; BLOCK]],
 ) {
-    let mut w = velocities(&block.base, joint, y_base, y_joint);
+    let mut w = block.rows.velocities(topology, further, y_base, y_joint);
     let mut change = [S::zero(); 3];
-    for i in 0..3 {
-        let row = &mut block.rows[i];
-        if row.rubs {
-            let old = row.friction_impulse;
-            let friction = w[i].neg_mul_add(row.inverse, old).clamp(-row.max_friction, row.max_friction);
-            row.friction_impulse = S::select(active, friction, old);
-            change[i] = row.friction_impulse - old;
+    if block.limits {
+        for i in 0..3 {
+            let row = &mut block.joints[i];
+            if row.rubs {
+                change[i] = row.rub(w[i], active);
+            }
+            if row.limits {
+                change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
+            }
+            block.pass_on(i, change[i], &mut w);
         }
-        if row.limits {
-            change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
+    } else {
+        // friction that is zero changes nothing: no branches
+        for i in 0..3 {
+            change[i] = block.joints[i].rub(w[i], active);
+            block.pass_on(i, change[i], &mut w);
         }
-        block.pass_on(i, change[i], &mut w);
     }
-    apply(&block.base, joint, &change, y_base, y_joint);
+    block.rows.apply(topology, further, &change, y_base, y_joint);
 }
 
 /// One sweep over the joints' limits alone, in the lanes that are `active`; whether it changed anything. Without a change
 /// another sweep would do nothing either.
 #[inline(always)]
 fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> bool {
-    let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
+    let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
     let mut most = S::zero();
-    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+    for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
         if block.limits {
-            let mut y = Along { path: topology.path(block.last + 1), y_joint: joints };
-            let mut w = velocities(&block.base, joint, base, &y);
+            let mut w = block.rows.velocities(topology, further, base, joints);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
-                change[i] = block.rows[i].limit(w[i], active);
+                change[i] = block.joints[i].limit(w[i], active);
                 most = most.max(change[i].abs());
                 block.pass_on(i, change[i], &mut w);
             }
-            apply(&block.base, joint, &change, base, &mut y);
+            block.rows.apply(topology, further, &change, base, joints);
         }
     }
     S::any(S::zero().lt(most))
@@ -309,19 +297,18 @@ fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
 /// One sweep over the joints' limits that moves joints back that are past one; whether it changed anything.
 #[inline(always)]
 fn push_limits<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) -> bool {
-    let ContactWork { bounds, bound_joint, stride, base, joints, .. } = work;
+    let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
     let mut most = S::zero();
-    for (block, joint) in bounds.iter_mut().zip(bound_joint.chunks_exact(*stride)) {
+    for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
         if block.limits {
-            let mut y = Along { path: topology.path(block.last + 1), y_joint: joints };
-            let mut w = velocities(&block.base, joint, base, &y);
+            let mut w = block.rows.velocities(topology, further, base, joints);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
-                change[i] = block.rows[i].push(w[i], pushes);
+                change[i] = block.joints[i].push(w[i], pushes);
                 most = most.max(change[i].abs());
                 block.pass_on(i, change[i], &mut w);
             }
-            apply(&block.base, joint, &change, base, &mut y);
+            block.rows.apply(topology, further, &change, base, joints);
         }
     }
     S::any(S::zero().lt(most))
@@ -341,6 +328,15 @@ impl<S: Real> BoundBlock<S> {
 }
 
 impl<S: Real> BoundRow<S> {
+    /// Brings a velocity to zero, as far as dry friction can: the change of its impulse.
+    #[inline(always)]
+    fn rub(&mut self, w: S, active: S::Mask) -> S {
+        let old = self.friction_impulse;
+        let friction = w.neg_mul_add(self.inverse, old).clamp(-self.max_friction, self.max_friction);
+        self.friction_impulse = S::select(active, friction, old);
+        self.friction_impulse - old
+    }
+
     /// Brings a velocity into its bounds: the change of the impulse.
     #[inline(always)]
     fn limit(&mut self, w: S, active: S::Mask) -> S {

@@ -1,6 +1,7 @@
 //! The moving numbers of a pack, and the scratch memory of a step.
 
 use super::articulation::Topology;
+use super::blocks::BLOCK;
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, SpatialInertia, Vec3};
@@ -120,7 +121,7 @@ impl<S: Real> Report<S> {
     }
 }
 
-/// Where links are and how they move, in base axes about the base origin.
+/// Where a link is, how it moves and what that asks for, in base axes about the base origin.
 #[derive(Clone, Debug)]
 pub struct LinkState<S> {
     /// Link axes in base axes.
@@ -129,6 +130,14 @@ pub struct LinkState<S> {
     pub position: Vec3<S>,
     /// Spatial velocity.
     pub velocity: Spatial<S>,
+    /// Motion axis of the joint that moves it.
+    pub axis: Spatial<S>,
+    /// Velocity-product acceleration.
+    pub acceleration: Spatial<S>,
+    /// Spatial inertia, then that of all it carries.
+    pub inertia: SpatialInertia<S>,
+    /// Force, then forces summed towards the base.
+    pub force: Spatial<S>,
 }
 
 /// Scratch memory of one worker; its contents mean nothing between steps.
@@ -138,14 +147,6 @@ pub struct Workspace<S> {
     pub base_rotation: Mat3<S>,
     /// `[links]`.
     pub links: Vec<LinkState<S>>,
-    /// Motion axis of each joint.
-    pub axes: Vec<Spatial<S>>,
-    /// Velocity-product accelerations, `[links]`.
-    pub acceleration: Vec<Spatial<S>>,
-    /// Spatial inertias, then composite ones, `[links]`.
-    pub inertia: Vec<SpatialInertia<S>>,
-    /// Link forces, then forces summed towards the base, `[links]`.
-    pub force: Vec<Spatial<S>>,
     /// Generalised bias force: base (6, base axes) and joints.
     pub bias_base: [S; 6],
     /// See `bias_base`.
@@ -154,8 +155,8 @@ pub struct Workspace<S> {
     pub factor: Factor<S>,
     /// Base velocity in base axes: angular, linear.
     pub velocity_base: [S; 6],
-    /// Right-hand sides and solutions.
-    pub rhs_joint: Vec<S>,
+    /// Right-hand sides and solutions, `[blocks]`.
+    pub rhs_joint: Vec<[S; BLOCK]>,
     /// Actuator effort before the implicit correction, N m.
     pub effort: Vec<S>,
     /// What the actuator loses per unit of velocity change; zero when saturated.
@@ -176,18 +177,23 @@ impl<S: Real> Workspace<S> {
         let z = S::zero();
         let (joints, links) = (topology.num_joints(), topology.num_links());
         let identity = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { S::one() } else { z }));
+        let link = LinkState {
+            rotation: identity,
+            position: [z; 3],
+            velocity: Spatial::zero(),
+            axis: Spatial::zero(),
+            acceleration: Spatial::zero(),
+            inertia: SpatialInertia::zero(),
+            force: Spatial::zero(),
+        };
         Self {
             base_rotation: identity,
-            links: vec![LinkState { rotation: identity, position: [z; 3], velocity: Spatial::zero() }; links],
-            axes: vec![Spatial::zero(); joints],
-            acceleration: vec![Spatial::zero(); links],
-            inertia: vec![SpatialInertia::zero(); links],
-            force: vec![Spatial::zero(); links],
+            links: vec![link; links],
             bias_base: [z; 6],
             bias_joint: vec![z; joints],
             factor: Factor::new(topology),
             velocity_base: [z; 6],
-            rhs_joint: vec![z; joints],
+            rhs_joint: vec![[z; BLOCK]; topology.blocks().len()],
             effort: vec![z; joints],
             effort_slope: vec![z; joints],
             target: vec![z; joints],

@@ -1,6 +1,7 @@
 //! One control step of a pack: actuators, forward dynamics with contact, integration, substep after substep.
 
 use super::articulation::{EffortTable, Parameters, Topology};
+use super::blocks::{BLOCK, gather};
 use super::contact::{self, ContactSettings};
 use super::kinematics;
 use super::lanes::{Kernel, Real};
@@ -150,8 +151,6 @@ fn physics_step<S: Real>(
 ) {
     let z = S::zero();
     let dt = S::splat(settings.dt);
-    let joints = topology.num_joints();
-
     work.base_rotation = quat_to_mat(&state.rotation);
     let gravity = mul_vec_transposed(&work.base_rotation, &splat(&settings.gravity));
     // bias forces do not depend on the base's linear velocity: see `equations_of_motion`
@@ -160,11 +159,16 @@ fn physics_step<S: Real>(
     kinematics::equations_of_motion(topology, parameters, &state.joint_velocity, &gravity, work);
 
     actuate(topology, parameters, drive, dt, state, work);
-    for j in 0..joints {
-        let slope = work.effort_slope[j] + parameters.joint_damping[j];
-        work.factor.diagonal[j] = slope.mul_add(dt, work.factor.diagonal[j]);
-        let passive = parameters.joint_damping[j] * state.joint_velocity[j];
-        work.rhs_joint[j] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
+    for (b, block) in topology.blocks().iter().enumerate() {
+        work.rhs_joint[b] = [z; BLOCK];
+        for place in 0..block.len {
+            let j = block.joints[place];
+            let slope = work.effort_slope[j] + parameters.joint_damping[j];
+            let diagonal = &mut work.factor.blocks[b].diagonal[place];
+            *diagonal = slope.mul_add(dt, *diagonal);
+            let passive = parameters.joint_damping[j] * state.joint_velocity[j];
+            work.rhs_joint[b][place] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
+        }
     }
     work.factor.factorise(topology);
 
@@ -180,7 +184,7 @@ fn physics_step<S: Real>(
     }
     work.factor.half_solve(topology, &mut impulse, &mut work.rhs_joint);
     work.contact.base = if topology.floating { work.velocity_base } else { [z; 6] };
-    work.contact.joints.copy_from_slice(&state.joint_velocity);
+    gather(topology.blocks(), &state.joint_velocity, &mut work.contact.joints);
     {
         let Workspace { factor, contact, .. } = &mut *work;
         factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
@@ -190,11 +194,11 @@ fn physics_step<S: Real>(
     for r in 0..6 {
         work.contact.base[r] = work.contact.base[r] + impulse[r];
     }
-    for j in 0..joints {
-        work.contact.joints[j] = work.contact.joints[j] + work.rhs_joint[j];
+    for (y, rhs) in work.contact.joints.as_flattened_mut().iter_mut().zip(work.rhs_joint.as_flattened_mut()) {
+        *y = *y + *rhs;
+        *rhs = *y;
     }
     let mut free_base = work.contact.base;
-    work.rhs_joint.copy_from_slice(&work.contact.joints);
     work.factor.from_sparse(topology, &mut free_base, &mut work.rhs_joint);
     {
         // `rhs_joint` now holds the free joint velocities
@@ -211,8 +215,8 @@ fn physics_step<S: Real>(
         &work.base_rotation,
         &work.contact,
         state,
-        &mut report.body_force,
         &mut report.normal_force[substep],
+        (substep + 1 == settings.decimation).then_some(&mut report.body_force),
     );
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
@@ -223,14 +227,18 @@ fn physics_step<S: Real>(
         contact.moved_base = contact.base;
         contact.moved_joints.copy_from_slice(&contact.joints);
     }
-    for j in 0..joints {
-        // +0 turns -0 into +0
-        let new = contact.joints[j] + z;
-        let change = new - state.joint_velocity[j];
-        report.joint_effort[j] = effort_slope[j].neg_mul_add(change, effort[j]);
-        report.joint_acceleration[j] = change / dt;
-        state.joint_velocity[j] = new;
-        state.joint_position[j] = (contact.moved_joints[j] + z).mul_add(dt, state.joint_position[j]);
+    let moves = contact.joints.iter().zip(&contact.moved_joints);
+    for (block, (velocity, moved)) in topology.blocks().iter().zip(moves) {
+        for place in 0..block.len {
+            let j = block.joints[place];
+            // +0 turns -0 into +0
+            let new = velocity[place] + z;
+            let change = new - state.joint_velocity[j];
+            report.joint_effort[j] = effort_slope[j].neg_mul_add(change, effort[j]);
+            report.joint_acceleration[j] = change / dt;
+            state.joint_velocity[j] = new;
+            state.joint_position[j] = (moved[place] + z).mul_add(dt, state.joint_position[j]);
+        }
     }
     if topology.floating {
         let u = normalised(&contact.base);
