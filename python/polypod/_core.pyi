@@ -563,8 +563,8 @@ def draft_robot(
 ) -> RobotDraft:
     """A first config for the quadruped of the URDF file at `path`: roles, standing pose, gains, ranges.
 
-    `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder of
-    each ROS package in `package://` names; `gain_factor` multiplies the gains. Raises RobotError.
+    `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
+    of each ROS package in `package://` names; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

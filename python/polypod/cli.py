@@ -489,8 +489,8 @@ def _new_robot(command: Robot) -> int:
         print(f"  {note}")
     standing, envs = new.standing, new_robot.NUM_ENVS
     print(
-        f"{new.name}: {envs - standing.falls} of {envs} stand for {new_robot.SECONDS:g} s, the base {standing.height:.3f} m "
-        f"high, joints at most {standing.sag:.2f} rad from the default pose"
+        f"{new.name}: {envs - standing.falls} of {envs} stand for {new_robot.SECONDS:g} s, the base "
+        f"{standing.height:.3f} m high, joints at most {standing.sag:.2f} rad from the default pose"
     )
     if new.gain_factor > 1.0:
         print(f"  gains are {new.gain_factor:.2f} times what weight and leg length ask for: softer ones gave way")

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from polypod.accuracy import engines, robot, standing
+from polypod.accuracy import engines, robot
 
 ROBOT = "unitree_go2"
 

@@ -1,10 +1,10 @@
 """A ninth robot: from a URDF of one's own to training with `polypod robot new`, and no source file changed."""
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomllib
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -38,7 +38,7 @@ def joint(name, parent, child, at, axis, limits=None):
 
 
 def quadruped(mass=22.0, thigh=0.26, shank=0.3, length=0.6, antenna=False, effort=60.0):
-    """A URDF with names that say nothing about corners, knees that bend to one side only, and a trunk heavier in front."""
+    """A URDF with names that say nothing about corners, knees that bend to one side, and a trunk heavier in front."""
     parts = [link("trunk", 0.7 * mass, (length, 0.24, 0.14), at=(0.02, 0.0, 0.0))]
     for number, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
         a, b, c, foot = (f"{part}{number}" for part in ("a", "b", "c", "pad"))

@@ -247,8 +247,8 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         )
     if run.normalize_advantage_per_robot and algorithm.normalize_advantage_per_mini_batch:
         raise _core.ConfigError(
-            f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude each "
-            "other; set one of them to false"
+            f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude "
+            "each other; set one of them to false"
         )
     for section, network in (("actor", config.actor), ("critic", config.critic)):
         _check_network(network, f"{source}: [{section}]")
