@@ -63,16 +63,22 @@ class Train:
 class Eval:
     """Measure a trained policy: no noise, no pushes, one full episode per env."""
 
-    checkpoint: Path
-    """A model_<n>.pt beside its manifest.json."""
+    checkpoint: Annotated[tuple[Path, ...], _arg(metavar="FILE [FILE ...]")]
+    """A model_<n>.pt beside its manifest.json. Of several, the seeds of one training, the mean and its interval too."""
     json: Annotated[Path | None, _arg(metavar="FILE")] = None
     """Also write the figures to this file."""
+    plot: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also draw them (.png, .svg, .pdf); needs the extra bench."""
     num_envs: Count = None
     """Number of envs. Default: 64 per robot."""
     episodes: int = 1
     """Episodes per env."""
     steps: Count = None
     """Control steps per episode. Default: a whole one."""
+    grid: Annotated[tuple[int, int, int] | None, _arg(metavar="NX NY NW")] = None
+    """Let each episode hold one command of so many forward and left velocities and yaw rates. Default: drawn anew."""
+    randomized: Annotated[bool, _arg(aliases=("--randomised",))] = False
+    """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
     """Names of the robots, with commas between; also robots that the policy was not trained on. Default: the run's."""
     task: Name = None
@@ -365,13 +371,15 @@ def _train(command: Train) -> int:
 def _eval(command: Eval) -> int:
     import torch
 
-    from polypod.evaluation import evaluate_checkpoint
+    from polypod.evaluation import evaluate_checkpoints, plot, summarize
     from polypod.training.report import Reporter
 
     threads = _positive(command.threads, "--threads")
     if threads is not None:
         torch.set_num_threads(threads)
-    evaluation = evaluate_checkpoint(
+    if not command.checkpoint:
+        raise _core.ConfigError("--checkpoint names no file; pass one model_<n>.pt or more")
+    evaluations = evaluate_checkpoints(
         command.checkpoint,
         task=command.task,
         robots=_names(command.robots),
@@ -381,9 +389,20 @@ def _eval(command: Eval) -> int:
         seed=command.seed,
         threads=threads,
         overrides=list(command.set),
+        grid=command.grid,
+        randomized=command.randomized,
     )
-    Reporter().evaluation(evaluation)
-    _write_json(command.json, evaluation.as_dict())
+    summary = summarize(evaluations)
+    reporter = Reporter()
+    for checkpoint, evaluation in zip(command.checkpoint, evaluations, strict=True):
+        if len(evaluations) > 1:
+            reporter.message(str(checkpoint))
+        reporter.evaluation(evaluation)
+    if len(evaluations) > 1:
+        reporter.summary(summary)
+    _write_json(command.json, summary.as_dict() if len(evaluations) > 1 else evaluations[0].as_dict())
+    if command.plot is not None:
+        plot.picture(summary, command.plot)
     return 0
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from polypod.evaluation import Evaluation
+from polypod.evaluation import CONFIDENCE, Evaluation, Interval, Summary
 
 _PLAIN_INTERVAL_S = 10.0
 
@@ -90,10 +91,12 @@ class Reporter:
     def evaluation(self, evaluation: Evaluation) -> None:
         """Prints the figures of the deterministic policy per robot."""
         self.message(
-            f"deterministic policy, {evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s "
-            "(errors in m/s and rad/s; still: of a robot that does not move)"
+            f"deterministic policy, {_conditions(evaluation)} "
+            "(errors in m/s and rad/s; still: of a robot that does not move; power in W, slip in m/s)"
         )
-        table = table_of("robot", "reward/s", "err xy", "still", "err yaw", "still", "falls", "length")
+        table = table_of(
+            "robot", *("reward/s", "err xy", "still", "err yaw", "still", "falls", "length", "power", "CoT", "slip")
+        )
         for robot, result in evaluation.robots.items():
             table.add_row(
                 robot,
@@ -104,6 +107,9 @@ class Reporter:
                 f"{result.still_error_vel_yaw:.3f}",
                 f"{result.fall_rate:.1%}",
                 f"{result.episode_length_s:.1f} s",
+                f"{result.power:.0f}",
+                f"{result.cost_of_transport:.2f}",
+                f"{result.foot_slip:.2f}",
             )
         self.console.print(table)
         kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
@@ -114,6 +120,49 @@ class Reporter:
         for robot, result in evaluation.robots.items():
             table.add_row(robot, *(f"{result.success(kind):.0%}" for kind in kinds), f"{result.success():.0%}")
         self.console.print(table)
+        levels = sorted(
+            {tile.level for result in evaluation.robots.values() for tiles in result.terrain.values() for tile in tiles}
+        )
+        self.message("success by level, mean over the robots")
+        table = table_of("level", *kinds, "all")
+        for level in levels:
+            shares = []
+            for kind in (*kinds, None):
+                of_robots = [result.success(kind, level) for result in evaluation.robots.values()]
+                met = [share for share in of_robots if not math.isnan(share)]
+                shares.append(f"{sum(met) / len(met):.0%}" if met else "-")
+            table.add_row(str(level), *shares)
+        self.console.print(table)
+
+    def summary(self, summary: Summary) -> None:
+        """Prints means and intervals over seeds per robot."""
+        first, seeds = summary.evaluations[0], len(summary.evaluations)
+        self.message(f"{seeds} policies, {_conditions(first)}: mean and {CONFIDENCE:.0%} interval (Student's t)")
+        columns = {
+            "err xy": ("error_vel_xy", ".3f"),
+            "err yaw": ("error_vel_yaw", ".3f"),
+            "falls": ("fall_rate", ".1%"),
+            "success": ("success_rate", ".1%"),
+            "CoT": ("cost_of_transport", ".2f"),
+            "slip": ("foot_slip", ".2f"),
+        }
+        table = table_of("robot", *columns)
+        for robot, figures in summary.robots.items():
+            table.add_row(robot, *(with_interval(figures[key], form) for key, form in columns.values()))
+        self.console.print(table)
+
+
+def with_interval(interval: Interval, form: str) -> str:
+    """The mean, and how far the interval reaches to either side."""
+    if interval.seeds < 2:
+        return format(interval.mean, form)
+    return f"{interval.mean:{form}} ±{interval.high - interval.mean:{form}}"
+
+
+def _conditions(evaluation: Evaluation) -> str:
+    randomized = ", randomised and pushed" if evaluation.randomized else ""
+    grid = f", {'x'.join(map(str, evaluation.grid))} commands" if evaluation.grid is not None else ""
+    return f"{evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s{randomized}{grid}"
 
 
 def table_of(name: str, *figures: str) -> Table:

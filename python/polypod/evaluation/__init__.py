@@ -1,0 +1,27 @@
+"""How well a policy walks: full episodes, deterministic, in the task's Play variant or as randomised in training."""
+
+from polypod.evaluation.checkpoints import evaluate_checkpoint, evaluate_checkpoints
+from polypod.evaluation.policies import Policy, load_network, load_policy
+from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult
+from polypod.evaluation.rollout import ENVS_PER_ROBOT, evaluate, play_task
+from polypod.evaluation.seeds import CONFIDENCE, Interval, Summary, summarize
+
+__all__ = [
+    "CONFIDENCE",
+    "ENVS_PER_ROBOT",
+    "FOLLOWS",
+    "CommandResult",
+    "Evaluation",
+    "Interval",
+    "Policy",
+    "RobotResult",
+    "Summary",
+    "TileResult",
+    "evaluate",
+    "evaluate_checkpoint",
+    "evaluate_checkpoints",
+    "load_network",
+    "load_policy",
+    "play_task",
+    "summarize",
+]

@@ -1,0 +1,65 @@
+"""What is measured in every control step, of all envs at once: float64 arrays of the state in, [num_envs] out."""
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+
+Array = npt.NDArray[np.float64]
+
+CONTACT_FORCE = 1.0
+"""N, above which a foot is in contact: the threshold of the task's contact sensors."""
+
+
+def joint_power(effort: npt.ArrayLike, velocity: npt.ArrayLike) -> Array:
+    """Mechanical power of the joints, W: the sum of |effort x velocity|.
+
+    Braking counts as driving does: no motor here gives back what it absorbs.
+
+    Args:
+        effort: [num_envs, joints], N m.
+        velocity: [num_envs, joints], rad/s.
+    """
+    return np.abs(np.asarray(effort, dtype=np.float64) * np.asarray(velocity, dtype=np.float64)).sum(axis=1)
+
+
+def foot_slip(forces: npt.ArrayLike, velocities: npt.ArrayLike) -> tuple[Array, Array]:
+    """Planar speeds of the feet that are in contact, summed, m/s, and how many are in contact.
+
+    A foot's velocity is that of its centre: a round foot that rolls without sliding counts too, with the speed of its
+    middle.
+
+    Args:
+        forces: [num_envs, 3 feet], net contact force on each foot, N.
+        velocities: [num_envs, 3 feet], m/s, world axes.
+    """
+    force, velocity = (np.asarray(x, dtype=np.float64) for x in (forces, velocities))
+    force, velocity = (x.reshape(len(x), -1, 3) for x in (force, velocity))
+    contact = np.linalg.norm(force, axis=2) > CONTACT_FORCE
+    speed = np.linalg.norm(velocity[:, :, :2], axis=2)
+    return (speed * contact).sum(axis=1), contact.sum(axis=1).astype(np.float64)
+
+
+def of_step(sim: _core.VecSim) -> dict[str, Array]:
+    """Everything that an evaluation sums up over an episode, each [num_envs], of the step just taken."""
+    state = {
+        name: sim.state(name).astype(np.float64)
+        for name in (
+            *("base_lin_vel", "base_ang_vel", "command", "joint_effort", "joint_vel", "contact_forces", "feet_vel"),
+        )
+    }
+    wanted, velocity = state["command"], state["base_lin_vel"][:, :2]
+    slip, contact = foot_slip(state["contact_forces"], state["feet_vel"])
+    return {
+        "steps": np.ones(sim.num_envs),
+        "reward": sim.reward.astype(np.float64),
+        "fell": sim.terminated.astype(np.float64),
+        "xy": np.linalg.norm(wanted[:, :2] - velocity, axis=1),
+        "yaw": np.abs(wanted[:, 2] - state["base_ang_vel"][:, 2]),
+        "still_xy": np.linalg.norm(wanted[:, :2], axis=1),
+        "still_yaw": np.abs(wanted[:, 2]),
+        "power": joint_power(state["joint_effort"], state["joint_vel"]),
+        "speed": np.linalg.norm(velocity, axis=1),
+        "slip": slip,
+        "contact": contact,
+    }

@@ -1,0 +1,49 @@
+"""Policies out of checkpoints."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from polypod import _core
+from polypod.networks import build_actor
+
+Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
+"""Observations [num_envs, num_obs] to actions [num_envs, num_actions]."""
+
+
+def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
+    """Builds the actor of a checkpoint, ready for inference.
+
+    Args:
+        checkpoint: what `run_dir.load_checkpoint` returns.
+        model: the manifest's `policy`: sizes and constructor arguments.
+
+    Raises:
+        ConfigError: when the weights do not fit the manifest, and for a network that is not known.
+    """
+    network = build_actor(model)
+    try:
+        network.load_state_dict(checkpoint["actor_state_dict"])
+    except RuntimeError as error:
+        raise _core.ConfigError(
+            f"the checkpoint's weights do not fit its manifest: {str(error).splitlines()[-1].strip()}"
+        ) from error
+    network.eval()
+    return network
+
+
+def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
+    """The deterministic policy of a checkpoint; arguments and errors are those of `load_network`."""
+    network = load_network(checkpoint, model)
+
+    def policy(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        with torch.inference_mode():
+            batch = TensorDict({"policy": torch.from_numpy(observations)}, batch_size=[len(observations)])
+            return network(batch).numpy()
+
+    return policy

@@ -1,0 +1,208 @@
+"""The figures of an evaluation, from sums over episodes."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+FOLLOWS = 0.5, 0.2
+"""An episode succeeds if the robot stays up and its planar velocity error, averaged over the episode, is at most this
+share of a standing robot's, or this much (m/s)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TileResult:
+    """One robot's episodes that began on tiles of one type and level."""
+
+    level: int
+    episodes: int
+    success: float
+    """Share of the episodes without a fall in which the robot followed its commands, see `FOLLOWS`."""
+    fall_rate: float
+
+
+@dataclasses.dataclass(frozen=True)
+class CommandResult:
+    """One robot's episodes with one command of the grid."""
+
+    command: tuple[float, float, float]
+    """Forward and left velocity, m/s, and yaw rate, rad/s."""
+    episodes: int
+    error_vel_xy: float
+    error_vel_yaw: float
+    fall_rate: float
+    power: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotResult:
+    """One robot's figures. Errors and power are time averages per episode, averaged over episodes."""
+
+    episodes: int
+    reward_per_s: float
+    error_vel_xy: float
+    """m/s, between commanded and actual planar velocity."""
+    error_vel_yaw: float
+    """rad/s, between commanded and actual yaw rate."""
+    still_error_vel_xy: float
+    """m/s, the same error for a robot that does not move."""
+    still_error_vel_yaw: float
+    """rad/s, likewise."""
+    fall_rate: float
+    """Share of the episodes that terminated before the time limit."""
+    success_rate: float
+    """Share of the episodes without a fall in which the robot followed its commands, see `FOLLOWS`."""
+    episode_length_s: float
+    power: float
+    """W, mechanical, of all joints: see `measures.joint_power`."""
+    cost_of_transport: float
+    """Energy of all episodes over weight times planar distance; the weight is that of the robot without random masses.
+    NaN for a robot that has not moved."""
+    foot_slip: float
+    """m/s, mean planar speed of the feet while they are in contact; NaN for one that never is."""
+    terrain: dict[str, list[TileResult]] = dataclasses.field(default_factory=dict)
+    """By type of tile, easiest level first; empty where the ground is no generated terrain."""
+    commands: list[CommandResult] = dataclasses.field(default_factory=list)
+    """By command; empty without a grid of commands."""
+
+    def success(self, kind: str | None = None, level: int | None = None) -> float:
+        """Share of the successful episodes on tiles of a type and level, or of all; NaN without any."""
+        tiles = [
+            tile
+            for name, tiles in self.terrain.items()
+            for tile in tiles
+            if kind in (None, name) and level in (None, tile.level)
+        ]
+        episodes = sum(tile.episodes for tile in tiles)
+        return sum(tile.success * tile.episodes for tile in tiles) / episodes if episodes else float("nan")
+
+
+FIGURES = tuple(field.name for field in dataclasses.fields(RobotResult) if field.type is float)
+"""Names of the numbers that describe a robot."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """The figures of all robots and what they were measured on."""
+
+    task: str
+    num_envs: int
+    seed: int
+    duration_s: float
+    randomized: bool
+    """Whether noise, pushes and randomisation were those of the training; else there were none."""
+    grid: tuple[int, int, int] | None
+    """Commands along each axis, where each episode held one; None: drawn as the task draws them."""
+    robots: dict[str, RobotResult]
+    checkpoint: dict[str, Any] | None = None
+    """Where the policy came from: file, iteration, and the task, robots and seed of its training."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same, for JSON: None stands for a number that is not finite."""
+        content: dict[str, Any] = finite(dataclasses.asdict(self))
+        return content
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> "Evaluation":
+        """What `as_dict` gave. Raises KeyError or TypeError for anything else."""
+        robots = {name: _robot_from(robot) for name, robot in content["robots"].items()}
+        grid = tuple(content["grid"]) if content["grid"] is not None else None
+        return cls(**{**content, "grid": grid, "robots": robots})
+
+
+def _robot_from(content: Mapping[str, Any]) -> RobotResult:
+    numbers = {key: math.nan for key in FIGURES if content[key] is None}
+    terrain = {kind: [TileResult(**tile) for tile in tiles] for kind, tiles in content["terrain"].items()}
+    commands = [CommandResult(**{**entry, "command": tuple(entry["command"])}) for entry in content["commands"]]
+    return RobotResult(**{**content, **numbers, "terrain": terrain, "commands": commands})
+
+
+def finite(content: Any) -> Any:
+    """The same nested lists and dictionaries with None in the place of numbers that JSON has no word for."""
+    if isinstance(content, dict):
+        return {key: finite(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def robot_result(sums: Mapping[str, Array], step_dt: float, weight: float, kinds: Sequence[str]) -> RobotResult:
+    """One robot's figures.
+
+    Args:
+        sums: of `measures.of_step` over each episode, [episodes, envs]; with `level`, and `command` [episodes, envs, 3]
+            where the commands are those of a grid.
+        step_dt: length of a control step, s.
+        weight: of the robot, N.
+        kinds: types of the envs' tiles; empty without generated terrain.
+    """
+    steps = sums["steps"]
+
+    def time_average(key: str) -> float:
+        return float(np.mean(sums[key] / steps))
+
+    success = _success(sums)
+    distance = float(sums["speed"].sum() * step_dt)
+    contact = float(sums["contact"].sum())
+    return RobotResult(
+        episodes=steps.size,
+        reward_per_s=float(sums["reward"].sum() / (steps.sum() * step_dt)),
+        error_vel_xy=time_average("xy"),
+        error_vel_yaw=time_average("yaw"),
+        still_error_vel_xy=time_average("still_xy"),
+        still_error_vel_yaw=time_average("still_yaw"),
+        fall_rate=float(sums["fell"].mean()),
+        success_rate=float(success.mean()),
+        episode_length_s=float(steps.mean() * step_dt),
+        power=time_average("power"),
+        cost_of_transport=float(sums["power"].sum() * step_dt) / (weight * distance) if distance > 0.0 else math.nan,
+        foot_slip=float(sums["slip"].sum()) / contact if contact > 0.0 else math.nan,
+        terrain=_tiles(sums, success, kinds),
+        commands=_commands(sums) if "command" in sums else [],
+    )
+
+
+def _success(sums: Mapping[str, Array]) -> npt.NDArray[np.bool_]:
+    share, slack = FOLLOWS
+    allowed = np.maximum(share * sums["still_xy"], slack * sums["steps"])
+    success: npt.NDArray[np.bool_] = (sums["fell"] == 0) & (sums["xy"] <= allowed)
+    return success
+
+
+def _tiles(
+    sums: Mapping[str, Array], success: npt.NDArray[np.bool_], kinds: Sequence[str]
+) -> dict[str, list[TileResult]]:
+    fell = sums["fell"] > 0
+    result: dict[str, list[TileResult]] = {}
+    for kind in dict.fromkeys(kinds):
+        on_kind = np.broadcast_to(np.array([kind == other for other in kinds]), fell.shape)
+        for level in np.unique(sums["level"][on_kind]):
+            here = on_kind & (sums["level"] == level)
+            tile = TileResult(int(level), int(here.sum()), float(success[here].mean()), float(fell[here].mean()))
+            result.setdefault(kind, []).append(tile)
+    return result
+
+
+def _commands(sums: Mapping[str, Array]) -> list[CommandResult]:
+    flat = {key: value.reshape(sums["steps"].size, -1) for key, value in sums.items()}
+    results = []
+    for command in np.unique(flat["command"], axis=0):
+        here = (flat["command"] == command).all(axis=1)
+        average = {key: float(np.mean(flat[key][here] / flat["steps"][here])) for key in ("xy", "yaw", "power")}
+        vx, vy, yaw_rate = (float(x) for x in command)
+        results.append(
+            CommandResult(
+                command=(vx, vy, yaw_rate),
+                episodes=int(here.sum()),
+                error_vel_xy=average["xy"],
+                error_vel_yaw=average["yaw"],
+                fall_rate=float(flat["fell"][here].mean()),
+                power=average["power"],
+            )
+        )
+    return results

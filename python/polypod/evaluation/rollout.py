@@ -1,0 +1,150 @@
+"""Running a policy for the figures of an evaluation."""
+
+import json
+import re
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+from polypod.compat import tomllib
+from polypod.evaluation import measures
+from polypod.evaluation.policies import Policy
+from polypod.evaluation.results import Evaluation, robot_result
+
+ENVS_PER_ROBOT = 64
+
+Grid = tuple[int, int, int]
+"""How many forward velocities, left velocities and yaw rates, each evenly over the task's range."""
+
+
+def play_task(task: str) -> str:
+    """The Play variant of a task: without noise, pushes and randomisation; the task itself where there is none."""
+    full_name = _full_name(task)
+    variant = re.sub(r"-(v\d+)$", r"-Play-\1", full_name)
+    return variant if variant in _names() else full_name
+
+
+def evaluate(
+    policy: Policy,
+    task: str,
+    robots: Sequence[str] | None = None,
+    num_envs: int | None = None,
+    episodes: int = 1,
+    steps: int | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    overrides: Sequence[str] = (),
+    grid: Grid | None = None,
+    randomized: bool = False,
+) -> Evaluation:
+    """Runs a policy in a task's Play variant.
+
+    Args:
+        policy: see `Policy`.
+        task: name or alias of the task, or of its Play variant.
+        robots: names of the robots; None: those of the task.
+        num_envs: number of envs; None: `ENVS_PER_ROBOT` per robot.
+        episodes: full episodes per env.
+        steps: control steps per episode, when a whole one is too long; an env that still stands then has not fallen.
+        seed: of the first episode; each further one takes the next.
+        threads: worker threads; None: one per core.
+        overrides: `key=value` pairs for the task's configuration.
+        grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None:
+            commands are drawn as the task draws them.
+        randomized: with the noise, the pushes and the randomisation of the training.
+
+    Raises:
+        ConfigError: for an unknown task or robot, and for counts below one.
+    """
+    for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
+        if count is not None and count < 1:
+            raise _core.ConfigError(f"{name} = {count} must be at least 1")
+    name = play_task(task)
+    named = list(robots) if robots is not None else None
+    if num_envs is None:
+        num_envs = ENVS_PER_ROBOT * len(named or _core.robots())
+    changes = [*overrides, *(_disturbances(name, named, overrides) if randomized else ())]
+    sim = _core.VecSim(
+        name, num_envs, robots=named, seed=seed, threads=threads, overrides=changes, autoreset="disabled"
+    )
+    length = min(steps or sim.max_episode_length, sim.max_episode_length)
+    commands = _commands(sim, grid) if grid is not None else None
+    runs = []
+    for episode in range(episodes):
+        sim.reset(seed + episode)
+        if commands is not None:
+            # a seed releases the commands, so they are pinned after it; the second reset shows them from the beginning
+            held = _held(sim, commands, episode)
+            sim.set_command(held)
+            sim.reset()
+        levels, kinds = sim.terrain_tiles()
+        sums = {**_episode(sim, policy, length), "level": levels.astype(np.float64)}
+        runs.append(sums if commands is None else {**sums, "command": held.astype(np.float64)})
+    figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
+    masses = {robot: info["mass"] for robot, info in json.loads(sim.robot_info()).items()}
+    gravity = float(np.linalg.norm(tomllib.loads(sim.resolved_config())["task"]["sim"]["gravity"]))
+    results = {}
+    for robot in sim.robots:
+        envs = slice(*sim.env_ids(robot))
+        of_robot = {key: value[:, envs] for key, value in figures.items()}
+        results[robot] = robot_result(of_robot, sim.step_dt, masses[robot] * gravity, kinds[envs])
+    return Evaluation(sim.task_name, sim.num_envs, seed, length * sim.step_dt, randomized, grid, results)
+
+
+def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measures.Array]:
+    """Sums over each env's first episode of what `measures.of_step` gives."""
+    sums: dict[str, measures.Array] = {}
+    running = np.ones(sim.num_envs, dtype=np.bool_)
+    for _ in range(length):
+        sim.step(policy(sim.observation))
+        for key, value in measures.of_step(sim).items():
+            sums[key] = sums.get(key, 0.0) + np.where(running, value, 0.0)
+        done = sim.terminated | sim.truncated
+        running &= ~done
+        if not running.any():
+            break
+        if done.any():
+            sim.reset(mask=done)
+    return sums
+
+
+def _commands(sim: _core.VecSim, grid: Grid) -> npt.NDArray[np.float32]:
+    """[n, 3], the last axis running fastest. A single value on an axis is the middle of the task's range."""
+    ranges = tomllib.loads(sim.resolved_config())["task"]["commands"]["base_velocity"]
+    axes = []
+    for key, count in zip(("lin_vel_x", "lin_vel_y", "ang_vel_z"), grid, strict=True):
+        low, high = ranges[key]
+        axes.append(np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)]))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+def _held(sim: _core.VecSim, commands: npt.NDArray[np.float32], episode: int) -> npt.NDArray[np.float32]:
+    """[num_envs, 3], the commands of an episode: each robot's envs go on through the grid where the last one ended."""
+    held = np.empty((sim.num_envs, 3), dtype=np.float32)
+    for robot in sim.robots:
+        start, stop = sim.env_ids(robot)
+        held[start:stop] = commands[(np.arange(stop - start) + episode * (stop - start)) % len(commands)]
+    return held
+
+
+def _disturbances(play: str, robots: list[str] | None, overrides: Sequence[str]) -> list[str]:
+    """Overrides that give a Play variant the noise and the events of the task that it is a variant of."""
+    task = re.sub(r"-Play-(v\d+)$", r"-\1", play)
+    sim = _core.VecSim(task, len(robots or _core.robots()), robots=robots, threads=1, overrides=list(overrides))
+    config = tomllib.loads(sim.resolved_config())["task"]
+    noise = config["observations"].get("enable_noise", True)
+    events = {name: event.get("enabled", True) for name, event in config.get("events", {}).items()}
+    return [
+        f"observations.enable_noise={str(noise).lower()}",
+        *(f"events.{name}.enabled={str(enabled).lower()}" for name, enabled in events.items()),
+    ]
+
+
+def _names() -> dict[str, str]:
+    return {name: entry["name"] for entry in _core.tasks() for name in (entry["name"], *entry["aliases"])}
+
+
+def _full_name(task: str) -> str:
+    return _names().get(task, task)

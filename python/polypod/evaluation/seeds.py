@@ -1,0 +1,95 @@
+"""Several trainings that differ in their seeds: means, and how far they can be trusted."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from polypod import _core
+from polypod.evaluation.results import FIGURES, Evaluation, finite
+
+CONFIDENCE = 0.95
+"""Of an interval: the share of intervals, computed like this, that hold the true mean."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """A mean over seeds with Student's t interval; of one seed, which cannot have one, `low` and `high` are NaN."""
+
+    mean: float
+    low: float
+    high: float
+    seeds: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Summary:
+    """Several evaluations as one: per robot an interval for each of `results.FIGURES`."""
+
+    evaluations: list[Evaluation]
+    robots: dict[str, dict[str, Interval]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same, for JSON."""
+        robots = {
+            robot: {key: dataclasses.asdict(interval) for key, interval in figures.items()}
+            for robot, figures in self.robots.items()
+        }
+        content: dict[str, Any] = finite(
+            {
+                "interval": f"Student's t over the seeds, {CONFIDENCE:.0%}",
+                "robots": robots,
+                "evaluations": [evaluation.as_dict() for evaluation in self.evaluations],
+            }
+        )
+        return content
+
+
+def summarize(evaluations: Sequence[Evaluation]) -> Summary:
+    """Mean and interval of every figure of every robot.
+
+    Raises:
+        ConfigError: for none, and for evaluations of different tasks, robots or conditions.
+    """
+    if not evaluations:
+        raise _core.ConfigError("there is no evaluation to summarise")
+    first = evaluations[0]
+    for other in evaluations[1:]:
+        for key in ("task", "robots", "duration_s", "randomized", "grid"):
+            ours, theirs = (getattr(each, key) for each in (first, other))
+            if key == "robots":
+                ours, theirs = list(ours), list(theirs)
+            if ours != theirs:
+                raise _core.ConfigError(f"evaluations to compare differ in {key}: {ours} and {theirs}")
+    robots = {
+        robot: {key: interval([getattr(each.robots[robot], key) for each in evaluations]) for key in FIGURES}
+        for robot in first.robots
+    }
+    return Summary(list(evaluations), robots)
+
+
+def interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interval:
+    """Mean of independent values, one per seed, with Student's t interval."""
+    count = len(values)
+    mean = float(np.mean(values))
+    if count < 2:
+        return Interval(mean, math.nan, math.nan, count)
+    reach = t_quantile(0.5 + 0.5 * confidence, count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count)
+    return Interval(mean, mean - reach, mean + reach, count)
+
+
+@functools.cache
+def t_quantile(probability: float, degrees: int) -> float:
+    """Quantile of Student's t distribution, for probabilities from a half to one.
+
+    With t = sqrt(degrees) tan(a) the distribution function is the integral of cos(a)^(degrees - 1), over its total
+    (Abramowitz and Stegun 26.7.1); it is integrated and inverted numerically, to 1e-6.
+    """
+    angles = np.linspace(0.0, 0.5 * math.pi, 200_001)
+    density = np.cos(angles) ** (degrees - 1)
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+    angle = float(np.interp(2.0 * probability - 1.0, area / area[-1], angles))
+    return math.sqrt(degrees) * math.tan(angle)
