@@ -46,11 +46,6 @@ def test_a_file_extends_a_shipped_one(tmp_path):
         ('extends = "flat"\n[actor]\nclass_name = "UrmaModel"\n', "'UrmaModel' is not one of MLPModel, polypod"),
         ('extends = "flat"\n[actor]\nnum_heads = 4\n', r"\[actor\] num_heads is of networks of joints"),
         (f'extends = "flat"\n[actor]\nclass_name = "{config.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
-        (
-            f'extends = "flat"\n[critic]\nclass_name = "{config.URMA}"\njoint_dim = 8\nnum_heads = 4\n'
-            "obs_normalization = true\n",
-            "obs_normalization",
-        ),
         ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),
         ("[run]\nnum_envs = 1\n", "extends"),
         ("[run\n", "not valid TOML"),

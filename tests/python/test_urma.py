@@ -67,9 +67,9 @@ def actions_of(network, observations):
 
 
 def test_the_same_weights_serve_any_number_of_joints():
-    first, _ = build(BODIES["quadruped"])
+    first, _ = build(BODIES["quadruped"], obs_normalization=True)
     for names in BODIES.values():
-        network, num_obs = build(names, seed=1)
+        network, num_obs = build(names, seed=1, obs_normalization=True)
         network.load_state_dict(first.state_dict(), strict=True)
         batch = TensorDict({"policy": torch.randn(5, num_obs)}, batch_size=[5])
         actions = network(batch, stochastic_output=True)
@@ -115,7 +115,7 @@ def test_features_are_read_from_their_columns():
     joint = names.index("RH_HFE")
     description = 48
     expected = [
-        *(12 + joint, 0.1 * (24 + joint), 36 + joint),  # position, velocity, last action
+        *(12 + joint, 24 + joint, 36 + joint),  # position, velocity, last action
         *(0, 0, 0, 0, 1, -1, -1, 1, 0, 0, 0, 0),  # a right hind leg's flexion
         *(-0.5 * (description + 1), -0.5 * (description + 2)),  # its hip, behind and right
         description + 22 + joint,  # default position
@@ -145,15 +145,55 @@ def test_what_does_not_fit_is_named(names, layout, message):
         build(names, layout or [("joint_pos_rel", len(names))])
 
 
-def test_normalisation_per_column_is_refused():
-    with pytest.raises(polypod.ConfigError, match="obs_normalization"):
-        build(BODIES["quadruped"], obs_normalization=True)
+def test_numbers_of_one_kind_are_normalised_alike():
+    """The velocities of all knees by one mean and deviation, and so for every kind; checked against a plain sum."""
+    names = BODIES["quadruped"]
+    network, num_obs = build(names, obs_normalization=True)
+    network.train()
+    batches = [2.0 + torch.randn(50, num_obs) * torch.linspace(0.5, 3.0, num_obs) for _ in range(3)]
+    for batch in batches:
+        network.update_normalization(TensorDict({"policy": batch}, batch_size=[50]))
+    rows = torch.cat(batches)
+    kinds = [
+        *([column] for column in range(12)),  # velocities, gravity and command
+        *([24 + joint for joint in range(12) if names[joint].endswith(role)] for role in ("HAA", "HFE", "KFE")),
+        *([48 + 22 + joint for joint in range(12) if names[joint].endswith(role)] for role in ("HAA", "HFE", "KFE")),
+        *([48 + number] for number in (*range(22), 34)),  # body, and gains of the roles
+    ]
+    for columns in kinds:
+        torch.testing.assert_close(network.obs_normalizer.mean[columns], rows[:, columns].mean().expand(len(columns)))
+        deviation = rows[:, columns].std(unbiased=False)
+        torch.testing.assert_close(network.obs_normalizer.std[columns], deviation.expand(len(columns)))
+    network.eval()
+    before = network.obs_normalizer.mean
+    network.update_normalization(TensorDict({"policy": 100.0 + batches[0]}, batch_size=[50]))
+    assert torch.equal(network.obs_normalizer.mean, before)
+
+
+def test_what_a_body_lacks_is_not_forgotten():
+    whole, num_obs = build(BODIES["quadruped"], obs_normalization=True)
+    whole.train()
+    whole.update_normalization(TensorDict({"policy": 3.0 + torch.randn(50, num_obs)}, batch_size=[50]))
+    part, num_part = build(BODIES["two joints per leg"], obs_normalization=True)
+    part.load_state_dict(whole.state_dict(), strict=True)
+    part.train()
+    part.update_normalization(TensorDict({"policy": torch.randn(50, num_part)}, batch_size=[50]))
+    again, _ = build(BODIES["quadruped"], obs_normalization=True)
+    again.load_state_dict(part.state_dict(), strict=True)
+    hips, knees = (
+        [24 + joint for joint in range(12) if BODIES["quadruped"][joint].endswith(r)] for r in ("HAA", "KFE")
+    )
+    torch.testing.assert_close(again.obs_normalizer.mean[hips], whole.obs_normalizer.mean[hips])
+    assert (again.obs_normalizer.mean[knees] < whole.obs_normalizer.mean[knees] - 0.5).all()
 
 
 @pytest.mark.parametrize("names", BODIES.values(), ids=BODIES.keys())
 @pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
 def test_the_graph_computes_what_torch_does(names, activation):
-    network, num_obs = build(names, activation=activation)
+    network, num_obs = build(names, activation=activation, obs_normalization=activation != "relu")
+    network.train()
+    network.update_normalization(TensorDict({"policy": 1.0 + 2.0 * torch.randn(99, num_obs)}, batch_size=[99]))
+    network.eval()
     graph = OnnxPolicy(onnx_graph.network_model(network, num_obs, len(names), {}).SerializeToString())
     assert compare(graph, network.as_jit(), {"obs": num_obs}, ["actions"]) <= 1e-5
 
@@ -176,6 +216,7 @@ def small(tmp_path):
         'extends = "flat"\n'
         f'[run]\ntask = "{TASK}"\nnum_envs = 32\nsymmetry = true\nnormalize_reward_per_robot = true\n'
         f'[actor]\nclass_name = "{URMA}"\nhidden_dims = [24, 16]\njoint_dim = 8\nnum_heads = 4\n'
+        "obs_normalization = true\n"
         f'[critic]\nclass_name = "{URMA}"\nhidden_dims = [24]\njoint_dim = 8\nnum_heads = 4\n'
     )
     return str(path)

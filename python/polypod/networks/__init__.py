@@ -8,9 +8,9 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.networks.urma import JointNetwork, RoleGaussian, UrmaModel
+from polypod.networks.urma import JointNetwork, KindNormalization, RoleGaussian, UrmaModel
 
-__all__ = ["NETWORKS", "JointNetwork", "RoleGaussian", "UrmaModel", "build_actor"]
+__all__ = ["NETWORKS", "JointNetwork", "KindNormalization", "RoleGaussian", "UrmaModel", "build_actor"]
 
 NETWORKS: dict[str, type[MLPModel]] = {"MLPModel": MLPModel, "polypod.networks:UrmaModel": UrmaModel}
 """By the class names of train configs and manifests."""

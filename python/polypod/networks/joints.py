@@ -17,8 +17,7 @@ NUM_PLACES = 4 * len(ROLES)
 """Numbers that say which leg's which joint it is."""
 _SIDES = {"L": 1.0, "R": -1.0}
 _PLACES = {"F": 1.0, "M": 0.0, "H": -1.0}
-_JOINT_TERMS = {"joint_pos_rel": 1.0, "joint_vel_rel": 0.1, "last_action": 1.0}
-"""With the factors that bring them to the order of one: joints turn at some 10 rad/s."""
+_JOINT_TERMS = ("joint_pos_rel", "joint_vel_rel", "last_action")
 _DESCRIPTION = "morphology"
 _BODY_NUMBERS = 7
 """Numbers about the whole body at the beginning of the description; one more is at its end."""
@@ -48,6 +47,9 @@ class JointTable:
     """
     general: npt.NDArray[np.int64]
     """Columns that belong to no joint: [n]."""
+    kind: npt.NDArray[np.int64]
+    """[num_obs], the kind of each number: a term of all joints of one role, or a column that belongs to none."""
+    num_kinds: int
     num_obs: int
 
     @property
@@ -118,7 +120,7 @@ def joint_table(layout: Layout, joint_names: Sequence[str]) -> JointTable:
 
     def features(joint: int) -> list[tuple[int, float, float]]:
         side, along_body, role = places[joint]
-        states = [(starts[term] + joint, factor, 0.0) for term, factor in _JOINT_TERMS.items()]
+        states = [(starts[term] + joint, 1.0, 0.0) for term in _JOINT_TERMS]
         mass, along, across, *lengths_and_unit, height = body
         of_role = start + _BODY_NUMBERS + _ROLE_NUMBERS * roles.index(role)
         default = start + description - 1 - joints + joint
@@ -133,13 +135,25 @@ def joint_table(layout: Layout, joint_names: Sequence[str]) -> JointTable:
         ]
 
     table = np.array([features(joint) for joint in range(joints)])
+    columns = general + body
+    kind = np.zeros(end, dtype=np.int64)
+    kind[columns] = np.arange(len(columns))
+    of_role = len(_JOINT_TERMS) + 1 + _ROLE_NUMBERS
+    for joint, (_, _, role) in enumerate(places):
+        first = len(columns) + of_role * ROLES.index(role)
+        own = [starts[term] + joint for term in _JOINT_TERMS]
+        block = start + _BODY_NUMBERS + _ROLE_NUMBERS * roles.index(role)
+        own += [start + description - 1 - joints + joint, *range(block, block + _ROLE_NUMBERS)]
+        kind[own] = first + np.arange(of_role)
     return JointTable(
         column=table[..., 0].astype(np.int64),
         factor=table[..., 1].astype(np.float32),
         constant=table[..., 2].astype(np.float32),
         num_states=len(_JOINT_TERMS),
         place=np.array([_place(*place) for place in places], dtype=np.float32),
-        general=np.array(general + body, dtype=np.int64),
+        general=np.array(columns, dtype=np.int64),
+        kind=kind,
+        num_kinds=len(columns) + of_role * len(ROLES),
         num_obs=end,
     )
 

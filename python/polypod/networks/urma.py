@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
 from rsl_rl.modules.distribution import GaussianDistribution
 from rsl_rl.utils import resolve_nn_activation
 from tensordict import TensorDict
@@ -146,7 +147,7 @@ class UrmaModel(MLPModel):
             output_dim: number of outputs.
             hidden_dims: see `JointNetwork`.
             activation: likewise.
-            obs_normalization: must be False.
+            obs_normalization: normalise observations, see `KindNormalization`.
             distribution_cfg: as of `MLPModel`; `RoleGaussian` fits any number of joints.
             joint_dim: see `JointNetwork`.
             num_heads: likewise.
@@ -154,22 +155,76 @@ class UrmaModel(MLPModel):
             joint_names: canonical joints; for each one number comes out, but of a critic.
 
         Raises:
-            ConfigError: for an observation without what the network reads, and for `obs_normalization`.
+            ConfigError: for an observation without what the network reads.
         """
-        if obs_normalization:
-            raise _core.ConfigError(
-                "obs_normalization = true would tie the network to the columns of one observation; set it to false"
-            )
         super().__init__(obs, obs_groups, obs_set, output_dim, [1], activation, False, distribution_cfg)
         table = joint_table([(term, size) for term, size in observation_layout], joint_names)
         if table.num_obs != self.obs_dim:
             raise _core.ConfigError(
                 f"observation_layout counts {table.num_obs} numbers, but an observation has {self.obs_dim}"
             )
+        if obs_normalization:
+            self.obs_normalization = True
+            self.obs_normalizer = KindNormalization(table)
         outputs = output_dim if obs_set == "critic" else None
         if outputs is None and output_dim != table.num_joints:
             raise _core.ConfigError(f"{table.num_joints} joint_names, but an action has {output_dim} numbers")
         self.mlp = JointNetwork(table, outputs, joint_dim, num_heads, hidden_dims, activation)
+
+
+class KindNormalization(EmpiricalNormalization):
+    """Normalises by running mean and deviation, which all columns of one kind share: see `JointTable.kind`.
+
+    So its numbers, too, go from one body to another.
+    """
+
+    kind: torch.Tensor
+    columns: torch.Tensor
+
+    def __init__(self, table: JointTable) -> None:
+        """Begins with mean 0 and deviation 1."""
+        super().__init__(table.num_kinds)
+        self.register_buffer("kind", torch.from_numpy(table.kind), persistent=False)
+        columns = torch.bincount(self.kind, minlength=table.num_kinds)
+        self.register_buffer("columns", columns.to(torch.float32), persistent=False)
+
+    @property
+    def mean(self) -> torch.Tensor:
+        """[num_obs], the running mean of each column's kind."""
+        return self._mean[0].index_select(0, self.kind)
+
+    @property
+    def std(self) -> torch.Tensor:
+        """[num_obs], the running deviation."""
+        return self._std[0].index_select(0, self.kind)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """[batch, num_obs], normalised."""
+        return (x - self.mean) / (self.std + self.eps)
+
+    @torch.jit.unused
+    def update(self, x: torch.Tensor) -> None:
+        """Takes in observations [batch, num_obs], as rsl_rl does, but over kinds in place of columns."""
+        if not self.training:
+            return
+        own_mean = x.mean(dim=0)
+        own_var = x.var(dim=0, unbiased=False)
+        mean = self._over_kinds(own_mean)
+        var = self._over_kinds(own_var + (own_mean - mean.index_select(0, self.kind)).square())
+        # a kind that this body lacks keeps what it has
+        present = self.columns > 0
+        self.count += x.shape[0]
+        rate = x.shape[0] / self.count
+        change = torch.where(present, mean - self._mean[0], 0.0)
+        self._mean += rate * change
+        new = var - self._var[0] + change * (mean - self._mean[0])
+        self._var += rate * torch.where(present, new, 0.0)
+        self._std = torch.sqrt(self._var)
+
+    def _over_kinds(self, values: torch.Tensor) -> torch.Tensor:
+        """[num_obs] to the mean of each kind, [num_kinds]."""
+        sums = torch.zeros_like(self.columns).index_add(0, self.kind, values)
+        return sums / self.columns.clamp(min=1.0)
 
 
 class RoleGaussian(GaussianDistribution):

@@ -274,10 +274,6 @@ def _check_network(network: CriticConfig, where: str) -> None:
             raise _core.ConfigError(
                 f"{where} {key} = {size} must be at least 1 for {URMA}; configs/train has an example"
             )
-    if network.class_name == URMA and network.obs_normalization:
-        raise _core.ConfigError(
-            f"{where} obs_normalization = true would tie {URMA} to the columns of one observation; set it to false"
-        )
 
 
 def _computes_in_bfloat16(device_type: str) -> bool:
