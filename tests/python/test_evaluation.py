@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import shlex
 import sys
 from pathlib import Path
 
@@ -129,22 +130,48 @@ def test_only_feet_on_the_ground_slip():
     np.testing.assert_array_equal(contact, [1.0, 2.0])
 
 
+def test_tracking_is_the_references():
+    """Perfect; half a metre per second off; a quarter of a radian per second off: exp(-1), exp(-1/4)."""
+    found = measures.tracking([0.0, 0.5, 0.0], [0.0, 0.0, 0.25])
+    np.testing.assert_allclose(found, [1.0, (math.exp(-1.0) + 0.5) / 1.5, (1.0 + 0.5 * math.exp(-0.25)) / 1.5])
+
+
+def test_a_fall_ends_the_tracking_reward():
+    """50 of 100 steps at 0.8, then a fall; and the whole episode at 0.6."""
+    sums = sums_of(steps=[50.0, 100.0], tracking=[40.0, 60.0], fell=[1.0, 0.0])
+    assert robot_result(sums, 100, 0.02, 1.0, []).tracking_reward == pytest.approx(0.5)
+
+
 def sums_of(**values):
     """Sums over one episode each of two envs, 100 steps long."""
     zeros = np.zeros((1, 2))
-    keys = ("reward", "fell", "xy", "yaw", "still_xy", "still_yaw", "power", "speed", "slip", "contact", "level")
-    return {"steps": zeros + 100.0, **dict.fromkeys(keys, zeros), **{k: np.array([v]) for k, v in values.items()}}
+    keys = (
+        "reward",
+        "fell",
+        "xy",
+        "yaw",
+        "still_xy",
+        "still_yaw",
+        "tracking",
+        "power",
+        "speed",
+        "slip",
+        "contact",
+        "level",
+    )
+    given = {key: np.array([value]) for key, value in values.items()}
+    return {"steps": zeros + 100.0, **dict.fromkeys(keys, zeros), **given}
 
 
 def test_figures_of_two_episodes_by_hand():
     """2 s at 100 W and 0.5 m/s, 2 s at 300 W and 1.5 m/s: 800 J over 4 m; 3 contacts of 0.1 m/s and one of 0.5 m/s."""
     sums = sums_of(power=[1e4, 3e4], speed=[50.0, 150.0], slip=[0.3, 0.5], contact=[3.0, 1.0], fell=[0.0, 1.0])
-    result = robot_result(sums, 0.02, 200.0, [])
+    result = robot_result(sums, 100, 0.02, 200.0, [])
     assert result.power == pytest.approx(200.0)
     assert result.cost_of_transport == pytest.approx(800.0 / (200.0 * 4.0))
     assert result.foot_slip == pytest.approx(0.2)
     assert result.fall_rate == result.success_rate == 0.5
-    still = robot_result(sums_of(), 0.02, 200.0, [])
+    still = robot_result(sums_of(), 100, 0.02, 200.0, [])
     assert math.isnan(still.cost_of_transport)
     assert math.isnan(still.foot_slip)
 
@@ -160,7 +187,7 @@ def test_success_is_to_follow_and_not_to_fall():
         (0.00, 1.0, 1.0, False),
     ):
         sums = sums_of(xy=[error * steps] * 2, still_xy=[still * steps] * 2, fell=[fell] * 2)
-        assert robot_result(sums, 0.02, 1.0, []).success_rate == float(succeeds)
+        assert robot_result(sums, 100, 0.02, 1.0, []).success_rate == float(succeeds)
 
 
 def test_every_command_of_the_grid_is_held_and_equally_often():
@@ -299,6 +326,10 @@ def test_the_command_line_writes_figures_and_a_picture(tmp_path, capsys):
     assert found.checkpoint["seed"] == 42
     assert found.checkpoint["iteration"] == 666
     assert len(found.robots["spot"].commands) == 4
+    # what it says of itself measures the same again
+    again = shlex.split(evaluation.command(found))[1:]
+    assert polypod.cli.main([*again, "--json", str(out)]) == 0
+    assert evaluation.Evaluation.from_dict(json.loads(out.read_text())) == found
     assert drawn.read_bytes().startswith(b"\x89PNG")
 
 

@@ -2,25 +2,26 @@
 
 import dataclasses
 import hashlib
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from polypod.evaluation.policies import load_policy
 from polypod.evaluation.results import Evaluation
-from polypod.evaluation.rollout import evaluate
+from polypod.evaluation.rollout import evaluate, play_task
 from polypod.training import run_dir
 
 
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
     """`evaluate` for a checkpoint; task, robots and overrides come from its manifest unless given."""
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    overrides = [*manifest["overrides"], *arguments.pop("overrides", ())]
+    given = list(arguments.pop("overrides", ()))
     evaluation = evaluate(
         load_policy(state, manifest["policy"]),
         arguments.pop("task", None) or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
-        overrides=overrides,
+        overrides=[*manifest["overrides"], *given],
         **arguments,
     )
     origin = {
@@ -33,9 +34,35 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         "train_config": manifest.get("train_config"),
         "git": manifest.get("git"),
     }
-    return dataclasses.replace(evaluation, checkpoint=origin)
+    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given)
 
 
 def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[Evaluation]:
     """`evaluate_checkpoint` for each, with the same arguments: the seeds of one training, say."""
     return [evaluate_checkpoint(checkpoint, **arguments) for checkpoint in checkpoints]
+
+
+def command(evaluation: Evaluation) -> str:
+    """The command line that measures the same again."""
+    origin = evaluation.checkpoint or {}
+    options: dict[str, str | None] = {
+        "--checkpoint": origin.get("file", "FILE"),
+        "--task": None if play_task(origin.get("task", "")) == evaluation.task else evaluation.task,
+        "--robots": None if origin.get("robots") == list(evaluation.robots) else ",".join(evaluation.robots),
+        "--num-envs": str(evaluation.num_envs),
+        "--episodes": str(evaluation.episodes) if evaluation.episodes > 1 else None,
+        "--steps": str(evaluation.steps) if evaluation.steps is not None else None,
+        "--seed": str(evaluation.seed),
+    }
+    words = [
+        "polypod",
+        "eval",
+        *(word for name, value in options.items() if value is not None for word in (name, value)),
+    ]
+    if evaluation.grid is not None:
+        words += ["--grid", *map(str, evaluation.grid)]
+    if evaluation.randomized:
+        words.append("--randomized")
+    for change in evaluation.overrides:
+        words += ["--set", change]
+    return shlex.join(words)

@@ -11,6 +11,23 @@ CONTACT_FORCE = 1.0
 """N, above which a foot is in contact: the threshold of the task's contact sensors."""
 
 
+TRACKING_STD = 0.5
+"""m/s and rad/s, of the reference's tracking rewards."""
+
+
+def tracking(error_xy: npt.ArrayLike, error_yaw: npt.ArrayLike) -> Array:
+    """The reference's `track_lin_vel_xy_exp` and, half as much, `track_ang_vel_z_exp`, scaled to at most 1.
+
+    Args:
+        error_xy: [num_envs], of the planar velocity, m/s.
+        error_yaw: [num_envs], of the yaw rate, rad/s.
+    """
+    linear, turning = (
+        np.exp(-np.square(np.asarray(error, dtype=np.float64) / TRACKING_STD)) for error in (error_xy, error_yaw)
+    )
+    return (linear + 0.5 * turning) / 1.5
+
+
 def joint_power(effort: npt.ArrayLike, velocity: npt.ArrayLike) -> Array:
     """Mechanical power of the joints, W: the sum of |effort x velocity|.
 
@@ -50,12 +67,15 @@ def of_step(sim: _core.VecSim) -> dict[str, Array]:
     }
     wanted, velocity = state["command"], state["base_lin_vel"][:, :2]
     slip, contact = foot_slip(state["contact_forces"], state["feet_vel"])
+    error_xy = np.linalg.norm(wanted[:, :2] - velocity, axis=1)
+    error_yaw = np.abs(wanted[:, 2] - state["base_ang_vel"][:, 2])
     return {
         "steps": np.ones(sim.num_envs),
         "reward": sim.reward.astype(np.float64),
         "fell": sim.terminated.astype(np.float64),
-        "xy": np.linalg.norm(wanted[:, :2] - velocity, axis=1),
-        "yaw": np.abs(wanted[:, 2] - state["base_ang_vel"][:, 2]),
+        "xy": error_xy,
+        "yaw": error_yaw,
+        "tracking": tracking(error_xy, error_yaw),
         "still_xy": np.linalg.norm(wanted[:, :2], axis=1),
         "still_yaw": np.abs(wanted[:, 2]),
         "power": joint_power(state["joint_effort"], state["joint_vel"]),

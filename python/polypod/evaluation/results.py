@@ -57,6 +57,9 @@ class RobotResult:
     """Share of the episodes that terminated before the time limit."""
     success_rate: float
     """Share of the episodes without a fall in which the robot followed its commands, see `FOLLOWS`."""
+    tracking_reward: float
+    """Share of the reference's tracking reward, exp(-error^2 / 0.25) of the planar velocity and half as much of the yaw
+    rate, that the robot earned in the time of a whole episode: 1 for perfect following, nothing after a fall."""
     episode_length_s: float
     power: float
     """W, mechanical, of all joints: see `measures.joint_power`."""
@@ -92,7 +95,13 @@ class Evaluation:
 
     task: str
     num_envs: int
+    episodes: int
+    """Per env."""
+    steps: int | None
+    """Control steps per episode; None: a whole one."""
     seed: int
+    overrides: list[str]
+    """Changes to the task, on top of the training's own."""
     duration_s: float
     randomized: bool
     """Whether noise, pushes and randomisation were those of the training; else there were none."""
@@ -131,12 +140,15 @@ def finite(content: Any) -> Any:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
-def robot_result(sums: Mapping[str, Array], step_dt: float, weight: float, kinds: Sequence[str]) -> RobotResult:
+def robot_result(
+    sums: Mapping[str, Array], length: int, step_dt: float, weight: float, kinds: Sequence[str]
+) -> RobotResult:
     """One robot's figures.
 
     Args:
         sums: of `measures.of_step` over each episode, [episodes, envs]; with `level`, and `command` [episodes, envs, 3]
             where the commands are those of a grid.
+        length: control steps that an episode may last.
         step_dt: length of a control step, s.
         weight: of the robot, N.
         kinds: types of the envs' tiles; empty without generated terrain.
@@ -158,6 +170,7 @@ def robot_result(sums: Mapping[str, Array], step_dt: float, weight: float, kinds
         still_error_vel_yaw=time_average("still_yaw"),
         fall_rate=float(sums["fell"].mean()),
         success_rate=float(success.mean()),
+        tracking_reward=float(sums["tracking"].mean() / length),
         episode_length_s=float(steps.mean() * step_dt),
         power=time_average("power"),
         cost_of_transport=float(sums["power"].sum() * step_dt) / (weight * distance) if distance > 0.0 else math.nan,

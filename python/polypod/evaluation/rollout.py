@@ -89,8 +89,19 @@ def evaluate(
     for robot in sim.robots:
         envs = slice(*sim.env_ids(robot))
         of_robot = {key: value[:, envs] for key, value in figures.items()}
-        results[robot] = robot_result(of_robot, sim.step_dt, masses[robot] * gravity, kinds[envs])
-    return Evaluation(sim.task_name, sim.num_envs, seed, length * sim.step_dt, randomized, grid, results)
+        results[robot] = robot_result(of_robot, length, sim.step_dt, masses[robot] * gravity, kinds[envs])
+    return Evaluation(
+        task=sim.task_name,
+        num_envs=sim.num_envs,
+        episodes=episodes,
+        steps=steps,
+        seed=seed,
+        overrides=list(overrides),
+        duration_s=length * sim.step_dt,
+        randomized=randomized,
+        grid=grid,
+        robots=results,
+    )
 
 
 def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measures.Array]:
