@@ -1,4 +1,4 @@
-"""The command line: train, eval, export, sim2sim, play, check, robot, accuracy, bench, terrain, list and info."""
+"""The command line; `polypod --help` lists what there is."""
 
 import dataclasses
 import functools
@@ -208,6 +208,22 @@ class Robot:
 
 
 @dataclasses.dataclass(frozen=True)
+class ResultsOf:
+    """Make tables and pictures out of a folder of trainings and evaluations: <folder>/<group>/<run>/."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Where manifests, TensorBoard's events and the JSON files of eval and sim2sim lie, a folder per group and run."""
+    out: Annotated[Path | None, _arg(metavar="FILE")] = None
+    """Also write the tables to this document, between its marks."""
+    media: Annotated[Path | None, _arg(metavar="DIR")] = None
+    """Also draw curves per robot into this folder; needs the extra bench."""
+    score: float = 0.25
+    """Velocity error (m/s) of the exploring policy, whose first reaching is counted in iterations."""
+    baseline: Name = None
+    """Count to the error that this group ends with instead: to compare fine-tuning with training from scratch."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Accuracy:
     """Compare the physics with MuJoCo on the same URDFs."""
 
@@ -275,6 +291,7 @@ Command = (
     | Annotated[Robot, tyro.conf.subcommand("robot")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[ResultsOf, tyro.conf.subcommand("results")]
     | Annotated[Terrain, tyro.conf.subcommand("terrain")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
@@ -307,7 +324,19 @@ _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinar
 
 
 def _run(
-    command: Train | Eval | Export | Sim2sim | Play | Check | Robot | Accuracy | Bench | Terrain | List | Info,
+    command: Train
+    | Eval
+    | Export
+    | Sim2sim
+    | Play
+    | Check
+    | Robot
+    | Accuracy
+    | Bench
+    | ResultsOf
+    | Terrain
+    | List
+    | Info,
 ) -> int:
     match command:
         case Train():
@@ -328,6 +357,8 @@ def _run(
             return _accuracy(command)
         case Bench():
             return _bench(command)
+        case ResultsOf():
+            return _results(command)
         case Terrain():
             from polypod import terrain
 
@@ -561,6 +592,19 @@ def _bench(command: Bench) -> int:
     _write_json(command.json, result)
     if command.plot is not None:
         bench.picture(result, command.plot)
+    return 0
+
+
+def _results(command: ResultsOf) -> int:
+    from polypod import results
+
+    found = results.read(command.folder)
+    for file in found.skipped:
+        print(f"polypod: warning: {file} is neither an evaluation nor a comparison with MuJoCo", file=sys.stderr)
+    text, drawn = results.write(found, command.out, command.media, command.score, command.baseline)
+    print(text)
+    for file in drawn:
+        print(file)
     return 0
 
 

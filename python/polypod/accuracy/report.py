@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from polypod import _core
+from polypod import documents
 from polypod.accuracy import reference, robot
 from polypod.accuracy.engines import Engines, compare_engines
 from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
@@ -24,8 +24,9 @@ from polypod.accuracy.statics import StaticsResult, compare_statics
 Progress = Callable[[str], None]
 """Is told what comes next."""
 
-BEGIN, END = "<!-- accuracy:begin -->", "<!-- accuracy:end -->"
-"""Between these lines a document's tables stand."""
+MARK = "accuracy"
+"""Name of the part of a document that holds the tables."""
+BEGIN, END = documents.marks(MARK)
 
 SLIDES = ((0.2, 1.0, 0.0), (0.5, 2.0, 0.0), (0.5, 2.0, 0.6), (0.8, 1.0, 0.0), (1.0, 3.0, math.pi / 4))
 """Friction, speed (m/s) and direction (rad) of the pushed blocks."""
@@ -69,26 +70,9 @@ def measure(names: Sequence[str] | None = None, progress: Progress = print) -> R
 
 def check_document(document: Path) -> None:
     """Raises ConfigError where `replace_block` would."""
-    _parts(document)
+    documents.check(document, MARK)
 
 
 def replace_block(document: Path, text: str) -> None:
     """Puts `text` between the marks of a document. Raises ConfigError where it cannot."""
-    head, tail = _parts(document)
-    try:
-        document.write_text(f"{head}{BEGIN}\n{text.strip()}\n{END}{tail}", encoding="utf-8")
-    except OSError as error:
-        raise _core.ConfigError(f"cannot write {document}: {error.strerror}; choose another file") from error
-
-
-def _parts(document: Path) -> tuple[str, str]:
-    """What stands before and after the marks."""
-    try:
-        content = document.read_text(encoding="utf-8")
-    except OSError as error:
-        raise _core.ConfigError(f"cannot read {document}: {error.strerror}; choose another file") from error
-    head, begin, rest = content.partition(BEGIN)
-    _, end, tail = rest.partition(END)
-    if not begin or not end:
-        raise _core.ConfigError(f"{document} has no lines {BEGIN} and {END}; put them where the tables shall stand")
-    return head, tail
+    documents.replace(document, MARK, text)

@@ -119,20 +119,21 @@ def read_manifest(checkpoint: Path) -> dict[str, Any]:
 
 
 def write_params(
-    run: Path, sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str]
+    run: Path, sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
 ) -> None:
     """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
-    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, robots, overrides), indent=2) + "\n")
+    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, robots, overrides, command), indent=2) + "\n")
 
 
 def manifest_of(
-    sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str]
+    sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
 ) -> dict[str, Any]:
     """What a policy of this run needs to be used elsewhere, and what made it."""
     return {
         "format": 1,
+        "command": command,
         "task": sim.task_name,
         "experiment": sim.experiment_name,
         "robot_sources": [_source(robot) for robot in robots or sim.robots],

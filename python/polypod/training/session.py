@@ -1,6 +1,7 @@
 """One training from its options to its final table: a new run, or one that goes on."""
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,21 @@ class Options:
     threads: int | None = None
     overrides: list[str] = dataclasses.field(default_factory=list)
 
+    @property
+    def command(self) -> str:
+        """The command line of these options."""
+        words = ["polypod", "train"]
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value is None or (field.default is not dataclasses.MISSING and value == field.default):
+                continue
+            if field.name == "overrides":
+                words += [word for change in value for word in ("--set", change)]
+            else:
+                text = ",".join(value) if isinstance(value, list) else str(value)
+                words += [f"--{field.name.replace('_', '-')}", text]
+        return shlex.join(words)
+
 
 @dataclasses.dataclass(frozen=True)
 class _Plan:
@@ -72,7 +88,7 @@ def train(options: Options) -> int:
     reporter = Reporter()
     if plan.checkpoint is None:
         run = run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
-        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides)
+        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command)
     else:
         run = plan.checkpoint.parent
     env.sim.set_dump_dir(run)

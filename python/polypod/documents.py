@@ -1,0 +1,39 @@
+"""Documents of which a part is written by a program: what stands between two marks."""
+
+from pathlib import Path
+
+from polypod import _core
+
+
+def marks(name: str) -> tuple[str, str]:
+    """The lines around the part called `name`."""
+    return f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+
+
+def check(document: Path, name: str) -> None:
+    """Raises ConfigError where `replace` would."""
+    _parts(document, name)
+
+
+def replace(document: Path, name: str, text: str) -> None:
+    """Puts `text` between the marks of a document. Raises ConfigError where it cannot."""
+    head, tail = _parts(document, name)
+    begin, end = marks(name)
+    try:
+        document.write_text(f"{head}{begin}\n{text.strip()}\n{end}{tail}", encoding="utf-8")
+    except OSError as error:
+        raise _core.ConfigError(f"cannot write {document}: {error.strerror}; choose another file") from error
+
+
+def _parts(document: Path, name: str) -> tuple[str, str]:
+    """What stands before and after the marks."""
+    try:
+        content = document.read_text(encoding="utf-8")
+    except OSError as error:
+        raise _core.ConfigError(f"cannot read {document}: {error.strerror}; choose another file") from error
+    first, last = marks(name)
+    head, begin, rest = content.partition(first)
+    _, end, tail = rest.partition(last)
+    if not begin or not end:
+        raise _core.ConfigError(f"{document} has no lines {first} and {last}; put them where the tables shall stand")
+    return head, tail

@@ -1,0 +1,314 @@
+"""The tables of a folder of results, in Markdown."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from polypod import _core
+from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command
+from polypod.evaluation.seeds import Interval, interval
+from polypod.results.runs import Results, Run, final, reached, smoothed
+
+FIGURES = {
+    "error_vel_xy": ("velocity error (m/s)", ".3f"),
+    "error_vel_yaw": ("yaw rate error (rad/s)", ".3f"),
+    "fall_rate": ("falls per episode", ".1%"),
+    "tracking_reward": ("tracking reward", ".3f"),
+    "power": ("power (W)", ".0f"),
+    "cost_of_transport": ("cost of transport", ".2f"),
+    "foot_slip": ("foot slip (m/s)", ".2f"),
+}
+"""Figures of an evaluation, how they are called and written."""
+SCORE_TAG = "Metrics/{robot}/error_vel_xy"
+"""Of the curves that tell how long a training takes: the exploring policy's velocity error."""
+SMOOTHING = 10
+"""Iterations over which a curve is averaged before it counts as having reached a score."""
+
+Condition = tuple[str, bool, tuple[int, int, int] | None, float, tuple[str, ...]]
+
+
+def document(results: Results, score: float, baseline: str | None) -> str:
+    """All tables.
+
+    Args:
+        results: a folder's content.
+        score: velocity error, m/s, that counts as walking.
+        baseline: group whose final error is the score instead, robot by robot.
+
+    Raises:
+        ConfigError: for a baseline that is no group with curves.
+    """
+    parts = [_trainings(results.runs)] if any(run.manifest for run in results.runs) else []
+    for condition in _conditions(results.runs):
+        parts.append(_evaluations(results, condition))
+    if any(run.curves for run in results.runs):
+        parts.append(_reached(results, score, baseline))
+    elif baseline is not None:
+        raise _core.ConfigError(f"--baseline {baseline}, but no run has curves: copy the events.out.tfevents files")
+    if results.sim2sim:
+        order = [robot for run in results.runs for each in run.evaluations.values() for robot in each.robots]
+        parts.append(_sim2sim(results.sim2sim, list(dict.fromkeys(order))))
+    return "\n\n".join(parts)
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _with_interval(found: Interval, form: str) -> str:
+    if math.isnan(found.mean):
+        return "-"
+    reach = found.high - found.mean
+    return format(found.mean, form) if found.seeds < 2 else f"{found.mean:{form}} ±{reach:{form}}"
+
+
+def _trainings(runs: Sequence[Run]) -> str:
+    rows = []
+    for run in runs:
+        if run.manifest is None:
+            continue
+        robots = run.robots
+        last = run.iterations
+        rows.append(
+            (
+                run.group,
+                run.name,
+                f"`{run.manifest['task']}`",
+                robots[0] if len(robots) == 1 else str(len(robots)),
+                str(run.seed),
+                "-" if math.isnan(last) else f"{last:.0f}",
+                "-" if math.isnan(last) else f"{last * run.samples_per_iteration / 1e6:.0f}",
+                "-" if math.isnan(run.minutes) else f"{run.minutes:.0f}",
+                f"`{run.manifest['command']}`" if "command" in run.manifest else "-",
+            )
+        )
+    head = ("group", "run", "task", "robots", "seed", "iterations", "million samples", "minutes", "command")
+    return "### Trainings\n\n" + _table(head, rows)
+
+
+def _condition(evaluation: Evaluation) -> Condition:
+    return (
+        evaluation.task,
+        evaluation.randomized,
+        evaluation.grid,
+        evaluation.duration_s,
+        tuple(evaluation.overrides),
+    )
+
+
+def _conditions(runs: Sequence[Run]) -> list[Condition]:
+    return list(dict.fromkeys(_condition(each) for run in runs for each in run.evaluations.values()))
+
+
+def _title(condition: Condition) -> str:
+    task, randomized, grid, duration, overrides = condition
+    parts = [f"`{task}`", f"{duration:g} s"]
+    parts.append("noise, pushes and randomisation as in training" if randomized else "no noise, no pushes")
+    parts.append(f"{'x'.join(map(str, grid))} commands" if grid else "commands as the task draws them")
+    parts += [f"`{change}`" for change in overrides]
+    return ", ".join(parts)
+
+
+def _found(results: Results, condition: Condition, seen: bool) -> dict[str, dict[str, list[RobotResult]]]:
+    """By group and robot, of robots that the policy was trained on, or of those that it never saw."""
+    found: dict[str, dict[str, list[RobotResult]]] = {}
+    for run in results.runs:
+        for evaluation in run.evaluations.values():
+            if _condition(evaluation) != condition:
+                continue
+            for robot, result in evaluation.robots.items():
+                if (robot in _trained_on(run, evaluation)) == seen:
+                    found.setdefault(run.group, {}).setdefault(robot, []).append(result)
+    return found
+
+
+def _trained_on(run: Run, evaluation: Evaluation) -> list[str]:
+    return list(evaluation.checkpoint["robots"]) if evaluation.checkpoint else run.robots
+
+
+def _evaluations(results: Results, condition: Condition) -> str:
+    parts = [f"### {_title(condition)}"]
+    seen, unseen = (_found(results, condition, kind) for kind in (True, False))
+    if seen:
+        parts += _by_robot(seen)
+        parts += _terrain(seen)
+        parts += _against_specialists(results, seen)
+    if unseen:
+        parts.append("Robots that the policy was not trained on; up: share of the episodes without a fall.")
+        columns: dict[str, Callable[[RobotResult], float]] = {
+            "up": lambda result: 1.0 - result.fall_rate,
+            "velocity error (m/s)": lambda result: result.error_vel_xy,
+        }
+        forms = {"up": ".0%", "velocity error (m/s)": ".3f"}
+        head = ["robot", *(f"{group}: {name}" for group in unseen for name in columns)]
+        rows = []
+        for robot in _robots(unseen):
+            cells = [robot]
+            for group in unseen:
+                for name, read in columns.items():
+                    cells.append(_cell([read(result) for result in unseen[group].get(robot, [])], forms[name]))
+            rows.append(cells)
+        parts.append(_table(head, rows))
+    commands = [
+        command(each) for run in results.runs for each in run.evaluations.values() if _condition(each) == condition
+    ]
+    parts.append("\n".join(["```bash", *dict.fromkeys(commands), "```"]))
+    return "\n\n".join(parts)
+
+
+def _robots(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
+    return list(dict.fromkeys(robot for robots in found.values() for robot in robots))
+
+
+def _cell(values: Sequence[float], form: str) -> str:
+    return _with_interval(interval(values), form) if values else "-"
+
+
+def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
+    def values(group: str, robot: str, key: str) -> list[float]:
+        return [getattr(result, key) for result in found[group].get(robot, [])]
+
+    if len(found) == 1:
+        (group,) = found
+        head = ["robot", "episodes", *(label for label, _ in FIGURES.values())]
+        rows = []
+        for robot, results in found[group].items():
+            episodes = str(sum(result.episodes for result in results))
+            figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
+            rows.append([robot, episodes, *figures])
+        return [f"Group {group}, {_seeds(found[group])}:", _table(head, rows)]
+    parts = []
+    for key, (label, form) in FIGURES.items():
+        rows = [[robot, *(_cell(values(group, robot, key), form) for group in found)] for robot in _robots(found)]
+        heads = [f"{group} ({_seeds(robots)})" for group, robots in found.items()]
+        parts += [f"{label[0].upper()}{label[1:]}:", _table(["robot", *heads], rows)]
+    return parts
+
+
+def _seeds(robots: dict[str, list[RobotResult]]) -> str:
+    counts = sorted({len(results) for results in robots.values()})
+    text = "-".join(map(str, dict.fromkeys((counts[0], counts[-1]))))
+    return f"{text} polic{'y' if counts == [1] else 'ies'}"
+
+
+def _terrain(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
+    parts = []
+    for group, robots in found.items():
+        results = [result for entries in robots.values() for result in entries]
+        kinds = list(dict.fromkeys(kind for result in results for kind in result.terrain))
+        if not kinds:
+            continue
+        levels = sorted({tile.level for result in results for tiles in result.terrain.values() for tile in tiles})
+        rows = [
+            [robot, *(_share(entries, kind, None) for kind in kinds), _share(entries, None, None)]
+            for robot, entries in robots.items()
+        ]
+        parts += [f"Success by type of tile, group {group}, all levels:", _table(["robot", *kinds, "all"], rows)]
+        rows = [
+            [str(level), *(_share(results, kind, level) for kind in kinds), _share(results, None, level)]
+            for level in levels
+        ]
+        parts += [f"Success by level, group {group}, mean over the robots:", _table(["level", *kinds, "all"], rows)]
+    return parts
+
+
+def _share(results: Sequence[RobotResult], kind: str | None, level: int | None) -> str:
+    shares = [share for result in results if not math.isnan(share := result.success(kind, level))]
+    return f"{np.mean(shares):.0%}" if shares else "-"
+
+
+def _against_specialists(results: Results, found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
+    """Tracking reward of policies for several robots over that of policies for one."""
+    alone = [group for group, runs in results.groups.items() if all(len(run.robots) == 1 for run in runs)]
+    specialists = [group for group in alone if group in found]
+    others = [group for group in found if group not in alone]
+    if not specialists or not others:
+        return []
+    rows = []
+    for robot in _robots(found):
+        cells = [robot]
+        for special in specialists:
+            for group in others:
+                pair = [[r.tracking_reward for r in found[name].get(robot, [])] for name in (group, special)]
+                ratio = np.mean(pair[0]) / np.mean(pair[1]) if all(pair) else math.nan
+                cells.append("-" if math.isnan(ratio) else f"{ratio:.1%}")
+        rows.append(cells)
+    head = ["robot", *(f"{group} / {special}" for special in specialists for group in others)]
+    return ["Tracking reward beside that of policies trained on the robot alone:", _table(head, rows)]
+
+
+def _reached(results: Results, score: float, baseline: str | None) -> str:
+    """How long each group took to a score, robot by robot."""
+    groups = {group: [run for run in runs if run.curves] for group, runs in results.groups.items()}
+    groups = {group: runs for group, runs in groups.items() if runs}
+    if baseline is not None and baseline not in groups:
+        raise _core.ConfigError(f"--baseline {baseline} is no group with curves; use one of {', '.join(groups)}")
+    robots = list(dict.fromkeys(robot for runs in groups.values() for run in runs for robot in run.robots))
+    rows = []
+    for robot in robots:
+        goal = score
+        if baseline is not None:
+            finals = [
+                final(curve) for run in groups[baseline] if (curve := run.curves.get(SCORE_TAG.format(robot=robot)))
+            ]
+            if not finals:
+                continue
+            goal = float(np.mean(finals))
+        cells = [robot, f"{goal:.3f}"]
+        for runs in groups.values():
+            curves = [curve for run in runs if (curve := run.curves.get(SCORE_TAG.format(robot=robot)))]
+            cells.append(_iterations([reached(smoothed(curve, SMOOTHING), goal) for curve in curves]))
+        rows.append(cells)
+    what = f"the error that {baseline} ends with" if baseline is not None else f"{score:g} m/s"
+    text = (
+        f"### Iterations to {what}\n\nOf the exploring policy's velocity error, mean over {SMOOTHING} iterations; "
+        "of several runs the mean of those that came there, and how many did."
+    )
+    return f"{text}\n\n" + _table(["robot", "m/s", *groups], rows)
+
+
+def _iterations(found: Sequence[float]) -> str:
+    there = [value for value in found if not math.isnan(value)]
+    if not there:
+        return "-" if not found else f"never (0 of {len(found)})"
+    return f"{np.mean(there):.0f}" + (f" ({len(there)} of {len(found)})" if len(found) > 1 else "")
+
+
+def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str:
+    """Robots in the order of the evaluations, where there are any."""
+    parts = ["### The same policy in MuJoCo"]
+    conditions: dict[str, list[dict[str, Any]]] = {}
+    for each in comparisons:
+        physics = each["physics"]
+        soft = ", soft contact" if physics["soft_contact"] else ""
+        title = (
+            f"`{each['task']}`, {each['envs_per_robot']} episodes per robot of {each['duration_s']:g} s, "
+            f"seed {each['seed']}; MuJoCo {each['mujoco_version']}, {physics['integrator']} at "
+            f"{1e3 * physics['dt']:g} ms, friction {physics['friction']:g}{soft}:"
+        )
+        conditions.setdefault(title, []).append(each)
+    for title, found in conditions.items():
+        robots = {name: robot for each in found for name, robot in each["robots"].items()}
+        rows = []
+        for name in sorted(robots, key=lambda name: order.index(name) if name in order else len(order)):
+            ours, theirs = robots[name]["polypod"], robots[name]["mujoco"]
+            rows.append(
+                (
+                    name,
+                    *(f"{each['error_vel_xy']:.3f}" for each in (ours, theirs)),
+                    *(f"{each['error_vel_yaw']:.3f}" for each in (ours, theirs)),
+                    *(f"{each['fall_rate']:.1%}" for each in (ours, theirs)),
+                    "yes" if robots[name]["transfers"] else "no",
+                )
+            )
+        head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
+        parts += [title, _table(head, rows)]
+    return "\n\n".join(parts)
+
+
+def legend() -> str:
+    """What the intervals are."""
+    return f"±: {CONFIDENCE:.0%} interval over the policies of a group, Student's t; none where there is one policy."

@@ -1,0 +1,270 @@
+"""Tables and curves are those of the files that trainings and evaluations left: no figure is typed by hand."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from torch.utils.tensorboard import SummaryWriter
+
+import polypod
+import polypod.cli
+from polypod import results
+from polypod.evaluation import Evaluation, RobotResult, TileResult
+from polypod.results import runs
+
+ROBOTS = ["anymal_d", "spot"]
+TASK, PLAY = "Velocity-Flat-Universal-v0", "Velocity-Flat-Universal-Play-v0"
+
+
+def robot(**values):
+    numbers = {field.name: 0.5 for field in dataclasses.fields(RobotResult) if field.type is float}
+    return RobotResult(**{**numbers, "episodes": 100, **values})
+
+
+def evaluation(robots, trained_on=ROBOTS, **values):
+    origin = {"file": "model_9.pt", "iteration": 9, "task": TASK, "robots": list(trained_on), "seed": 1}
+    fields = {
+        "task": PLAY,
+        "num_envs": 50,
+        "episodes": 2,
+        "steps": None,
+        "seed": 3,
+        "overrides": [],
+        "duration_s": 20.0,
+        "randomized": False,
+        "grid": None,
+        "robots": robots,
+        "checkpoint": origin,
+    }
+    return Evaluation(**{**fields, **values})
+
+
+def write_run(folder, evaluations=None, robots=ROBOTS, curves=None, seed=1):
+    folder.mkdir(parents=True)
+    manifest = {
+        "task": "T-v0",
+        "robots": list(robots),
+        "seed": seed,
+        "num_envs": 1024,
+        "command": f"polypod train --seed {seed}",
+        "train_config": {"run": {"num_steps_per_env": 24}},
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    for name, each in (evaluations or {}).items():
+        (folder / f"{name}.json").write_text(json.dumps(each.as_dict()))
+    if curves:
+        writer = SummaryWriter(log_dir=str(folder))
+        for tag, values in curves.items():
+            for iteration, value in enumerate(values):
+                writer.add_scalar(tag, value, iteration)
+        writer.close()
+
+
+def rows_of(text, heading):
+    """The cells of the first table after a line that begins with `heading`, by the first cell."""
+    lines = text.splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(heading))
+    table = []
+    for line in lines[start:]:
+        if line.startswith("|"):
+            table.append([cell.strip() for cell in line.strip("|").split("|")])
+        elif table:
+            break
+    return {row[0]: row[1:] for row in table}
+
+
+def test_seeds_of_a_group_become_a_mean_and_an_interval(tmp_path):
+    for seed, error in enumerate((0.10, 0.20, 0.30)):
+        found = evaluation({"anymal_d": robot(error_vel_xy=error, fall_rate=0.01), "spot": robot(error_vel_xy=0.2)})
+        write_run(tmp_path / "plain" / f"seed{seed}", {"result": found}, seed=seed)
+    text, _ = results.write(results.read(tmp_path))
+    table = rows_of(text, "Group plain, 3 policies")
+    assert table["robot"][1] == "velocity error (m/s)"
+    # 4.3027 * 0.1 / sqrt(3)
+    assert table["anymal_d"][:2] == ["300", "0.200 ±0.248"]
+    assert table["anymal_d"][3] == "1.0% ±0.0%"
+    assert table["spot"][1] == "0.200 ±0.000"
+    assert "polypod eval --checkpoint model_9.pt --num-envs 50 --episodes 2 --seed 3" in text
+    trainings = rows_of(text, "### Trainings")
+    assert trainings["plain"][0] == "seed2"
+    assert trainings["plain"][4] == "9"
+    assert trainings["plain"][7] == "`polypod train --seed 2`"
+
+
+def test_groups_stand_side_by_side_and_conditions_apart(tmp_path):
+    for group, error in (("plain", 0.4), ("descriptor", 0.1)):
+        quiet = evaluation({name: robot(error_vel_xy=error) for name in ROBOTS})
+        pushed = evaluation({name: robot(error_vel_xy=error + 0.1) for name in ROBOTS}, randomized=True)
+        write_run(tmp_path / group / "one", {"quiet": quiet, "pushed": pushed})
+    text, _ = results.write(results.read(tmp_path))
+    pushed, quiet = text.split(f"### `{PLAY}`")[1:3]
+    assert "no noise, no pushes" in quiet
+    assert "randomisation as in training" in pushed
+    for part, errors in ((quiet, ["0.100", "0.400"]), (pushed, ["0.200", "0.500"])):
+        table = rows_of(part, "Velocity error")
+        assert table["robot"] == ["descriptor (1 policy)", "plain (1 policy)"]
+        assert table["spot"] == errors
+
+
+def test_robots_that_were_left_out_stand_apart(tmp_path):
+    """Two runs of one group, each without one robot: each robot's row is that of the run that never saw it."""
+    for out, falls in (("spot", 0.2), ("anymal_d", 0.4)):
+        trained_on = [name for name in ROBOTS if name != out]
+        found = {name: robot(fall_rate=falls if name == out else 0.0) for name in ROBOTS}
+        write_run(tmp_path / "leave_one_out" / out, {"result": evaluation(found, trained_on)}, robots=trained_on)
+    text, _ = results.write(results.read(tmp_path))
+    unseen = rows_of(text, "Robots that the policy was not trained on")
+    assert unseen["spot"][0] == "80%"
+    assert unseen["anymal_d"][0] == "60%"
+    assert rows_of(text, "Group leave_one_out")["spot"][3] == "0.0%"
+
+
+def test_specialists_are_what_the_others_are_compared_with(tmp_path):
+    for name in ROBOTS:
+        found = evaluation({name: robot(tracking_reward=0.8)}, [name])
+        write_run(tmp_path / "specialists" / name, {"result": found}, robots=[name])
+    both = {"anymal_d": robot(tracking_reward=0.76), "spot": robot(tracking_reward=0.88)}
+    write_run(tmp_path / "universal" / "one", {"result": evaluation(both)})
+    text, _ = results.write(results.read(tmp_path))
+    table = rows_of(text, "Tracking reward beside")
+    assert table == {"robot": ["universal / specialists"], "---": ["---"], "anymal_d": ["95.0%"], "spot": ["110.0%"]}
+
+
+def test_success_on_tiles(tmp_path):
+    def on(*shares):
+        tiles = [TileResult(level, 10, share, 0.0) for level, share in enumerate(shares)]
+        return robot(terrain={"boxes": tiles})
+
+    found = evaluation({"anymal_d": on(1.0, 0.5), "spot": on(0.8, 0.1)})
+    write_run(tmp_path / "rough" / "one", {"result": found})
+    text, _ = results.write(results.read(tmp_path))
+    assert rows_of(text, "Success by type")["anymal_d"] == ["75%", "75%"]
+    assert rows_of(text, "Success by level")["1"] == ["30%", "30%"]
+
+
+def error_curve(at, high=0.8, low=0.1, length=40):
+    """High up to iteration `at`, low from there on."""
+    return [high if iteration < at else low for iteration in range(length)]
+
+
+def test_iterations_to_a_score_are_counted_on_the_smoothed_curve(tmp_path):
+    tag = "Metrics/spot/error_vel_xy"
+    write_run(tmp_path / "fine_tuned" / "one", curves={tag: error_curve(4)})
+    for seed, at in ((0, 20), (1, 24), (2, 99)):
+        write_run(tmp_path / "scratch" / f"seed{seed}", curves={tag: error_curve(at)}, seed=seed)
+    found = results.read(tmp_path)
+    text, _ = results.write(found, score=0.46)
+    # the mean of 0.8 and 0.1 is below 0.46 with as many of each: four of eight, five of ten after 20 and 24 iterations
+    assert rows_of(text, "### Iterations to 0.46 m/s")["spot"] == ["0.460", "8", "27 (2 of 3)"]
+    text, _ = results.write(found, baseline="scratch")
+    goal = (0.1 + 0.1 + 0.8) / 3
+    table = rows_of(text, "### Iterations to the error that scratch ends with")
+    assert table["spot"][0] == f"{goal:.3f}"
+    assert table["spot"][1] == "11"
+    with pytest.raises(polypod.ConfigError, match="no group with curves; use one of fine_tuned, scratch"):
+        results.write(found, baseline="scrach")
+
+
+def test_smoothing_and_reaching_by_hand():
+    curve = runs.Curve(np.arange(1.0, 6.0), np.array([5.0, 3.0, 1.0, 1.0, 7.0]))
+    np.testing.assert_allclose(runs.smoothed(curve, 2).values, [5.0, 4.0, 2.0, 1.0, 4.0])
+    assert runs.reached(runs.smoothed(curve, 2), 2.0) == 3.0
+    assert math.isnan(runs.reached(curve, 0.5))
+    assert runs.final(curve) == 7.0
+
+
+def test_curves_of_different_batches_share_an_axis_of_samples():
+    short = runs.Curve(np.array([1.0, 2.0, 3.0]), np.array([3.0, 2.0, 1.0]))
+    long = runs.Curve(np.array([1.0, 2.0]), np.array([3.0, 1.0]))
+    samples, mean, low, high = runs.mean_curve([short, long], [10.0, 20.0])
+    assert (samples[0], samples[-1]) == (20.0, 30.0)
+    np.testing.assert_allclose([mean[0], low[0], high[0]], [2.5, 2.0, 3.0])
+    np.testing.assert_allclose([mean[-1], low[-1], high[-1]], [1.5, 1.0, 2.0])
+
+
+def comparison(name, falls):
+    figures = {"error_vel_xy": 0.1, "error_vel_yaw": 0.05, "fall_rate": 0.0, "episode_length_s": 20.0}
+    return {
+        "task": "T-Play-v0",
+        "envs_per_robot": 64,
+        "seed": 0,
+        "duration_s": 20.0,
+        "mujoco_version": "4.0.0",
+        "physics": {"dt": 0.005, "integrator": "implicitfast", "friction": 0.8, "soft_contact": False},
+        "robots": {name: {"polypod": figures, "mujoco": {**figures, "fall_rate": falls}, "transfers": falls <= 0.05}},
+    }
+
+
+def test_comparisons_with_mujoco_of_several_files_are_one_table(tmp_path):
+    for name, falls in (("spot", 0.047), ("anymal_d", 0.25)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(comparison(name, falls)))
+    text, _ = results.write(results.read(tmp_path))
+    table = rows_of(text, "### The same policy in MuJoCo")
+    assert table["spot"] == ["0.100", "0.100", "0.050", "0.050", "0.0%", "4.7%", "yes"]
+    assert table["anymal_d"][-2:] == ["25.0%", "no"]
+
+
+def test_the_command_writes_document_and_pictures(tmp_path, capsys):
+    folder = tmp_path / "runs"
+    curves = {f"Metrics/{name}/{metric}": error_curve(9) for name in ROBOTS for metric in ("error_vel_xy", "fall_rate")}
+    write_run(folder / "plain" / "a", {"result": evaluation({name: robot() for name in ROBOTS})}, curves=curves)
+    write_run(folder / "other" / "a", curves=curves, seed=2)
+    (folder / "plain" / "a" / "strange.json").write_text('{"other": 1}')
+    document = tmp_path / "docs" / "results.md"
+    document.parent.mkdir()
+    document.write_text("# Results\n\n<!-- results:begin -->\nold\n<!-- results:end -->\n\nafter\n")
+    arguments = ["results", str(folder), "--out", str(document), "--media", str(tmp_path / "docs" / "media")]
+    assert polypod.cli.main(arguments) == 0
+    shown = capsys.readouterr()
+    assert "strange.json is neither" in shown.err
+    text = document.read_text()
+    assert text.startswith("# Results\n\n<!-- results:begin -->")
+    assert text.endswith("<!-- results:end -->\n\nafter\n")
+    assert "old" not in text
+    assert "![curves error vel xy](media/curves_error_vel_xy.png)" in text
+    pictures = sorted(path.name for path in (tmp_path / "docs" / "media").iterdir())
+    assert pictures == ["curves_error_vel_xy.png", "curves_fall_rate.png"]
+    assert all((tmp_path / "docs" / "media" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
+    # again: the same document
+    assert polypod.cli.main(arguments) == 0
+    assert document.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "is no folder"),
+        ({}, "neither evaluations nor curves"),
+        ({"a/b/result.json": "{"}, "cannot read"),
+        ({"a/b/result.json": "[]"}, "holds no table"),
+        ({"a/b/result.json": '{"task": "T", "robots": {}, "duration_s": 1.0}'}, "another version of polypod eval"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, content, message):
+    folder = tmp_path / "runs"
+    for name, text in (content or {}).items():
+        (folder / name).parent.mkdir(parents=True)
+        (folder / name).write_text(text)
+    if content == {}:
+        folder.mkdir()
+    with pytest.raises(polypod.ConfigError, match=message):
+        results.read(folder)
+
+
+def test_a_document_needs_its_marks(tmp_path, capsys):
+    write_run(tmp_path / "runs" / "a" / "b", {"result": evaluation({"spot": robot()})})
+    (tmp_path / "plain.md").write_text("nothing\n")
+    assert polypod.cli.main(["results", str(tmp_path / "runs"), "--out", str(tmp_path / "plain.md")]) == 2
+    assert "results:begin" in capsys.readouterr().err
+
+
+def test_the_shipped_results_are_those_of_the_shipped_policies():
+    """Every checkpoint that the document measures lies in the repository."""
+    root = Path(__file__).parents[2]
+    text = (root / "docs" / "results.md").read_text()
+    named = {word for line in text.splitlines() for word in line.split() if word.endswith(".pt")}
+    assert named
+    assert all((root / name).is_file() for name in named if name.startswith("assets/"))
