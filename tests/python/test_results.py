@@ -202,7 +202,7 @@ def test_comparisons_with_mujoco_of_several_files_are_one_table(tmp_path):
     for name, falls in (("spot", 0.047), ("anymal_d", 0.25)):
         (tmp_path / f"{name}.json").write_text(json.dumps(comparison(name, falls)))
     text, _ = results.write(results.read(tmp_path))
-    table = rows_of(text, "### The same policy in MuJoCo")
+    table = rows_of(text, "### polypod beside MuJoCo")
     assert table["spot"] == ["0.100", "0.100", "0.050", "0.050", "0.0%", "4.7%", "yes"]
     assert table["anymal_d"][-2:] == ["25.0%", "no"]
 

@@ -35,7 +35,7 @@ def write(
     """
     if out is not None:
         documents.check(out, MARK)
-    text = f"{tables.legend()}\n\n{tables.document(results, score, baseline)}"
+    text = tables.document(results, score, baseline)
     drawn = [] if media is None else pictures.draw(results, media)
     if out is not None:
         where = {file: _relative(file, out) for file in drawn}

@@ -25,6 +25,7 @@ SCORE_TAG = "Metrics/{robot}/error_vel_xy"
 """Of the curves that tell how long a training takes: the exploring policy's velocity error."""
 SMOOTHING = 10
 """Iterations over which a curve is averaged before it counts as having reached a score."""
+_LEGEND = f"±: {CONFIDENCE:.0%} interval over the policies of a group, Student's t; none where there is one policy."
 
 Condition = tuple[str, bool, tuple[int, int, int] | None, float, tuple[str, ...]]
 
@@ -40,7 +41,8 @@ def document(results: Results, score: float, baseline: str | None) -> str:
     Raises:
         ConfigError: for a baseline that is no group with curves.
     """
-    parts = [_trainings(results.runs)] if any(run.manifest for run in results.runs) else []
+    parts = [_LEGEND] if results.runs else []
+    parts += [_trainings(results.runs)] if any(run.manifest for run in results.runs) else []
     for condition in _conditions(results.runs):
         parts.append(_evaluations(results, condition))
     if any(run.curves for run in results.runs):
@@ -279,7 +281,7 @@ def _iterations(found: Sequence[float]) -> str:
 
 def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str:
     """Robots in the order of the evaluations, where there are any."""
-    parts = ["### The same policy in MuJoCo"]
+    parts = ["### polypod beside MuJoCo"]
     conditions: dict[str, list[dict[str, Any]]] = {}
     for each in comparisons:
         physics = each["physics"]
@@ -308,7 +310,3 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
         parts += [title, _table(head, rows)]
     return "\n\n".join(parts)
 
-
-def legend() -> str:
-    """What the intervals are."""
-    return f"±: {CONFIDENCE:.0%} interval over the policies of a group, Student's t; none where there is one policy."
