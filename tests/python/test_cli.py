@@ -1,6 +1,7 @@
 """The command line: train, resume, eval, list, info; exit codes; one line per mistake."""
 
 import json
+import shlex
 import signal
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import tyro
 
 import polypod
 import polypod.cli
@@ -42,6 +44,11 @@ def test_train_resume_and_eval(cli, tmp_path):
     manifest = json.loads((run / "manifest.json").read_text())
     assert manifest["robots"] == ["spot", "unitree_a1"]
     assert manifest["num_envs"] == 64
+    # begun once more by the command that it holds, it is the same training
+    command = shlex.split(manifest["command"])
+    assert command[:2] == ["polypod", "train"]
+    again = tyro.cli(polypod.cli.Train, args=command[2:])
+    assert again == tyro.cli(polypod.cli.Train, args=[*QUICK, "--robots", "spot,unitree_a1", "--run-name", "mine"])
     assert len(manifest["canonical_joint_names"]) == len(manifest["joint_maps"]["spot"]) == 12
     assert manifest["policy"]["num_obs"] == sum(entry["size"] for entry in manifest["observation_layout"])
     assert set(manifest["robot_info"]) == {"spot", "unitree_a1"}

@@ -12,11 +12,15 @@ from torch.utils.tensorboard import SummaryWriter
 import polypod
 import polypod.cli
 from polypod import results
-from polypod.evaluation import Evaluation, RobotResult, TileResult
+from polypod.evaluation import Evaluation, RobotResult, TileResult, evaluate
 from polypod.results import runs
 
 ROBOTS = ["anymal_d", "spot"]
 TASK, PLAY = "Velocity-Flat-Universal-v0", "Velocity-Flat-Universal-Play-v0"
+
+
+def stand(observations):
+    return np.zeros((len(observations), 12), dtype=np.float32)
 
 
 def robot(**values):
@@ -214,6 +218,8 @@ def test_the_command_writes_document_and_pictures(tmp_path, capsys):
     write_run(folder / "other" / "a", curves=curves, seed=2)
     (folder / "plain" / "a" / "strange.json").write_text('{"other": 1}')
     document = tmp_path / "docs" / "results.md"
+    over_grid = evaluate(stand, "velocity_flat", robots=ROBOTS, num_envs=8, steps=2, grid=(2, 2, 1))
+    write_run(folder / "own network" / "a", {"grid": over_grid})
     document.parent.mkdir()
     document.write_text("# Results\n\n<!-- results:begin -->\nold\n<!-- results:end -->\n\nafter\n")
     arguments = ["results", str(folder), "--out", str(document), "--media", str(tmp_path / "docs" / "media")]
@@ -226,7 +232,7 @@ def test_the_command_writes_document_and_pictures(tmp_path, capsys):
     assert "old" not in text
     assert "![curves error vel xy](media/curves_error_vel_xy.png)" in text
     pictures = sorted(path.name for path in (tmp_path / "docs" / "media").iterdir())
-    assert pictures == ["curves_error_vel_xy.png", "curves_fall_rate.png"]
+    assert pictures == ["curves_error_vel_xy.png", "curves_fall_rate.png", "own_network_grid.png"]
     assert all((tmp_path / "docs" / "media" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
     # again: the same document
     assert polypod.cli.main(arguments) == 0

@@ -1,10 +1,12 @@
-"""The pictures of a folder of results: curves per robot over samples."""
+"""The pictures of a folder of results: curves per robot over samples, and maps of evaluations."""
 
+import re
 from pathlib import Path
 
-from polypod.evaluation.plot import pyplot_for, save
+from polypod.evaluation import Evaluation, summarize
+from polypod.evaluation.plot import picture, pyplot_for, save
 from polypod.results.runs import Results, mean_curve, smoothed
-from polypod.results.tables import SMOOTHING
+from polypod.results.tables import SMOOTHING, condition_of
 
 CURVES = {
     "error_vel_xy": "velocity error (m/s)",
@@ -16,11 +18,33 @@ _COLUMNS = 4
 
 
 def draw(results: Results, folder: Path) -> list[Path]:
-    """Draws each of `CURVES` that any run has; returns the files.
+    """Draws each of `CURVES` that any run has, and each group's evaluations over a grid or over tiles.
+
+    Returns:
+        The files.
 
     Raises:
         ConfigError: without matplotlib, where a file cannot be written, and for curves without a manifest.
     """
+    return _draw_curves(results, folder) + _draw_maps(results, folder)
+
+
+def _draw_maps(results: Results, folder: Path) -> list[Path]:
+    files = []
+    for group, runs in results.groups.items():
+        alike: dict[object, list[tuple[str, Evaluation]]] = {}
+        for run in runs:
+            for name, each in run.evaluations.items():
+                if each.grid is not None or any(robot.terrain for robot in each.robots.values()):
+                    alike.setdefault((condition_of(each), *each.robots), []).append((name, each))
+        for found in alike.values():
+            stem = re.sub(r"[^0-9A-Za-z]+", "_", f"{group}_{found[0][0]}")
+            files.append(folder / f"{stem}.png")
+            picture(summarize([each for _, each in found]), files[-1])
+    return files
+
+
+def _draw_curves(results: Results, folder: Path) -> list[Path]:
     files = []
     for metric, label in CURVES.items():
         robots = list(

@@ -91,7 +91,8 @@ def _trainings(runs: Sequence[Run]) -> str:
     return "### Trainings\n\n" + _table(head, rows)
 
 
-def _condition(evaluation: Evaluation) -> Condition:
+def condition_of(evaluation: Evaluation) -> Condition:
+    """What evaluations have in common that can be compared."""
     return (
         evaluation.task,
         evaluation.randomized,
@@ -102,7 +103,7 @@ def _condition(evaluation: Evaluation) -> Condition:
 
 
 def _conditions(runs: Sequence[Run]) -> list[Condition]:
-    return list(dict.fromkeys(_condition(each) for run in runs for each in run.evaluations.values()))
+    return list(dict.fromkeys(condition_of(each) for run in runs for each in run.evaluations.values()))
 
 
 def _title(condition: Condition) -> str:
@@ -119,7 +120,7 @@ def _found(results: Results, condition: Condition, seen: bool) -> dict[str, dict
     found: dict[str, dict[str, list[RobotResult]]] = {}
     for run in results.runs:
         for evaluation in run.evaluations.values():
-            if _condition(evaluation) != condition:
+            if condition_of(evaluation) != condition:
                 continue
             for robot, result in evaluation.robots.items():
                 if (robot in _trained_on(run, evaluation)) == seen:
@@ -155,7 +156,7 @@ def _evaluations(results: Results, condition: Condition) -> str:
             rows.append(cells)
         parts.append(_table(head, rows))
     commands = [
-        command(each) for run in results.runs for each in run.evaluations.values() if _condition(each) == condition
+        command(each) for run in results.runs for each in run.evaluations.values() if condition_of(each) == condition
     ]
     parts.append("\n".join(["```bash", *dict.fromkeys(commands), "```"]))
     return "\n\n".join(parts)
@@ -309,4 +310,3 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
         head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
         parts += [title, _table(head, rows)]
     return "\n\n".join(parts)
-
