@@ -217,8 +217,8 @@ class ResultsOf:
     """Also write the tables to this document, between its marks."""
     media: Annotated[Path | None, _arg(metavar="DIR")] = None
     """Also draw curves per robot into this folder; needs the extra bench."""
-    score: float = 0.25
-    """Velocity error (m/s) of the exploring policy, whose first reaching is counted in iterations."""
+    score: Annotated[float | None, _arg(metavar="M/S")] = None
+    """Velocity error (m/s) of the exploring policy, whose first reaching is counted in iterations. Default: 0.25."""
     baseline: Name = None
     """Count to the error that this group ends with instead: to compare fine-tuning with training from scratch."""
 
@@ -601,7 +601,8 @@ def _results(command: ResultsOf) -> int:
     found = results.read(command.folder)
     for file in found.skipped:
         print(f"polypod: warning: {file} is neither an evaluation nor a comparison with MuJoCo", file=sys.stderr)
-    text, drawn = results.write(found, command.out, command.media, command.score, command.baseline)
+    score = results.DEFAULT_SCORE if command.score is None else command.score
+    text, drawn = results.write(found, command.out, command.media, score, command.baseline)
     print(text)
     for file in drawn:
         print(file)
