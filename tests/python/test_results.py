@@ -192,7 +192,8 @@ def test_curves_of_different_batches_share_an_axis_of_samples():
 def comparison(name, falls):
     figures = {"error_vel_xy": 0.1, "error_vel_yaw": 0.05, "fall_rate": 0.0, "episode_length_s": 20.0}
     return {
-        "task": "T-Play-v0",
+        "command": f"polypod sim2sim --robots {name}",
+        "task": PLAY,
         "envs_per_robot": 64,
         "seed": 0,
         "duration_s": 20.0,
@@ -209,6 +210,7 @@ def test_comparisons_with_mujoco_of_several_files_are_one_table(tmp_path):
     table = rows_of(text, "### polypod beside MuJoCo")
     assert table["spot"] == ["0.100", "0.100", "0.050", "0.050", "0.0%", "4.7%", "yes"]
     assert table["anymal_d"][-2:] == ["25.0%", "no"]
+    assert "polypod sim2sim --robots anymal_d\npolypod sim2sim --robots spot\n```" in text
 
 
 def test_the_command_writes_document_and_pictures(tmp_path, capsys):

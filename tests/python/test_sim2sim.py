@@ -140,6 +140,7 @@ def test_it_walks_in_both_simulators(tmp_path, capsys):
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert code == 0, output
     assert figures["transfers"]
+    assert figures["command"] == " ".join(["polypod", *arguments, "--steps", "150", "--seed", "0"])
     assert set(figures["robots"]) == {"unitree_go2", "anymal_d"}
     for robot in figures["robots"].values():
         assert robot["mujoco"]["fall_rate"] == 0.0

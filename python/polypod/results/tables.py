@@ -308,5 +308,6 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
                 )
             )
         head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
-        parts += [title, _table(head, rows)]
+        commands = dict.fromkeys(each["command"] for each in found)
+        parts += [title, _table(head, rows), "\n".join(["```bash", *commands, "```"])]
     return "\n\n".join(parts)

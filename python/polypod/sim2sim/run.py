@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,8 @@ class RobotComparison:
 class Comparison:
     """All robots, and what they were measured on."""
 
+    command: str
+    """The command line that compares the same again."""
     task: str
     envs_per_robot: int
     seed: int
@@ -144,6 +147,7 @@ def compare(
         theirs = _run_mujoco(episode, name, source, interface, policy, progress)
         results[name] = RobotComparison(polypod=in_polypod[name], mujoco=theirs)
     return Comparison(
+        command=_command(checkpoint, robots, options),
         task=episode.sim.task_name,
         envs_per_robot=options.envs_per_robot,
         seed=options.seed,
@@ -152,6 +156,27 @@ def compare(
         physics=physics,
         robots=results,
     )
+
+
+def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
+    given: dict[str, Any] = {
+        "--checkpoint": checkpoint,
+        "--robots": ",".join(robots) if robots is not None else None,
+        "--num-envs": options.envs_per_robot,
+        "--steps": options.steps,
+        "--seed": options.seed,
+        "--dt": options.dt,
+        "--integrator": options.integrator if options.integrator != Options.integrator else None,
+        "--friction": options.friction,
+    }
+    words = ["polypod", "sim2sim"]
+    words += [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
+    if options.command is not None:
+        words += ["--command", *map(str, options.command)]
+    if options.soft_contact:
+        words.append("--soft-contact")
+    words += [word for change in options.overrides for word in ("--set", change)]
+    return shlex.join(words)
 
 
 class _Episode:
