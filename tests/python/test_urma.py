@@ -115,7 +115,7 @@ def test_features_are_read_from_their_columns():
     joint = names.index("RH_HFE")
     description = 48
     expected = [
-        *(12 + joint, 24 + joint, 36 + joint),  # position, velocity, last action
+        *(12 + joint, 0.1 * (24 + joint), 36 + joint),  # position, velocity, last action
         *(0, 0, 0, 0, 1, -1, -1, 1, 0, 0, 0, 0),  # a right hind leg's flexion
         *(-0.5 * (description + 1), -0.5 * (description + 2)),  # its hip, behind and right
         description + 22 + joint,  # default position
@@ -123,6 +123,9 @@ def test_features_are_read_from_their_columns():
         *(description, *range(description + 3, description + 7), description + 34),
     ]
     np.testing.assert_allclose(rows[joint], expected, rtol=1e-6)
+    normalized = joint_table(layout_of(names), names, normalized=True)
+    assert (normalized.factor[:, :3] == 1.0).all()
+    np.testing.assert_array_equal(normalized.factor[:, 3:], table.factor[:, 3:])
     assert table.general.tolist() == [*range(12), *range(description, description + 7), description + 34]
 
 

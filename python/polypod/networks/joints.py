@@ -17,7 +17,8 @@ NUM_PLACES = 4 * len(ROLES)
 """Numbers that say which leg's which joint it is."""
 _SIDES = {"L": 1.0, "R": -1.0}
 _PLACES = {"F": 1.0, "M": 0.0, "H": -1.0}
-_JOINT_TERMS = ("joint_pos_rel", "joint_vel_rel", "last_action")
+_JOINT_TERMS = {"joint_pos_rel": 1.0, "joint_vel_rel": 0.1, "last_action": 1.0}
+"""With the factors that bring them to the order of one where nothing normalises them: joints turn at some 10 rad/s."""
 _DESCRIPTION = "morphology"
 _BODY_NUMBERS = 7
 """Numbers about the whole body at the beginning of the description; one more is at its end."""
@@ -80,12 +81,13 @@ def leg_and_role(joint: str) -> tuple[float, float, str]:
     return _SIDES[leg[0]], _PLACES[leg[1]], role
 
 
-def joint_table(layout: Layout, joint_names: Sequence[str]) -> JointTable:
+def joint_table(layout: Layout, joint_names: Sequence[str], normalized: bool = False) -> JointTable:
     """The table of an observation.
 
     Args:
         layout: terms of the observation; of the joints' terms and `morphology` one each.
         joint_names: canonical joints, in the order of the joints' terms.
+        normalized: whether the observation comes with mean 0 and deviation 1.
 
     Raises:
         ConfigError: for a name that is no leg's joint, a term that is missing, and a size that does not fit the joints.
@@ -120,7 +122,8 @@ def joint_table(layout: Layout, joint_names: Sequence[str]) -> JointTable:
 
     def features(joint: int) -> list[tuple[int, float, float]]:
         side, along_body, role = places[joint]
-        states = [(starts[term] + joint, 1.0, 0.0) for term in _JOINT_TERMS]
+        scales = {term: 1.0 if normalized else scale for term, scale in _JOINT_TERMS.items()}
+        states = [(starts[term] + joint, scale, 0.0) for term, scale in scales.items()]
         mass, along, across, *lengths_and_unit, height = body
         of_role = start + _BODY_NUMBERS + _ROLE_NUMBERS * roles.index(role)
         default = start + description - 1 - joints + joint

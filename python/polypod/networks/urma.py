@@ -158,7 +158,7 @@ class UrmaModel(MLPModel):
             ConfigError: for an observation without what the network reads.
         """
         super().__init__(obs, obs_groups, obs_set, output_dim, [1], activation, False, distribution_cfg)
-        table = joint_table([(term, size) for term, size in observation_layout], joint_names)
+        table = joint_table([(term, size) for term, size in observation_layout], joint_names, obs_normalization)
         if table.num_obs != self.obs_dim:
             raise _core.ConfigError(
                 f"observation_layout counts {table.num_obs} numbers, but an observation has {self.obs_dim}"
