@@ -330,7 +330,7 @@ fn mirrors_weigh_what_the_links_of_their_robot_do() {
     let mut sim = Sim::new(&mirrored(options, 4.0)).unwrap();
     let world = sim.world_mut();
     let masses: Vec<(EnvId, Vec<f32>)> =
-        world.query::<(&EnvId, &Body)>().iter(world).map(|(env, body)| (*env, body.0.mass.clone())).collect();
+        world.query::<(&EnvId, &Body)>().iter(world).map(|(env, body)| (*env, body.0.mass.to_vec())).collect();
     let bases: Vec<u32> = masses.iter().map(|(_, mass)| mass[0].to_bits()).collect();
     assert!(bases[0] != bases[1], "masses are not randomised here");
     for (env, mass) in masses {

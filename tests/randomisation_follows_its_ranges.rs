@@ -139,7 +139,7 @@ fn columns(sim: &mut Sim) -> Vec<Column> {
     }
     for joint in [0, 5, 11] {
         let strength = move |b: &Body| b.0.effort_limit[joint] / nominal.effort_limit[joint];
-        let share = |of: fn(&Body) -> &Vec<f32>, nominal: f32| {
+        let share = |of: fn(&Body) -> &[f32], nominal: f32| {
             bodies.iter().map(|b| f64::from(of(b)[joint] / nominal)).collect::<Vec<_>>()
         };
         let by_strength = |share: Vec<f64>| -> Vec<f64> {
