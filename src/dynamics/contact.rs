@@ -302,7 +302,9 @@ pub fn build_bounds<S: Real>(
             block.joints[place].diagonal = product[place];
             block.joints[place].inverse = S::one() / product[place];
         }
+        let (second, third) = (block.joints[1].inverse, block.joints[2].inverse);
         block.coupling = [product[3], product[4], product[5]];
+        block.rubbing = [product[3] * second, product[4] * third, product[5] * third];
     }
 }
 
