@@ -259,26 +259,28 @@ fn visit_bounds<S: Real>(
     y_joint: &mut [[S; BLOCK]],
 ) {
     let mut w = block.rows.velocities(topology, further, y_base, y_joint);
+    // dry friction is found in the same way whether a neighbour's lane is near a limit or not
+    let [pass01, pass02, pass12] = block.rubbing;
+    let mut stopping = [S::zero(); 3];
+    for i in 0..3 {
+        stopping[i] = block.joints[i].stopping(w[i]);
+    }
     let mut change = [S::zero(); 3];
-    if block.limits {
-        for i in 0..3 {
-            let row = &mut block.joints[i];
-            if row.rubs {
-                change[i] = row.rub(row.stopping(w[i]), active);
-            }
+    for i in 0..3 {
+        let row = &mut block.joints[i];
+        change[i] = row.rub(stopping[i], active);
+        if block.limits {
             if row.limits {
                 change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
             }
             block.pass_on(i, change[i], &mut w);
         }
-    } else {
-        // friction that is zero changes nothing: no branches
-        let [pass01, pass02, pass12] = block.rubbing;
-        let [first, second, third] = &mut block.joints;
-        let (f0, f1, f2) = (first.stopping(w[0]), second.stopping(w[1]), third.stopping(w[2]));
-        change[0] = first.rub(f0, active);
-        change[1] = second.rub(change[0].neg_mul_add(pass01, f1), active);
-        change[2] = third.rub(change[1].neg_mul_add(pass12, change[0].neg_mul_add(pass02, f2)), active);
+        if i == 0 {
+            stopping[1] = change[0].neg_mul_add(pass01, stopping[1]);
+            stopping[2] = change[0].neg_mul_add(pass02, stopping[2]);
+        } else if i == 1 {
+            stopping[2] = change[1].neg_mul_add(pass12, stopping[2]);
+        }
     }
     block.rows.apply(topology, further, &change, y_base, y_joint);
 }
