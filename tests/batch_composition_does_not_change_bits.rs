@@ -73,6 +73,26 @@ fn robots_before_it_change_nothing() {
     }
 }
 
+#[test]
+fn how_others_bounce_changes_nothing() {
+    let (mut a, mut b) = (sim(&["spot"], 40), sim(&["spot"], 40));
+    let is_watched = |env: usize| env.is_multiple_of(3);
+    let world = b.world_mut();
+    for (id, mut body) in world.query::<(&EnvId, &mut Body)>().iter_mut(world) {
+        if !is_watched(id.0 as usize) {
+            body.0.restitution = 0.5;
+        }
+    }
+    for t in 0..STEPS {
+        step(&mut a, t);
+        step(&mut b, t);
+        for env in (0..40).filter(|&env| is_watched(env)) {
+            assert_same(&mut a, env..env + 1, &mut b, env..env + 1, &format!("step {t}"));
+        }
+    }
+    assert_ne!(common::env_bits(&mut a)[1], common::env_bits(&mut b)[1], "the others must have bounced");
+}
+
 /// One control step in which the envs of `block` act by their place in it.
 fn step_rows(sim: &mut Sim, t: usize, block: std::ops::Range<usize>) {
     let width = sim.batch().num_actions;

@@ -213,11 +213,12 @@ pub fn build_contacts<S: Real>(
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
             let mut bounce = S::splat(NEVER);
-            if S::any(zero.lt(parameters.restitution)) {
+            let elastic = zero.lt(parameters.restitution);
+            if S::any(elastic) {
                 let (row, further) = rows.next();
                 let approach = row.first_velocity(topology, further, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
-                bounce = S::select(bounces, -(approach * parameters.restitution), bounce);
+                bounce = S::select(S::and(elastic, bounces), -(approach * parameters.restitution), bounce);
             }
             rows.add(near, target, bounce, &state.impulse[c]);
         }
@@ -303,7 +304,9 @@ pub fn build_bounds<S: Real>(
             block.joints[place].diagonal = product[place];
             block.joints[place].inverse = S::one() / product[place];
         }
+        let (second, third) = (block.joints[1].inverse, block.joints[2].inverse);
         block.coupling = [product[3], product[4], product[5]];
+        block.rubbing = [product[3] * second, product[4] * third, product[5] * third];
     }
 }
 

@@ -30,7 +30,10 @@ pub(super) struct ContactRows<S> {
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     pub(super) coupling: [S; 3],
     pub(super) inverse: [S; 3],
-    /// The inverse of the first of them.
+    /// While the point sticks, what a change of the normal impulse takes from the impulses along the tangents, and what a
+    /// velocity along tangent 1 adds to that along tangent 2.
+    pub(super) sticking: [S; 3],
+    /// The inverse of the first of `inverse`.
     pub(super) diagonal: S,
     /// How far the contact gives way to an impulse along its normal, m/s per N s.
     pub(super) softness: S,
@@ -97,6 +100,8 @@ pub(super) struct BoundBlock<S> {
     pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
+    /// What a change of one row's dry friction takes from that of a later one while neither slides: 0-1, 0-2, 1-2.
+    pub(super) rubbing: [S; 3],
     pub(super) joints: [BoundRow<S>; BLOCK],
 }
 
@@ -144,6 +149,7 @@ impl<S: Real> ContactWork<S> {
             active: false,
             rows: SparseRows::zero(),
             coupling: [z; 3],
+            rubbing: [z; 3],
             joints: [BoundRow::free(); BLOCK],
         };
         // a robot may have no joints, but every row reads the velocity of a block
@@ -288,6 +294,9 @@ impl<S: Real> ContactWork<S> {
         row.coupling = [product[3], product[4], product[5]];
         row.diagonal = product[0] + softness;
         row.inverse = [one / row.diagonal, one / product[1].max(least), one / product[2].max(least)];
+        let [c01, c02, c12] = row.coupling;
+        let pass1 = c01 * row.inverse[1];
+        row.sticking = [pass1, c12.neg_mul_add(pass1, c02) * row.inverse[2], c12 * row.inverse[1] * row.inverse[2]];
         row.slide = one / (product[1] + product[2]).mul_add(half, radius).max(least);
         row.softness = softness;
     }
@@ -324,6 +333,7 @@ impl<S: Real> ContactRows<S> {
             rows: SparseRows::zero(),
             coupling: [z; 3],
             inverse: [z; 3],
+            sticking: [z; 3],
             diagonal: z,
             softness: z,
             slide: z,

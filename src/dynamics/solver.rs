@@ -189,26 +189,34 @@ fn visit_contact<S: Real>(
     y_base: &mut [S; 6],
     y_joint: &mut [[S; BLOCK]],
 ) {
-    let w = row.rows.velocities(topology, further, y_base, y_joint);
+    // each visit waits for the velocity that the last one left: what does not depend on it is found beside
+    let z = S::zero();
     let old = row.impulse;
-    let missing = row.softness.mul_add(old[0], w[0] - row.target);
-    let normal = missing.neg_mul_add(row.inverse[0], old[0]).max(S::zero());
+    let at_rest = row.softness.mul_add(old[0], -row.target).neg_mul_add(row.inverse[0], old[0]);
+    let w = row.rows.velocities(topology, further, y_base, y_joint);
+    let normal = w[0].neg_mul_add(row.inverse[0], at_rest).max(z);
     let normal = S::select(active, normal, old[0]);
     let dn = normal - old[0];
-    let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
     // sticks if the impulse that stops the point is inside the disc of the static coefficient
-    let t1 = w1.neg_mul_add(row.inverse[1], old[1]);
-    let t2 = row.coupling[2].mul_add(t1 - old[1], w2).neg_mul_add(row.inverse[2], old[2]);
+    let [pass1, pass2, cross] = row.sticking;
+    let t1 = dn.neg_mul_add(pass1, w[1].neg_mul_add(row.inverse[1], old[1]));
+    let t2 = dn.neg_mul_add(pass2, w[1].mul_add(cross, w[2].neg_mul_add(row.inverse[2], old[2])));
     let hold = friction[0] * normal;
-    let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
-    // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
-    let (s1, s2) = (w1.neg_mul_add(row.slide, old[1]), w2.neg_mul_add(row.slide, old[2]));
-    let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
-    let shrink = (friction[1] * normal / length).min(S::one());
+    let presses = z.lt(normal);
+    let slides = S::and(S::and(active, presses), (hold * hold).lt(t1.mul_add(t1, t2 * t2)));
+    let mut tangential = [t1, t2];
+    if S::any(slides) {
+        // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
+        let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
+        let (s1, s2) = (w1.neg_mul_add(row.slide, old[1]), w2.neg_mul_add(row.slide, old[2]));
+        let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
+        let shrink = (friction[1] * normal / length).min(S::one());
+        tangential = [S::select(slides, s1 * shrink, t1), S::select(slides, s2 * shrink, t2)];
+    }
     let new = [
         normal,
-        S::select(active, S::select(slides, s1 * shrink, t1), old[1]),
-        S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
+        S::select(active, S::select(presses, tangential[0], z), old[1]),
+        S::select(active, S::select(presses, tangential[1], z), old[2]),
     ];
     row.impulse = new;
     row.rows.apply(topology, further, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
@@ -251,23 +259,27 @@ fn visit_bounds<S: Real>(
     y_joint: &mut [[S; BLOCK]],
 ) {
     let mut w = block.rows.velocities(topology, further, y_base, y_joint);
+    // dry friction is found in the same way whether a neighbour's lane is near a limit or not
+    let [pass01, pass02, pass12] = block.rubbing;
+    let mut stopping = [S::zero(); 3];
+    for i in 0..3 {
+        stopping[i] = block.joints[i].stopping(w[i]);
+    }
     let mut change = [S::zero(); 3];
-    if block.limits {
-        for i in 0..3 {
-            let row = &mut block.joints[i];
-            if row.rubs {
-                change[i] = row.rub(w[i], active);
-            }
+    for i in 0..3 {
+        let row = &mut block.joints[i];
+        change[i] = row.rub(stopping[i], active);
+        if block.limits {
             if row.limits {
                 change[i] = change[i] + row.limit(row.diagonal.mul_add(change[i], w[i]), active);
             }
             block.pass_on(i, change[i], &mut w);
         }
-    } else {
-        // friction that is zero changes nothing: no branches
-        for i in 0..3 {
-            change[i] = block.joints[i].rub(w[i], active);
-            block.pass_on(i, change[i], &mut w);
+        if i == 0 {
+            stopping[1] = change[0].neg_mul_add(pass01, stopping[1]);
+            stopping[2] = change[0].neg_mul_add(pass02, stopping[2]);
+        } else if i == 1 {
+            stopping[2] = change[1].neg_mul_add(pass12, stopping[2]);
         }
     }
     block.rows.apply(topology, further, &change, y_base, y_joint);
@@ -328,11 +340,17 @@ impl<S: Real> BoundBlock<S> {
 }
 
 impl<S: Real> BoundRow<S> {
-    /// Brings a velocity to zero, as far as dry friction can: the change of its impulse.
+    /// The impulse of dry friction that would bring a velocity to zero.
     #[inline(always)]
-    fn rub(&mut self, w: S, active: S::Mask) -> S {
+    fn stopping(&self, w: S) -> S {
+        w.neg_mul_add(self.inverse, self.friction_impulse)
+    }
+
+    /// Comes as near to that impulse as dry friction can: the change of its impulse.
+    #[inline(always)]
+    fn rub(&mut self, stopping: S, active: S::Mask) -> S {
         let old = self.friction_impulse;
-        let friction = w.neg_mul_add(self.inverse, old).clamp(-self.max_friction, self.max_friction);
+        let friction = stopping.clamp(-self.max_friction, self.max_friction);
         self.friction_impulse = S::select(active, friction, old);
         self.friction_impulse - old
     }
