@@ -1,9 +1,10 @@
 //! Bodies that differ from their URDF: links stretched and weighed otherwise, with all that follows from it.
 //!
-//! Every number of a body is its own ([`Parameters`]), so a varied body steps as fast as any other. A link is stretched by
-//! a linear map of its points: joint origins, centres of mass, collision shapes and feet go along, spheres, capsules and
-//! cylinders keep their radius, and the second moments of its mass follow the same map. Left and right legs are stretched alike
-//! and stay mirror images.
+//! Every number of a body may be its own ([`Parameters`]), and varied bodies step by the same instructions as equal ones. Only that
+//! their numbers come from memory, where those of equal bodies stay in the cache, costs some hundredths more
+//! (docs/performance.md). A link is stretched by a linear map of its points: joint origins, centres of mass, collision shapes and
+//! feet go along, spheres, capsules and cylinders keep their radius, and the second moments of its mass follow the same map. Left
+//! and right legs are stretched alike and stay mirror images.
 
 use crate::dynamics::kinematics::forward_kinematics;
 use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
