@@ -6,7 +6,9 @@ mod text;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::robot::{CANONICAL_JOINT_NAMES, LEGS, LoadOptions, Model, RobotError, Roles, detect, load};
+use crate::config::Library;
+use crate::morphology::MorphologyError;
+use crate::robot::{CANONICAL_JOINT_NAMES, LEGS, LoadOptions, Model, Roles, detect, load, load_str};
 use stance::{GRAVITY, REACHED, Stance};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
@@ -48,6 +50,8 @@ struct Findings<'a> {
     name: &'a str,
     title: String,
     urdf: PathBuf,
+    /// Of the known robot whose mass is nearest.
+    reward_set: String,
     options: &'a DraftOptions,
     model: &'a Model,
     roles: &'a Roles,
@@ -66,11 +70,12 @@ struct Group {
 }
 
 /// Drafts the config of the robot whose URDF is at `file`: a quadruped's roles and feet from geometry, every other joint
-/// held, a standing pose with the feet level about the centre of mass, gains in proportion to weight times leg length.
+/// held, a standing pose with the feet level about the centre of mass, gains in proportion to weight times leg length, rewards as
+/// of the known robot whose mass is nearest.
 ///
 /// # Errors
-/// Those of [`load`] and [`detect`].
-pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, RobotError> {
+/// Those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
+pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyError> {
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
     let whole = load(file, &load_options)?;
     let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
@@ -93,6 +98,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, RobotError> {
     let findings = Findings {
         name: &name,
         title: if model.name.trim().is_empty() { name.clone() } else { model.name.clone() },
+        reward_set: reward_set(model.total_mass())?,
         urdf: options.urdf.clone().unwrap_or_else(|| file.to_path_buf()),
         options,
         model: &model,
@@ -103,6 +109,23 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, RobotError> {
         stiffness: round(STIFFNESS * load * options.gain_factor.unwrap_or(1.0)),
     };
     Ok(Draft { toml: text::write(&findings), notes: notes(&findings), name })
+}
+
+/// That of the known robot whose mass is nearest to `mass` (kg), as a ratio.
+fn reward_set(mass: f64) -> Result<String, MorphologyError> {
+    let library = Library::new(Vec::new());
+    let mut nearest: Option<(f64, String)> = None;
+    for entry in library.robots()? {
+        let robot = library.robot(&entry.name)?;
+        let package_dirs = robot.config.package_dirs.clone();
+        let model =
+            load_str(&robot.urdf_text, &robot.urdf_path, &LoadOptions { package_dirs, ..LoadOptions::default() })?;
+        let distance = (model.total_mass() / mass).ln().abs();
+        if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
+            nearest = Some((distance, robot.config.reward_set));
+        }
+    }
+    Ok(nearest.map(|(_, set)| set).unwrap_or_default())
 }
 
 /// Small letters, digits and underscores.

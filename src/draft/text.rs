@@ -7,8 +7,6 @@ use toml::Value;
 use super::{DAMPING, Findings, GRAVITY, round, stance};
 use crate::robot::{CANONICAL_JOINT_NAMES, LEGS};
 
-/// Heavier robots are rewarded by the set of the large ones, kg: weights on torques fit their size.
-const LARGE: f64 = 25.0;
 /// Share of weight and mass that is drawn.
 const SHARE: f64 = 0.1;
 
@@ -34,8 +32,7 @@ fn head(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     writeln!(out, "name = {}", text(findings.name))?;
     writeln!(out, "title = {}", text(&findings.title))?;
     writeln!(out, "urdf = {}", text(&findings.urdf.to_string_lossy()))?;
-    let set = if mass > LARGE { "unitree_large" } else { "unitree" };
-    writeln!(out, "reward_set = \"{set}\"   # the [rewards.<set>] table of a task")?;
+    writeln!(out, "reward_set = {}   # the [rewards.<set>] table of a task", text(&findings.reward_set))?;
     writeln!(out, "action_scale = 0.25           # rad of joint target per unit of action")?;
     writeln!(out, "self_collisions = false       # contact between the robot's own links")?;
     if !findings.options.package_dirs.is_empty() {

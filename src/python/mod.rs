@@ -71,7 +71,7 @@ fn draft_robot(
     gain_factor: f64,
 ) -> PyResult<Bound<'_, PyDict>> {
     let options = DraftOptions { name, urdf, package_dirs, gain_factor: Some(gain_factor) };
-    let draft = draft(&path, &options).map_err(|error| to_python(py, MorphologyError::from(error).into()))?;
+    let draft = draft(&path, &options).map_err(|error| to_python(py, error.into()))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;
     dict.set_item("toml", draft.toml)?;
