@@ -14,7 +14,7 @@ from polypod.vector_env import make
 TASK = "velocity_flat_play"
 SECONDS = 4.0
 NUM_ENVS = 16
-SAG = 0.25
+SAG = 0.2
 """Largest mean distance of a standing robot's joint from the default pose, rad."""
 STIFFER = 1.5
 """Factor on the gains for the next try."""

@@ -147,7 +147,9 @@ def test_quadrupeds_of_any_size_stand(tmp_path, mass, thigh, shank, length):
     file.write_text(quadruped(mass, thigh, shank, length, effort=400.0))
     made = new_robot(file, force=True)
     assert made.standing.holds
-    assert made.standing.height == pytest.approx(0.8 * (thigh + shank) + 0.025, rel=0.1)
+    upright = 0.8 * (thigh + shank) + 0.025
+    # joints that give way by 0.2 rad let a leg this bent down by a fifth
+    assert 0.8 * upright < made.standing.height < 1.02 * upright
     env = polypod.make("velocity_flat", 4, robots=[str(made.path)], seed=0)
     env.reset()
     for _ in range(20):
