@@ -1,8 +1,15 @@
-"""Documents of which a part is written by a program: what stands between two marks."""
+"""Documents of which a part is written by a program, between two marks, and the tables that stand there."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from polypod import _core
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def marks(name: str) -> tuple[str, str]:

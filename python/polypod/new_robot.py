@@ -75,28 +75,28 @@ def new_robot(
     if name is None and out is not None:
         name = out.stem
     folders = {package: Path(folder).resolve() for package, folder in (package_dirs or {}).items()}
-    draft = _core.draft_robot(urdf, name=name, package_dirs=folders)
-    path = urdf.with_name(f"{draft['name']}.toml") if out is None else out
-    if path.suffix != ".toml" or path.stem != draft["name"]:
-        raise _core.ConfigError(f"--out {path}: the file of a robot `{draft['name']}` is {draft['name']}.toml")
-    if path.exists() and not force:
-        raise _core.ConfigError(f"{path} is there already; pass --force to write over it, or choose another --out")
-
-    factor = 1.0
+    place = _relative(urdf, (urdf if out is None else out).parent)
     for attempt in range(TRIES):
-        draft = _core.draft_robot(
-            urdf, name=name, urdf=_relative(urdf, path.parent), package_dirs=folders, gain_factor=factor
-        )
+        factor = STIFFER**attempt
+        draft = _core.draft_robot(urdf, name=name, urdf=place, package_dirs=folders, gain_factor=factor)
+        path = urdf.with_name(f"{draft['name']}.toml") if out is None else out
+        if attempt == 0:
+            _check_place(path, draft["name"], force)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, draft["toml"])
         except OSError as error:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --out") from error
         standing = stand(str(path))
-        if standing.holds or attempt + 1 == TRIES:
+        if standing.holds:
             break
-        factor *= STIFFER
     return NewRobot(draft["name"], path, draft["notes"], standing, factor)
+
+
+def _check_place(path: Path, name: str, force: bool) -> None:
+    if path.suffix != ".toml" or path.stem != name:
+        raise _core.ConfigError(f"--out {path}: the file of a robot `{name}` is {name}.toml")
+    if path.exists() and not force:
+        raise _core.ConfigError(f"{path} is there already; pass --force to write over it, or choose another --out")
 
 
 def stand(robot: str) -> Standing:
@@ -104,7 +104,7 @@ def stand(robot: str) -> Standing:
     env = make(TASK, NUM_ENVS, robots=[robot], seed=0, autoreset="disabled")
     try:
         env.reset()
-        actions = np.zeros((NUM_ENVS, 12), dtype=np.float32)
+        actions = np.zeros((NUM_ENVS, env.sim.num_actions), dtype=np.float32)
         fallen = np.zeros(NUM_ENVS, dtype=np.bool_)
         for _ in range(round(SECONDS / env.step_dt)):
             fallen |= env.step(actions)[2]

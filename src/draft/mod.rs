@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::config::Library;
-use crate::morphology::MorphologyError;
-use crate::robot::{CANONICAL_JOINT_NAMES, LEGS, LoadOptions, Model, Roles, detect, load, load_str};
-use stance::{GRAVITY, REACHED, Stance};
+use crate::morphology::{MorphologyError, MorphologyModel};
+use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load};
+use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
 /// in `configs/robots` have 0.20 to 0.49.
@@ -58,13 +58,14 @@ struct Findings<'a> {
     stance: &'a Stance,
     locked: BTreeMap<String, f64>,
     groups: Vec<Group>,
+    /// Of joints for which the URDF has none, N m.
+    missing_effort: f64,
     stiffness: f64,
 }
 
 /// Joints with the same limits.
 struct Group {
-    name: String,
-    joints: Vec<String>,
+    slots: Vec<usize>,
     effort: f64,
     velocity: Option<f64>,
 }
@@ -80,8 +81,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyErr
     let whole = load(file, &load_options)?;
     let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
-    load_options.locked_joints =
-        others.map(|(_, joint)| (joint.name.clone(), 0.0_f64.max(joint.lower).min(joint.upper))).collect();
+    load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
@@ -92,6 +92,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyErr
 
     let stance = Stance::find(&model, &roles);
     let load = model.total_mass() * GRAVITY * stance.leg_length;
+    let missing_effort = round(EFFORT * load);
     let stem = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let given = if model.name.trim().is_empty() { &stem } else { &model.name };
     let name = identifier(options.name.as_deref().unwrap_or(given));
@@ -105,7 +106,8 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyErr
         roles: &roles,
         stance: &stance,
         locked: load_options.locked_joints,
-        groups: groups(&model, &roles, round(EFFORT * load)),
+        groups: groups(&model, &roles, missing_effort),
+        missing_effort,
         stiffness: round(STIFFNESS * load * options.gain_factor.unwrap_or(1.0)),
     };
     Ok(Draft { toml: text::write(&findings), notes: notes(&findings), name })
@@ -116,11 +118,8 @@ fn reward_set(mass: f64) -> Result<String, MorphologyError> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(f64, String)> = None;
     for entry in library.robots()? {
-        let robot = library.robot(&entry.name)?;
-        let package_dirs = robot.config.package_dirs.clone();
-        let model =
-            load_str(&robot.urdf_text, &robot.urdf_path, &LoadOptions { package_dirs, ..LoadOptions::default() })?;
-        let distance = (model.total_mass() / mass).ln().abs();
+        let robot = MorphologyModel::new(&library.robot(&entry.name)?)?;
+        let distance = (robot.model.total_mass() / mass).ln().abs();
         if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
             nearest = Some((distance, robot.config.reward_set));
         }
@@ -146,64 +145,29 @@ fn round(value: f64) -> f64 {
     format!("{rounded:.6}").parse().unwrap_or(rounded)
 }
 
+/// The effort limit of the URDF, if it has one that means something.
+fn known_effort(joint: &Joint) -> Option<f64> {
+    Some(joint.effort).filter(|effort| effort.is_finite() && *effort > 0.0)
+}
+
 /// The URDF's limits, joints with the same ones together.
 fn groups(model: &Model, roles: &Roles, missing_effort: f64) -> Vec<Group> {
-    let limits = |slot: usize| {
-        let joint = &model.joints[roles.joint_of_slot[slot]];
-        let effort = Some(joint.effort).filter(|effort| effort.is_finite() && *effort > 0.0).unwrap_or(missing_effort);
-        (effort, Some(joint.velocity).filter(|velocity| velocity.is_finite() && *velocity > 0.0))
-    };
-    let slots = |group: &(f64, Option<f64>)| (0..12).filter(|&slot| limits(slot) == *group).collect::<Vec<_>>();
-    let mut distinct: Vec<(f64, Option<f64>)> = Vec::new();
-    for group in (0..12).map(limits) {
-        if !distinct.contains(&group) {
-            distinct.push(group);
-        }
-    }
-    let named = distinct.iter().map(|group| {
-        let slots = slots(group);
-        let (name, joints) = pattern(&slots);
-        Group { name, joints, effort: group.0, velocity: group.1 }
-    });
-    let mut groups: Vec<Group> = named.collect();
-    // patterns of roles may meet in one name
-    for index in 0..groups.len() {
-        if groups[..index].iter().any(|other| other.name == groups[index].name) {
-            groups[index].name = format!("{}_{index}", groups[index].name);
+    let mut groups: Vec<Group> = Vec::new();
+    for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
+        let joint = &model.joints[joint];
+        let effort = known_effort(joint).unwrap_or(missing_effort);
+        let velocity = Some(joint.velocity).filter(|velocity| velocity.is_finite() && *velocity > 0.0);
+        match groups.iter_mut().find(|group| (group.effort, group.velocity) == (effort, velocity)) {
+            Some(group) => group.slots.push(slot),
+            None => groups.push(Group { slots: vec![slot], effort, velocity }),
         }
     }
     groups
 }
 
-/// A name and patterns for these slots.
-fn pattern(slots: &[usize]) -> (String, Vec<String>) {
-    if slots.len() == 12 {
-        return ("legs".to_string(), vec!["*".to_string()]);
-    }
-    let mut names = Vec::new();
-    let mut patterns = Vec::new();
-    for (role, (name, suffix)) in [("abductors", "HAA"), ("hips", "HFE"), ("knees", "KFE")].into_iter().enumerate() {
-        let of_role: Vec<usize> = slots.iter().copied().filter(|slot| slot / LEGS.len() == role).collect();
-        if of_role.is_empty() {
-            continue;
-        }
-        names.push(name);
-        if of_role.len() == LEGS.len() {
-            patterns.push(format!("*_{suffix}"));
-        } else {
-            patterns.extend(of_role.iter().map(|&slot| CANONICAL_JOINT_NAMES[slot].to_string()));
-        }
-    }
-    (names.join("_and_"), patterns)
-}
-
 fn notes(findings: &Findings<'_>) -> Vec<String> {
     let Findings { model, roles, stance, .. } = findings;
-    let mut notes: Vec<String> = model
-        .warnings
-        .iter()
-        .map(|warning| format!("{}: {}; {}", warning.element, warning.problem, warning.remedy))
-        .collect();
+    let mut notes: Vec<String> = model.warnings.iter().map(Warning::finding).collect();
     for (leg, miss) in LEGS.iter().zip(stance.misses) {
         if miss >= REACHED {
             notes.push(format!(
@@ -216,26 +180,20 @@ fn notes(findings: &Findings<'_>) -> Vec<String> {
     for (joint, position) in &findings.locked {
         notes.push(format!("[locked_joints]: {joint} is no leg's and is held at {position}"));
     }
-    for slot in 0..12 {
-        let joint = &model.joints[roles.joint_of_slot[slot]];
-        if !joint.effort.is_finite() || joint.effort <= 0.0 {
+    for joint in roles.joint_of_slot.map(|joint| &model.joints[joint]) {
+        if known_effort(joint).is_none() {
             notes.push(format!(
                 "[actuators]: the URDF has no effort limit for {}; {} N m follow from weight and leg length: write the motor's",
-                joint.name,
-                round(EFFORT * model.total_mass() * GRAVITY * stance.leg_length)
+                joint.name, findings.missing_effort
             ));
         }
     }
-    for (role, name) in ["HAA", "HFE", "KFE"].into_iter().enumerate() {
-        let effort = findings
-            .groups
-            .iter()
-            .filter(|group| group.joints.iter().any(|joint| joint == "*" || joint.ends_with(name)));
-        let least = effort.map(|group| group.effort).fold(f64::INFINITY, f64::min);
-        if stance.torques[role] > STANDING_EFFORT * least {
+    for (role, (name, torque)) in ROLES.into_iter().zip(stance.torques).enumerate() {
+        let of_role = |group: &&Group| group.slots.iter().any(|slot| slot / LEGS.len() == role);
+        let least = findings.groups.iter().filter(of_role).map(|group| group.effort).fold(f64::INFINITY, f64::min);
+        if torque > STANDING_EFFORT * least {
             notes.push(format!(
-                "[actuators]: standing takes {:.1} N m of the {least:.1} N m of {name}; the robot may be too heavy for its motors",
-                stance.torques[role]
+                "[actuators]: standing takes {torque:.1} N m of the {least:.1} N m of {name}; the robot may be too heavy for its motors"
             ));
         }
     }

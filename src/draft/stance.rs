@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3};
 
-use crate::robot::{LEGS, Model, Pose, Roles};
+use crate::robot::{Joint, LEGS, Model, Pose, Roles};
 
 /// Share of thigh and shank together by which the foot lies below the hip.
 const CROUCH: f64 = 0.8;
@@ -198,13 +198,18 @@ impl Leg {
     }
 }
 
+/// The position nearest to 0 that a joint can have, rad or m.
+pub(super) fn nearest_to_zero(joint: &Joint) -> f64 {
+    0.0_f64.max(joint.lower).min(joint.upper)
+}
+
 /// Where a joint may be put, rad.
 pub(super) fn range(model: &Model, joint: usize) -> RangeInclusive<f64> {
     let joint = &model.joints[joint];
     let (lower, upper) = (joint.lower.max(-TURN), joint.upper.min(TURN));
     if lower > upper {
         // limits beyond a turn
-        return joint.lower.max(joint.upper.min(0.0))..=joint.lower.max(joint.upper.min(0.0));
+        return nearest_to_zero(joint)..=nearest_to_zero(joint);
     }
     let margin = MARGIN * (upper - lower);
     lower + margin..=upper - margin

@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 use toml::Value;
 
 use super::{DAMPING, Findings, GRAVITY, round, stance};
-use crate::robot::{CANONICAL_JOINT_NAMES, LEGS};
+use crate::robot::{CANONICAL_JOINT_NAMES, LEGS, ROLES};
 
 /// Share of weight and mass that is drawn.
 const SHARE: f64 = 0.1;
@@ -84,10 +84,16 @@ fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let [haa, hfe, kfe] = findings.stance.torques;
     writeln!(out, "\n# Gains in proportion to weight times leg length, limits of the URDF.")?;
     writeln!(out, "# Standing takes {haa:.1} N m of HAA, {hfe:.1} of HFE, {kfe:.1} of KFE, at most.")?;
-    for group in &findings.groups {
-        let joints: Vec<String> = group.joints.iter().map(|joint| text(joint).to_string()).collect();
-        writeln!(out, "[actuators.{}]", group.name)?;
+    let mut names: Vec<String> = Vec::new();
+    for (index, group) in findings.groups.iter().enumerate() {
+        let (mut name, patterns) = pattern(&group.slots);
+        if names.contains(&name) {
+            name = format!("{name}_{index}");
+        }
+        let joints: Vec<String> = patterns.iter().map(|joint| text(joint).to_string()).collect();
+        writeln!(out, "[actuators.{name}]")?;
         writeln!(out, "joints = [{}]", joints.join(", "))?;
+        names.push(name);
         writeln!(out, "model = \"ideal_pd\"            # ideal_pd | dc_motor | delayed_pd")?;
         writeln!(out, "stiffness = {:?}             # N m / rad", findings.stiffness)?;
         writeln!(out, "damping = {:?}               # N m s / rad", round(DAMPING * findings.stiffness))?;
@@ -97,6 +103,28 @@ fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
         }
     }
     Ok(())
+}
+
+/// A name and patterns for these slots.
+fn pattern(slots: &[usize]) -> (String, Vec<String>) {
+    if slots.len() == CANONICAL_JOINT_NAMES.len() {
+        return ("legs".to_string(), vec!["*".to_string()]);
+    }
+    let mut names = Vec::new();
+    let mut patterns = Vec::new();
+    for (role, (name, suffix)) in ["abductors", "hips", "knees"].into_iter().zip(ROLES).enumerate() {
+        let of_role: Vec<usize> = slots.iter().copied().filter(|slot| slot / LEGS.len() == role).collect();
+        if of_role.is_empty() {
+            continue;
+        }
+        names.push(name);
+        if of_role.len() == LEGS.len() {
+            patterns.push(format!("*_{suffix}"));
+        } else {
+            patterns.extend(of_role.iter().map(|&slot| CANONICAL_JOINT_NAMES[slot].to_string()));
+        }
+    }
+    (names.join("_and_"), patterns)
 }
 
 fn ranges(findings: &Findings<'_>, out: &mut String) -> fmt::Result {

@@ -45,7 +45,7 @@ fn describe(model: &Model, out: &mut String) -> fmt::Result {
     }
     writeln!(out, "\nwarnings: {}", model.warnings.len())?;
     for warning in &model.warnings {
-        writeln!(out, "  {}: {}; {}", warning.element, warning.problem, warning.remedy)?;
+        writeln!(out, "  {}", warning.finding())?;
     }
     Ok(())
 }

@@ -27,11 +27,16 @@ impl Diagnosis {
     ) -> Self {
         Self { file: file.to_path_buf(), element: element.into(), problem: problem.into(), remedy: remedy.into() }
     }
+
+    /// All but the file: `{element}: {problem}; {remedy}`.
+    pub fn finding(&self) -> String {
+        format!("{}: {}; {}", self.element, self.problem, self.remedy)
+    }
 }
 
 impl fmt::Display for Diagnosis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}: {}; {}", self.file.display(), self.element, self.problem, self.remedy)
+        write!(f, "{}: {}", self.file.display(), self.finding())
     }
 }
 

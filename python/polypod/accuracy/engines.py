@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 import polypod
-from polypod import _core
 from polypod.accuracy import motion
 from polypod.accuracy.reference import GRAVITY
 from polypod.accuracy.robot import Array, Robot
 from polypod.accuracy.standing import DT, FRICTION, SETTLE_TIME, hold, pitch, pose
-from polypod.compat import tomllib
 
 STEPS = (0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.0125, 0.016, 0.02, 0.025, 0.04, 0.05, 0.1, 0.125, 0.25)
 """Physics steps that are tried, s."""
@@ -136,15 +134,13 @@ def _measure(robot: Robot, engine: str, targets: Array, converged: Array) -> Eng
 
 def frictionless_torque(robot: Robot, engine: str) -> Array:
     """The actuators' torques on the robot as it stands after `SETTLE_TIME`, its joints without dry friction, N m."""
-    task = _core.VecSim("velocity_flat_play", 1, robots=[robot.name], threads=1)
-    groups = tomllib.loads(task.resolved_config())["robots"][robot.name]["actuators"]
+    groups = dict.fromkeys(robot.actuators.groups)
     changes = "".join(f"[actuators.{group}]\nfriction = 0.0\n" for group in groups)
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / f"{robot.name}.toml"
         identity = f'extends = "{robot.name}"\nname = "{robot.name}"\ntitle = "without dry friction"\n'
         config.write_text(identity + changes, encoding="utf-8")
-        sim = polypod.Simulation(str(config), dt=DT, engine=engine, friction=FRICTION, self_collision=False, threads=1)
-        sim.set_state(pose(robot, 0.0))
+        sim = _simulation(robot, engine, DT, source=str(config))
         hold(sim, robot, SETTLE_TIME)
     return sim.joint_torque[0]
 
@@ -170,10 +166,12 @@ def _speed(robot: Robot, engine: str) -> float:
     return statistics.median(rates[1:])
 
 
-def _simulation(robot: Robot, engine: str, dt: float, num_envs: int = 1) -> polypod.Simulation:
-    """A robot on its feet in the default pose."""
+def _simulation(
+    robot: Robot, engine: str, dt: float, num_envs: int = 1, source: str | None = None
+) -> polypod.Simulation:
+    """A robot on its feet in the default pose, from its config or that of the path `source`."""
     sim = polypod.Simulation(
-        robot.name, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
+        source or robot.name, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
     )
     sim.set_state(pose(robot, 0.0))
     return sim

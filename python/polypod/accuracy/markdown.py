@@ -2,12 +2,12 @@
 
 import math
 import textwrap
-from collections.abc import Sequence
 
 from polypod import _core
 from polypod.accuracy import engines
 from polypod.accuracy.report import Report
 from polypod.accuracy.standing import DT, FINE, FIRM, FRICTION, MUJOCO_COARSE, SLOPE_FINE
+from polypod.documents import table
 
 COMMAND = "make accuracy"
 
@@ -64,7 +64,7 @@ def summary(report: Report) -> str:
         ("creep on a slope of 20 degrees", "in 10 s", f"{1e3 * creep:.2f} mm", "1 mm"),
         ("distance in which a block stops", "error against the formula", f"{100 * stops:.2f} %", "1 %"),
     )
-    return head + "\n\n" + _table(("quantity", "measured", "worst", "bound"), rows)
+    return head + "\n\n" + table(("quantity", "measured", "worst", "bound"), rows)
 
 
 _SETTINGS = """
@@ -137,7 +137,7 @@ slides with `g (sin - mu cos)` above. Just below the limit MuJoCo's soft contact
 
 def _statics(report: Report) -> str:
     head = ("robot", "mass", "com", "position", "rotation", "mass matrix", "bias", "forward", "inverse")
-    return _table(
+    return table(
         head,
         [
             (
@@ -163,7 +163,7 @@ def _statics(report: Report) -> str:
 
 def _responses(report: Report) -> str:
     head = ("robot", "0.5 ms", "MuJoCo 0.5 ms", "5 ms", "MuJoCo 5 ms", "further")
-    return _table(
+    return table(
         head,
         [
             (
@@ -190,7 +190,7 @@ def _drops(report: Report) -> str:
         f"at {1e3 * DT:g} ms (mm)",
         f"at {1e3 * DT:g} ms (degrees)",
     )
-    return _table(
+    return table(
         head,
         [
             (
@@ -212,7 +212,7 @@ def _drops(report: Report) -> str:
 
 
 def _standing(report: Report) -> str:
-    return _table(
+    return table(
         ("robot", "weight (N)", "normal forces (N)", "MuJoCo (N)", "worst foot", "worst horizontal"),
         [
             (
@@ -229,7 +229,7 @@ def _standing(report: Report) -> str:
 
 
 def _rests(report: Report) -> str:
-    return _table(
+    return table(
         ("robot", "up the slope", "polypod (mm)", "MuJoCo (mm)"),
         [(r.robot, r.uphill, f"{1e3 * r.creep:.4f}", f"{1e3 * r.mujoco_creep:.4f}") for r in report.rests],
     )
@@ -250,7 +250,7 @@ def _engines(report: Report) -> str:
         "largest step (ms)",
         "steps per second",
     )
-    return _table(
+    return table(
         head,
         [
             (
@@ -274,7 +274,7 @@ def _engines(report: Report) -> str:
 
 
 def _slides(report: Report) -> str:
-    return _table(
+    return table(
         ("friction", "speed (m/s)", "direction (degrees)", "formula (m)", "polypod (m)", "MuJoCo (m)"),
         [
             (
@@ -291,7 +291,7 @@ def _slides(report: Report) -> str:
 
 
 def _slopes(report: Report) -> str:
-    return _table(
+    return table(
         ("friction", "slope (degrees)", "formula (m/s^2)", "polypod (m/s^2)", "MuJoCo (m/s^2)"),
         [
             (
@@ -310,8 +310,3 @@ def _prose(text: str) -> str:
     """Paragraphs, each filled anew."""
     paragraphs = text.strip().split("\n\n")
     return "\n\n".join(textwrap.fill(" ".join(paragraph.split()), 140) for paragraph in paragraphs)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

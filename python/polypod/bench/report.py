@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from polypod import _core, extras
+from polypod import _core
 from polypod.accuracy import reference
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
+from polypod.drawing import pyplot_for, save
 
 Progress = Callable[[str], None]
 """Is told what comes next."""
@@ -161,8 +162,7 @@ def picture(result: Mapping[str, Any], out: Path) -> None:
     """Plots the scaling. Raises ConfigError without matplotlib, after --quick, or where it cannot be written."""
     if "scaling_num_envs" not in result:
         raise _core.ConfigError("--plot shows the scaling, which --quick leaves out; run without --quick")
-    extras.package("matplotlib", "--plot", "bench").use("Agg")
-    pyplot = extras.package("matplotlib.pyplot", "--plot", "bench")
+    pyplot = pyplot_for("--plot")
     figure, axes = pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")
     for axis, (key, label) in zip(
         axes,
@@ -175,10 +175,7 @@ def picture(result: Mapping[str, Any], out: Path) -> None:
         axis.set_xscale("log", base=2)
         axis.grid(alpha=0.3)
     figure.suptitle(f"polypod {result['polypod']}, {result['cpu']}, {result['simd']}")
-    try:
-        figure.savefig(out, dpi=120)
-    except (OSError, ValueError) as error:
-        raise _core.ConfigError(f"cannot write {out}: {error}; choose another --plot") from error
+    save(figure, out, "--plot")
     pyplot.close(figure)
 
 

@@ -10,7 +10,6 @@ Array = npt.NDArray[np.float64]
 CONTACT_FORCE = 1.0
 """N, above which a foot is in contact: the threshold of the task's contact sensors."""
 
-
 TRACKING_STD = 0.5
 """m/s and rad/s, of the reference's tracking rewards."""
 
@@ -59,12 +58,8 @@ def foot_slip(forces: npt.ArrayLike, velocities: npt.ArrayLike) -> tuple[Array, 
 
 def of_step(sim: _core.VecSim) -> dict[str, Array]:
     """Everything that an evaluation sums up over an episode, each [num_envs], of the step just taken."""
-    state = {
-        name: sim.state(name).astype(np.float64)
-        for name in (
-            *("base_lin_vel", "base_ang_vel", "command", "joint_effort", "joint_vel", "contact_forces", "feet_vel"),
-        )
-    }
+    names = ("base_lin_vel", "base_ang_vel", "command", "joint_effort", "joint_vel", "contact_forces", "feet_vel")
+    state = {name: sim.state(name).astype(np.float64) for name in names}
     wanted, velocity = state["command"], state["base_lin_vel"][:, :2]
     slip, contact = foot_slip(state["contact_forces"], state["feet_vel"])
     error_xy = np.linalg.norm(wanted[:, :2] - velocity, axis=1)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from polypod import _core, extras
+from polypod.drawing import pyplot_for, save
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.seeds import Summary
 
@@ -39,21 +39,6 @@ def picture(summary: Summary, out: Path) -> None:
     figure.suptitle(f"{first.task}, {conditions}{whiskers}")
     save(figure, out)
     pyplot.close(figure)
-
-
-def pyplot_for(purpose: str) -> Any:
-    """Draws to files, by matplotlib's pyplot. Raises ConfigError without matplotlib."""
-    extras.package("matplotlib", purpose, "bench").use("Agg")
-    return extras.package("matplotlib.pyplot", purpose, "bench")
-
-
-def save(figure: Any, out: Path) -> None:
-    """Writes a figure. Raises ConfigError where that is not possible."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out, dpi=110)
-    except (OSError, ValueError) as error:
-        raise _core.ConfigError(f"cannot write {out}: {error}; choose another file") from error
 
 
 def _draw_bars(axes: Any, summary: Summary) -> None:

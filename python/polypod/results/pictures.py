@@ -3,8 +3,9 @@
 import re
 from pathlib import Path
 
+from polypod.drawing import pyplot_for, save
 from polypod.evaluation import Evaluation, summarize
-from polypod.evaluation.plot import picture, pyplot_for, save
+from polypod.evaluation.plot import picture
 from polypod.results.runs import Results, mean_curve, smoothed
 from polypod.results.tables import SMOOTHING, condition_of
 

@@ -1,12 +1,13 @@
 """The tables of a folder of results, in Markdown."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from polypod import _core
+from polypod.documents import table
 from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command
 from polypod.evaluation.seeds import Interval, interval
 from polypod.results.runs import Results, Run, final, reached, smoothed
@@ -55,11 +56,6 @@ def document(results: Results, score: float, baseline: str | None) -> str:
     return "\n\n".join(parts)
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 def _with_interval(found: Interval, form: str) -> str:
     if math.isnan(found.mean):
         return "-"
@@ -88,7 +84,7 @@ def _trainings(runs: Sequence[Run]) -> str:
             )
         )
     head = ("group", "run", "task", "robots", "seed", "iterations", "million samples", "minutes", "command")
-    return "### Trainings\n\n" + _table(head, rows)
+    return "### Trainings\n\n" + table(head, rows)
 
 
 def condition_of(evaluation: Evaluation) -> Condition:
@@ -154,7 +150,7 @@ def _evaluations(results: Results, condition: Condition) -> str:
                 for name, read in columns.items():
                     cells.append(_cell([read(result) for result in unseen[group].get(robot, [])], forms[name]))
             rows.append(cells)
-        parts.append(_table(head, rows))
+        parts.append(table(head, rows))
     commands = [
         command(each) for run in results.runs for each in run.evaluations.values() if condition_of(each) == condition
     ]
@@ -182,12 +178,12 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             episodes = str(sum(result.episodes for result in results))
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
             rows.append([robot, episodes, *figures])
-        return [f"Group {group}, {_seeds(found[group])}:", _table(head, rows)]
+        return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
     parts = []
     for key, (label, form) in FIGURES.items():
         rows = [[robot, *(_cell(values(group, robot, key), form) for group in found)] for robot in _robots(found)]
         heads = [f"{group} ({_seeds(robots)})" for group, robots in found.items()]
-        parts += [f"{label[0].upper()}{label[1:]}:", _table(["robot", *heads], rows)]
+        parts += [f"{label[0].upper()}{label[1:]}:", table(["robot", *heads], rows)]
     return parts
 
 
@@ -209,12 +205,12 @@ def _terrain(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             [robot, *(_share(entries, kind, None) for kind in kinds), _share(entries, None, None)]
             for robot, entries in robots.items()
         ]
-        parts += [f"Success by type of tile, group {group}, all levels:", _table(["robot", *kinds, "all"], rows)]
+        parts += [f"Success by type of tile, group {group}, all levels:", table(["robot", *kinds, "all"], rows)]
         rows = [
             [str(level), *(_share(results, kind, level) for kind in kinds), _share(results, None, level)]
             for level in levels
         ]
-        parts += [f"Success by level, group {group}, mean over the robots:", _table(["level", *kinds, "all"], rows)]
+        parts += [f"Success by level, group {group}, mean over the robots:", table(["level", *kinds, "all"], rows)]
     return parts
 
 
@@ -240,7 +236,7 @@ def _against_specialists(results: Results, found: dict[str, dict[str, list[Robot
                 cells.append("-" if math.isnan(ratio) else f"{ratio:.1%}")
         rows.append(cells)
     head = ["robot", *(f"{group} / {special}" for special in specialists for group in others)]
-    return ["Tracking reward beside that of policies trained on the robot alone:", _table(head, rows)]
+    return ["Tracking reward beside that of policies trained on the robot alone:", table(head, rows)]
 
 
 def _reached(results: Results, score: float, baseline: str | None) -> str:
@@ -270,7 +266,7 @@ def _reached(results: Results, score: float, baseline: str | None) -> str:
         f"### Iterations to {what}\n\nOf the exploring policy's velocity error, mean over {SMOOTHING} iterations; "
         "of several runs the mean of those that came there, and how many did."
     )
-    return f"{text}\n\n" + _table(["robot", "m/s", *groups], rows)
+    return f"{text}\n\n" + table(["robot", "m/s", *groups], rows)
 
 
 def _iterations(found: Sequence[float]) -> str:
@@ -309,5 +305,5 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
             )
         head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
         commands = dict.fromkeys(each["command"] for each in found)
-        parts += [title, _table(head, rows), "\n".join(["```bash", *commands, "```"])]
+        parts += [title, table(head, rows), "\n".join(["```bash", *commands, "```"])]
     return "\n\n".join(parts)
