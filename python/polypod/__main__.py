@@ -1,9 +1,25 @@
 """The `polypod` command."""
 
+import os
 import sys
+from collections.abc import MutableMapping
 from importlib.util import find_spec
 
 _TRAIN_EXTRA = {"rich": "rich", "rsl_rl": "rsl-rl-lib", "tensordict": "tensordict", "torch": "torch", "tyro": "tyro"}
+
+
+_SPIN_COUNT = "1000"
+"""Turns, some microseconds, that an idle thread of torch's OpenMP (libgomp) spins before it sleeps."""
+
+
+def spin_briefly(environ: MutableMapping[str, str]) -> None:
+    """Has torch's idle threads leave the cores to others, unless the user has said how they are to wait.
+
+    By default they spin for milliseconds. Simulator and learner take turns on the same cores, and where other programs
+    compute too, threads that spin keep the one they wait for from its core.
+    """
+    if not environ.keys() & {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"}:
+        environ["GOMP_SPINCOUNT"] = _SPIN_COUNT
 
 
 def main() -> int:
@@ -13,6 +29,7 @@ def main() -> int:
         remedy = "install the train extra: pip install 'polypod[train]'"
         print(f"polypod: the command line needs {', '.join(missing)}; {remedy}", file=sys.stderr)
         return 2
+    spin_briefly(os.environ)  # libgomp reads it when torch is imported
     from polypod import cli
 
     return cli.main(sys.argv[1:])

@@ -1,6 +1,7 @@
 """The command line: train, resume, eval, list, info; exit codes; one line per mistake."""
 
 import json
+import os
 import shlex
 import signal
 import subprocess
@@ -164,6 +165,22 @@ def test_ctrl_c_saves_a_checkpoint(tmp_path):
     assert "Traceback" not in errors
     (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_*.pt")
     assert checkpoint.name in output
+
+
+@pytest.mark.parametrize("given", [{}, {"OMP_WAIT_POLICY": "ACTIVE"}, {"GOMP_SPINCOUNT": "7"}])
+def test_idle_threads_leave_the_cores_unless_the_user_says_otherwise(tmp_path, given):
+    script = """
+import os, sys
+sys.argv = ["polypod", "info"]
+from polypod.__main__ import main
+assert "torch" not in sys.modules
+main()
+print({name: os.environ[name] for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT") if name in os.environ})
+"""
+    environ = {name: value for name, value in os.environ.items() if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")}
+    command = [sys.executable, "-c", script]
+    output = subprocess.check_output(command, cwd=tmp_path, text=True, timeout=60, env=environ | given)
+    assert output.splitlines()[-1] == str(given or {"GOMP_SPINCOUNT": "1000"})
 
 
 def test_without_the_train_extra(tmp_path):
