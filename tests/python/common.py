@@ -1,6 +1,11 @@
 """Names that the tests share."""
 
+from pathlib import Path
+
 TASK = "Velocity-Flat-HeteroQuadruped-v0"
 
 SHORT = ("sim.episode_length_s=0.4",)
 """Episodes of 20 control steps: time-outs within a quick test."""
+
+(FLAT_POLICY,) = (Path(__file__).parents[2] / "assets" / "policies" / "flat_universal").glob("model_*.pt")
+"""The checkpoint that comes along."""

@@ -5,14 +5,13 @@ import json
 import math
 import shlex
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import polypod
 import polypod.cli
-from common import SHORT, TASK
+from common import FLAT_POLICY, SHORT, TASK
 from polypod import evaluation
 from polypod.evaluation import measures, plot, seeds
 from polypod.evaluation.results import robot_result
@@ -310,7 +309,7 @@ def test_threads_leave_every_bit():
     )
 
 
-CHECKPOINT = str(Path(__file__).parents[2] / "assets" / "policies" / "flat_universal" / "model_666.pt")
+CHECKPOINT = str(FLAT_POLICY)
 QUICK = ("--robots", "spot,unitree_go2", "--num-envs", "8", "--steps", "10")
 
 
@@ -324,7 +323,7 @@ def test_the_command_line_writes_figures_and_a_picture(tmp_path, capsys):
     found = evaluation.Evaluation.from_dict(json.loads(out.read_text()))
     assert found.randomized
     assert found.checkpoint["seed"] == 42
-    assert found.checkpoint["iteration"] == 666
+    assert found.checkpoint["iteration"] == int(FLAT_POLICY.stem.removeprefix("model_"))
     assert len(found.robots["spot"].commands) == 4
     # what it says of itself measures the same again
     again = shlex.split(evaluation.command(found))[1:]

@@ -14,13 +14,12 @@ from tensordict import TensorDict
 
 import polypod
 import polypod.cli
+from common import FLAT_POLICY
 from polypod.evaluation import load_policy
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
 from polypod.export.checkpoint import compare
 from polypod.training import run_dir
 
-POLICY = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal"
-CHECKPOINT = POLICY / "model_666.pt"
 EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
 TASK = "Velocity-Flat-Universal-Play-v0"
 ROBOTS = [entry["name"] for entry in polypod.robots()]
@@ -29,12 +28,12 @@ ROBOTS = [entry["name"] for entry in polypod.robots()]
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     out = tmp_path_factory.mktemp("exported")
-    return out, export_checkpoint(CHECKPOINT, out, fold=True)
+    return out, export_checkpoint(FLAT_POLICY, out, fold=True)
 
 
 @pytest.fixture(scope="module")
 def trained():
-    return load_policy(run_dir.load_checkpoint(CHECKPOINT), run_dir.read_manifest(CHECKPOINT)["policy"])
+    return load_policy(run_dir.load_checkpoint(FLAT_POLICY), run_dir.read_manifest(FLAT_POLICY)["policy"])
 
 
 def read(path):
@@ -132,7 +131,7 @@ def quaternion_to_matrix(quaternion):
 
 def test_the_manifest_says_what_a_deployment_needs(exported):
     manifest = read(exported[0] / "policy.json")
-    assert manifest["checkpoint"]["sha256"] == hashlib.sha256(CHECKPOINT.read_bytes()).hexdigest()
+    assert manifest["checkpoint"]["sha256"] == hashlib.sha256(FLAT_POLICY.read_bytes()).hexdigest()
     layout = manifest["observation_layout"]
     assert sum(entry["size"] for entry in layout) == manifest["num_obs"] == 83
     assert [entry["start"] for entry in layout] == [0, 3, 6, 9, 12, 24, 36, 48]
@@ -147,10 +146,10 @@ def test_the_manifest_says_what_a_deployment_needs(exported):
 
 
 def test_the_shipped_export_is_that_of_the_shipped_checkpoint(trained):
-    manifest = read(POLICY / "exported" / "policy.json")
-    assert manifest["checkpoint"]["sha256"] == hashlib.sha256(CHECKPOINT.read_bytes()).hexdigest()
+    manifest = read(FLAT_POLICY.parent / "exported" / "policy.json")
+    assert manifest["checkpoint"]["sha256"] == hashlib.sha256(FLAT_POLICY.read_bytes()).hexdigest()
     observations = np.random.default_rng(2).normal(size=(100, 83)).astype(np.float32)
-    actions = OnnxPolicy(POLICY / "exported" / "policy.onnx")(obs=observations)["actions"]
+    actions = OnnxPolicy(FLAT_POLICY.parent / "exported" / "policy.onnx")(obs=observations)["actions"]
     np.testing.assert_allclose(actions, trained(observations), atol=1e-5)
 
 
@@ -180,7 +179,7 @@ def build(activation, normalized=False):
 
 
 def test_a_term_that_cannot_be_folded_is_named():
-    robot = interfaces(run_dir.read_manifest(CHECKPOINT), ["spot"])["spot"]
+    robot = interfaces(run_dir.read_manifest(FLAT_POLICY), ["spot"])["spot"]
     strange = type(robot)(**{**vars(robot), "layout": (("height_scan", 187),)})
     with pytest.raises(polypod.ConfigError, match="height_scan"):
         strange.inputs()
@@ -190,7 +189,7 @@ def test_a_term_that_cannot_be_folded_is_named():
 
 
 def test_the_command_line(tmp_path, capsys):
-    arguments = ["export", "--checkpoint", str(CHECKPOINT), "--out", str(tmp_path), "--robot", "spot"]
+    arguments = ["export", "--checkpoint", str(FLAT_POLICY), "--out", str(tmp_path), "--robot", "spot"]
     assert polypod.cli.main([*arguments, "--formats", "onnx"]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {
         "policy.onnx",
@@ -206,7 +205,7 @@ def test_the_command_line(tmp_path, capsys):
 @pytest.mark.parametrize("module", ["onnx", "onnxruntime"])
 def test_the_missing_extra_is_named(monkeypatch, tmp_path, capsys, module):
     monkeypatch.setitem(sys.modules, module, None)
-    assert polypod.cli.main(["export", "--checkpoint", str(CHECKPOINT), "--out", str(tmp_path)]) == 2
+    assert polypod.cli.main(["export", "--checkpoint", str(FLAT_POLICY), "--out", str(tmp_path)]) == 2
     errors = capsys.readouterr().err
     assert f"needs the package {module}" in errors
     assert "pip install 'polypod[export]'" in errors

@@ -1,15 +1,13 @@
 """A policy walks up a ramp and onto a box that the task's scene puts there."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from common import FLAT_POLICY
 from polypod import _core
 from polypod.evaluation import load_policy
 from polypod.training import run_dir
 
-CHECKPOINT = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal" / "model_666.pt"
 CALM = [
     "observations.enable_noise=false",
     "events.push_robot.enabled=false",
@@ -22,8 +20,8 @@ ROBOTS = ["unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2"]
 
 def climbed(task: str, robot: str) -> float:
     """The most that the base rises in 6 s of walking forward at 0.6 m/s, m: the median of 16 robots."""
-    manifest = run_dir.read_manifest(CHECKPOINT)
-    policy = load_policy(run_dir.load_checkpoint(CHECKPOINT), manifest["policy"])
+    manifest = run_dir.read_manifest(FLAT_POLICY)
+    policy = load_policy(run_dir.load_checkpoint(FLAT_POLICY), manifest["policy"])
     sim = _core.VecSim(task, 16, robots=[robot], seed=0, overrides=CALM)
     sim.set_command(np.tile(np.float32([0.6, 0.0, 0.0]), (16, 1)))
     height, most = np.zeros(16), np.zeros(16)

@@ -1,17 +1,16 @@
 """A policy can be seen: as a film without a display, as a recording, and in the browser."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import polypod
 import polypod.cli
+from common import FLAT_POLICY
 from polypod.play import Player, mesh, raster, render
 
-CHECKPOINT = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal" / "model_666.pt"
-PLAY = ("play", "--checkpoint", str(CHECKPOINT))
+PLAY = ("play", "--checkpoint", str(FLAT_POLICY))
 
 
 def volume(solid):
@@ -50,7 +49,7 @@ def test_hulls_are_closed(tmp_path):
 
 def test_shapes_stand_on_the_ground_where_the_simulator_has_them():
     """The lowest point of a robot that stands touches the ground: links, shapes and poses belong together."""
-    player = Player(CHECKPOINT, ["unitree_go2", "spot"], command=(0.0, 0.0, 0.0), threads=1)
+    player = Player(FLAT_POLICY, ["unitree_go2", "spot"], command=(0.0, 0.0, 0.0), threads=1)
     for _ in range(75):
         player.step()
     for robot in player.frame().robots:
@@ -68,7 +67,7 @@ def test_shapes_stand_on_the_ground_where_the_simulator_has_them():
 
 
 def test_a_picture_shows_robots_shadows_and_commands():
-    player = Player(CHECKPOINT, ["spot"], command=(0.8, 0.0, 0.0), threads=1)
+    player = Player(FLAT_POLICY, ["spot"], command=(0.8, 0.0, 0.0), threads=1)
     for _ in range(20):
         player.step()
     frame = player.frame()
@@ -131,7 +130,7 @@ def test_a_recording_as_a_page(tmp_path):
 
 def test_it_shows_what_the_evaluation_measures(capsys):
     """The play's errors are those of the simulator's own statistics."""
-    player = Player(CHECKPOINT, ["unitree_b2"], envs_per_robot=4, threads=1, overrides=["sim.episode_length_s=2.0"])
+    player = Player(FLAT_POLICY, ["unitree_b2"], envs_per_robot=4, threads=1, overrides=["sim.episode_length_s=2.0"])
     player.sim.episode_stats()
     for _ in range(100):
         player.step()
@@ -142,7 +141,7 @@ def test_it_shows_what_the_evaluation_measures(capsys):
 
 
 def test_obstacles_are_shown():
-    player = Player(CHECKPOINT, ["spot"], task="velocity_obstacles", threads=1)
+    player = Player(FLAT_POLICY, ["spot"], task="velocity_obstacles", threads=1)
     assert len(player.obstacles) > 9
     size = (160, 90)
     frame = player.frame()

@@ -1,7 +1,6 @@
 """The exported policy walks in MuJoCo as it does in polypod, through sensors and actuators of its own."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ import torch
 
 import polypod
 import polypod.cli
+from common import FLAT_POLICY
 from polypod import sim2sim
 from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network
@@ -17,12 +17,11 @@ from polypod.export.torch_graph import RobotPolicy
 from polypod.sim2sim import commands, twin
 from polypod.training import run_dir
 
-CHECKPOINT = Path(__file__).parents[2] / "assets" / "policies" / "flat_universal" / "model_666.pt"
 TASK = "Velocity-Flat-Universal-Play-v0"
 
 
 def make_twin(robot, num_envs=4, delay=0):
-    manifest, state = run_dir.read_manifest(CHECKPOINT), run_dir.load_checkpoint(CHECKPOINT)
+    manifest, state = run_dir.read_manifest(FLAT_POLICY), run_dir.load_checkpoint(FLAT_POLICY)
     network = load_network(state, manifest["policy"])
     interface = interfaces(manifest, [robot])[robot]
     policy = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
@@ -134,7 +133,7 @@ def test_commands_follow_the_heading():
 
 
 def test_it_walks_in_both_simulators(tmp_path, capsys):
-    arguments = ["sim2sim", "--checkpoint", str(CHECKPOINT), "--robots", "unitree_go2,anymal_d", "--num-envs", "4"]
+    arguments = ["sim2sim", "--checkpoint", str(FLAT_POLICY), "--robots", "unitree_go2,anymal_d", "--num-envs", "4"]
     code = polypod.cli.main([*arguments, "--steps", "150", "--json", str(tmp_path / "figures.json")])
     output = capsys.readouterr().out
     figures = json.loads((tmp_path / "figures.json").read_text())
@@ -151,7 +150,7 @@ def test_it_walks_in_both_simulators(tmp_path, capsys):
 
 def test_a_robot_that_slips_does_not_transfer(capsys):
     """On ice in MuJoCo alone; the exit code says so."""
-    arguments = ["sim2sim", "--checkpoint", str(CHECKPOINT), "--robots", "unitree_go2", "--num-envs", "4"]
+    arguments = ["sim2sim", "--checkpoint", str(FLAT_POLICY), "--robots", "unitree_go2", "--num-envs", "4"]
     assert polypod.cli.main([*arguments, "--steps", "100", "--friction", "0.02", "--command", "1", "0", "0"]) == 3
     assert "no" in capsys.readouterr().out
 
@@ -166,7 +165,7 @@ def test_a_robot_that_slips_does_not_transfer(capsys):
     ],
 )
 def test_mistakes_get_one_line(capsys, arguments, message):
-    assert polypod.cli.main(["sim2sim", "--checkpoint", str(CHECKPOINT), *arguments]) == 2
+    assert polypod.cli.main(["sim2sim", "--checkpoint", str(FLAT_POLICY), *arguments]) == 2
     errors = capsys.readouterr().err
     assert message in errors
     assert errors.count("\n") == 1
