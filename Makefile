@@ -25,7 +25,7 @@ export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -type f 2>/dev/null)
 
 # The policy that comes along, and how it is filmed.
-SHIPPED := assets/policies/flat_universal/model_666.pt
+SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
 FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
 
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"

@@ -40,7 +40,7 @@ class Train:
     seed: Count = None
     """Of every random stream. Default: 42."""
     train_config: Name = None
-    """Name of a file in configs/train (flat, flat_universal, rough, quick), or the path of a .toml. Default: flat."""
+    """Name of a file in configs/train (flat, flat_universal, quick, rough), or the path of a .toml. Default: flat."""
     logger: Literal["tensorboard", "none"] = "tensorboard"
     """Where the curves go."""
     resume: Annotated[str | None, _arg(metavar="RUN")] = None
