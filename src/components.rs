@@ -42,6 +42,9 @@ pub struct Robot;
 #[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct EnvRng(Pcg32);
 
+/// What 24 random bits are counted in.
+const UNIT: f32 = 1.0 / 16_777_216.0;
+
 impl EnvRng {
     /// The stream under `seed` of the env at `place` among those of the robot called `robot`.
     pub fn of_env(seed: u64, robot: &str, place: usize) -> Self {
@@ -56,12 +59,28 @@ impl EnvRng {
 
     /// Uniform in `[0, 1)`.
     pub fn unit(&mut self) -> f32 {
-        (self.0.next_u32() >> 8) as f32 * (1.0 / 16_777_216.0)
+        (self.0.next_u32() >> 8) as f32 * UNIT
     }
 
     /// Uniform between two numbers.
     pub fn uniform(&mut self, [low, high]: [f32; 2]) -> f32 {
         (high - low).mul_add(self.unit(), low)
+    }
+
+    /// Adds to each number one that is uniform between two, in order.
+    #[inline(always)]
+    pub(crate) fn add_uniform(&mut self, [low, high]: [f32; 2], numbers: &mut [f32]) {
+        /// So many are drawn, one after the other, before they are made numbers side by side.
+        const GROUP: usize = 32;
+        for numbers in numbers.chunks_mut(GROUP) {
+            let mut drawn = [0i32; GROUP];
+            for drawn in &mut drawn[..numbers.len()] {
+                *drawn = (self.0.next_u32() >> 8) as i32;
+            }
+            for (x, drawn) in numbers.iter_mut().zip(drawn) {
+                *x += (high - low).mul_add(drawn as f32 * UNIT, low);
+            }
+        }
     }
 
     /// Uniform integer in `low..=high`.

@@ -8,6 +8,9 @@ use std::sync::{Mutex, PoisonError};
 use bevy_ecs::prelude::*;
 use bevy_tasks::{TaskPool, TaskPoolBuilder};
 
+use crate::dynamics::Simd;
+use crate::dynamics::lanes::{Entry, Kernel};
+
 /// Something with rows that can be cut in two.
 pub trait SplitRows: Sized + Send {
     /// The first `n` rows, and the rest.
@@ -80,11 +83,12 @@ split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2);
 
-/// The threads of a simulation: the caller's and `threads - 1` workers.
+/// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
 #[derive(Resource)]
 pub struct Workers {
     pool: Option<TaskPool>,
     threads: usize,
+    entry: Entry,
 }
 
 /// Rows that one task takes at least; below it, starting a task costs more than it saves.
@@ -94,11 +98,16 @@ const CHUNKS_PER_THREAD: usize = 4;
 
 impl Workers {
     /// `threads` of them, at least one.
-    pub fn new(threads: usize) -> Self {
+    pub fn new(threads: usize, simd: Simd) -> Self {
         let threads = threads.max(1);
         let pool = (threads > 1)
             .then(|| TaskPoolBuilder::new().num_threads(threads - 1).thread_name("polypod".to_string()).build());
-        Self { pool, threads }
+        Self { pool, threads, entry: simd.entry() }
+    }
+
+    /// The way into code compiled for the instruction set.
+    pub fn entry(&self) -> Entry {
+        self.entry
     }
 
     /// Threads at work, the caller's included.
@@ -137,6 +146,16 @@ impl Workers {
             }
             _ => f(0, len, rows),
         }
+    }
+
+    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
+    pub fn vectorize_chunks<R: SplitRows, K: Kernel<f32, Output = ()>>(
+        &self,
+        rows: R,
+        len: usize,
+        kernel: impl Fn(usize, usize, R) -> K + Sync,
+    ) {
+        self.for_each_chunk(rows, len, |first, n, rows| self.entry.vectorize(kernel(first, n, rows)));
     }
 
     /// Runs `f(task)` on every task, in parallel.

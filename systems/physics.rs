@@ -135,6 +135,31 @@ impl PhysicsRows<'_> {
         get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
     }
 
+    /// Asks for the memory of the first `count` rows, or of those that there are.
+    fn prefetch(&self, count: usize) {
+        fn first<T>(rows: &[T], count: usize) {
+            lanes::prefetch(&rows[..count.min(rows.len())]);
+        }
+        first(self.origins, count);
+        first(self.poses, count);
+        first(self.velocities, count);
+        first(self.joints, count);
+        first(self.targets, count);
+        first(self.delays, count);
+        first(self.wrenches, count);
+        first(self.efforts, count);
+        first(self.impulses, count);
+        first(self.forces, count);
+        first(self.feet, count);
+    }
+
+    /// The same of what the first `count` rows point to.
+    fn prefetch_forces(&self, count: usize) {
+        for forces in self.forces.iter().take(count) {
+            lanes::prefetch(&forces.normal);
+        }
+    }
+
     pub(super) fn motion(&self, row: usize) -> Motion {
         Motion {
             pose: self.poses[row],
@@ -357,13 +382,20 @@ impl<L: Lanes> Engine for Packs<L> {
         });
         workers.for_each(tasks, |(packs, mut rows)| {
             benches.with(|benches| {
-                for pack in packs {
+                let mut packs = packs.iter_mut().peekable();
+                while let Some(pack) = packs.next() {
                     let (mut mine, more) = rows.split_rows(pack.count);
                     rows = more;
                     let topology = &morphologies.0[pack.morphology].topology;
                     let bench = &mut benches[pack.morphology];
                     bench.gather(&mine, pack.count);
                     pack.numbers.swap(&mut bench.nominal);
+                    // what comes after this step is fetched beside it
+                    mine.prefetch_forces(pack.count);
+                    if let Some(next) = packs.peek() {
+                        rows.prefetch(next.count);
+                        next.numbers.prefetch();
+                    }
                     L::vectorize(ControlStep {
                         topology,
                         settings,

@@ -532,12 +532,61 @@ pub enum Simd {
     Portable,
 }
 
+/// The way into code on single numbers that is compiled for an instruction set: fused multiply-adds are then instructions
+/// instead of function calls, and the compiler may put loops into lanes. Bits do not depend on it.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// AVX2 with FMA, which the machine has; else what all machines of the architecture have.
+    avx2: bool,
+}
+
+impl Entry {
+    /// Runs a computation.
+    #[inline]
+    pub fn vectorize<K: Kernel<f32>>(self, kernel: K) -> K::Output {
+        #[cfg(target_arch = "x86_64")]
+        if self.avx2 {
+            #[target_feature(enable = "avx2,fma")]
+            fn compiled<K: Kernel<f32>>(kernel: K) -> K::Output {
+                kernel.run()
+            }
+            // SAFETY: `Simd::entry` has found that the machine has what it is compiled for
+            return unsafe { compiled(kernel) };
+        }
+        kernel.run()
+    }
+}
+
 /// An instruction set was asked for that this machine does not have, or that does not exist.
 #[derive(Debug, thiserror::Error)]
 #[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
+/// Asks for the memory of these values ahead of their use, into the second-level cache, where the machine can be asked.
+#[inline(always)]
+pub fn prefetch<T>(values: &[T]) {
+    /// Bytes that a cache fetches together.
+    const LINE: usize = 64;
+    #[cfg(target_arch = "x86_64")]
+    for at in (0..size_of_val(values)).step_by(LINE) {
+        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+        // SAFETY: the address lies within the slice, and SSE is part of the architecture
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(values.as_ptr().byte_add(at).cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (values, LINE);
+}
+
 impl Simd {
+    /// The way into code on single numbers that is compiled for this instruction set, as far as this machine has it.
+    pub fn entry(self) -> Entry {
+        #[cfg(target_arch = "x86_64")]
+        let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+        #[cfg(not(target_arch = "x86_64"))]
+        let avx2 = false;
+        Entry { avx2: avx2 && matches!(self, Simd::Avx512 | Simd::Avx2) }
+    }
+
     /// Those this machine has, fastest first.
     pub fn available() -> Vec<Simd> {
         let mut found = Vec::new();
