@@ -120,17 +120,22 @@ impl Workers {
         if self.threads == 1 { 1 } else { self.threads * CHUNKS_PER_THREAD }
     }
 
+    /// How many of `left` pieces of work the next task takes: the first tasks are large and the last ones small, so that the
+    /// threads end together and few tasks are started. At least `min`, as long as there are so many.
+    pub fn share(&self, left: usize, min: usize) -> usize {
+        (left / (2 * self.threads)).max(min).min(left)
+    }
+
     /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
     pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
-        let chunk = len.div_ceil(self.num_chunks()).max(MIN_CHUNK);
         match &self.pool {
-            Some(pool) if len > chunk => {
+            Some(pool) if len > MIN_CHUNK => {
                 pool.scope(|scope| {
                     let f = &f;
                     let mut rest = Some(rows);
                     let mut start = 0;
                     while let Some(rows) = rest.take() {
-                        let n = chunk.min(len - start);
+                        let n = self.share(len - start, MIN_CHUNK);
                         let first = start;
                         start += n;
                         let part = if start < len {
