@@ -487,7 +487,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
         ConstraintImpulses { contacts: smallvec![], limits: zeros },
-        ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
+        ContactForces { net: smallvec![[0.0; 3]; bodies], normal: smallvec![0.0; bodies * decimation] },
         Feet {
             position: smallvec![[0.0; 3]; model.feet.len()],
             velocity: smallvec![[0.0; 3]; model.feet.len()],

@@ -220,3 +220,30 @@ pub fn write_rows<'w, C: Component<Mutability = bevy_ecs::component::Mutable>, F
         None => &mut [],
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_are_all_rows_and_shrink() {
+        for threads in [1, 2, 3, 8] {
+            let workers = Workers::new(threads, Simd::Portable);
+            for len in [0, 1, 63, 64, 65, 1000, 4097] {
+                let mut rows = vec![0; len];
+                let sizes = Mutex::new(vec![0; len]);
+                workers.for_each_chunk(&mut rows[..], len, |first, n, rows: &mut [usize]| {
+                    assert_eq!(rows.len(), n);
+                    if n > 0 {
+                        sizes.lock().unwrap()[first] = n;
+                    }
+                    rows.iter_mut().enumerate().for_each(|(i, row)| *row += first + i + 1);
+                });
+                assert!(rows.iter().enumerate().all(|(i, &row)| row == i + 1), "{threads} threads, {len} rows");
+                let sizes: Vec<usize> = sizes.into_inner().unwrap().into_iter().filter(|&n| n > 0).collect();
+                assert_eq!(sizes.iter().sum::<usize>(), len);
+                assert!(sizes.is_sorted_by(|a, b| a >= b), "{threads} threads, {len} rows: {sizes:?}");
+            }
+        }
+    }
+}

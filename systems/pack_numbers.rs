@@ -1,7 +1,6 @@
 //! What the bodies of a pack have of their own. A pack steps with its morphology's numbers, which a thread has in its cache,
 //! and puts its own into their places for that time.
 
-use crate::dynamics::lanes::prefetch;
 use crate::dynamics::{Parameters, Real};
 
 /// A pack that has more numbers of its own keeps all.
@@ -60,14 +59,6 @@ impl<L: Real> PackNumbers<L> {
                     std::mem::swap(x, value);
                 }
             }
-        }
-    }
-
-    /// Asks for the memory of what is next [swapped](Self::swap).
-    pub(super) fn prefetch(&self) {
-        if let Self::Few { places, values } = self {
-            prefetch(places);
-            prefetch(values);
         }
     }
 

@@ -135,28 +135,10 @@ impl PhysicsRows<'_> {
         get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
     }
 
-    /// Asks for the memory of the first `count` rows, or of those that there are.
-    fn prefetch(&self, count: usize) {
-        fn first<T>(rows: &[T], count: usize) {
-            lanes::prefetch(&rows[..count.min(rows.len())]);
-        }
-        first(self.origins, count);
-        first(self.poses, count);
-        first(self.velocities, count);
-        first(self.joints, count);
-        first(self.targets, count);
-        first(self.delays, count);
-        first(self.wrenches, count);
-        first(self.efforts, count);
-        first(self.impulses, count);
-        first(self.forces, count);
-        first(self.feet, count);
-    }
-
-    /// The same of what the first `count` rows point to.
-    fn prefetch_forces(&self, count: usize) {
-        for forces in self.forces.iter().take(count) {
-            lanes::prefetch(&forces.normal);
+    /// Asks for the memory of the ground below the feet of the first `count` rows.
+    fn prefetch_ground(&self, grid: &HeightGrid, count: usize) {
+        for (EnvOrigin { position: [x0, y0], .. }, feet) in self.origins.iter().zip(self.feet.iter()).take(count) {
+            feet.position.iter().for_each(|[x, y, _]| grid.prefetch(x0 + x, y0 + y));
         }
     }
 
@@ -387,11 +369,8 @@ impl<L: Lanes> Engine for Packs<L> {
                     let bench = &mut benches[pack.morphology];
                     bench.gather(&mine, pack.count);
                     pack.numbers.swap(&mut bench.nominal);
-                    // what comes after this step is fetched beside it
-                    mine.prefetch_forces(pack.count);
-                    if let Some(next) = packs.peek() {
-                        rows.prefetch(next.count);
-                        next.numbers.prefetch();
+                    if let (Some(grid), Some(next)) = (terrain, packs.peek()) {
+                        rows.prefetch_ground(grid, next.count);
                     }
                     L::vectorize(ControlStep {
                         topology,

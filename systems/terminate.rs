@@ -191,3 +191,22 @@ fn base_contact(p: &ContactThreshold, view: &RobotView, _: &Episode, _: u32) -> 
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
     bodies.into_iter().any(|(force, group)| *group == BodyGroup::Base && *force > p.threshold)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_broken_number_is_found_among_all() {
+        let limits = StateLimits { max_lin_vel: 100.0, ..StateLimits::default() };
+        let broken = |velocity: f32| {
+            let (zeros, velocities) = ([0.0; 4], [3.0, velocity, -5.0]);
+            let numbers: StateNumbers<f32> = [&zeros[..3], &zeros, &velocities, &zeros[..3], &zeros, &zeros, &zeros];
+            let found = limits.violation(numbers, |x| x).is_some();
+            assert_eq!(limits.broken_anywhere(numbers), found, "{velocity}");
+            found
+        };
+        assert!([0.0, -0.0, 100.0, -100.0, 100.0f32.next_down()].into_iter().all(|x| !broken(x)));
+        assert!([100.0f32.next_up(), -1e30, f32::NAN, f32::INFINITY, f32::NEG_INFINITY].into_iter().all(broken));
+    }
+}

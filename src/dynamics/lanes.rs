@@ -717,6 +717,17 @@ mod tests {
             })
             .collect();
         assert_eq!(scalar, run_on::<Portable>(&inputs));
+        for simd in Simd::available() {
+            let entered: Vec<[u32; 3]> = inputs
+                .iter()
+                .map(|x| {
+                    let mut d = [x[0], x[1], x[2], 0.0, 0.0, 0.0];
+                    simd.entry().vectorize(Everything(&mut d));
+                    [d[3].to_bits(), d[4].to_bits(), d[5].to_bits()]
+                })
+                .collect();
+            assert_eq!(scalar, entered, "{simd:?}");
+        }
         #[cfg(target_arch = "x86_64")]
         for simd in Simd::available() {
             match simd {
