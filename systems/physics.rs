@@ -135,13 +135,6 @@ impl PhysicsRows<'_> {
         get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
     }
 
-    /// Asks for the memory of the ground below the feet of the first `count` rows.
-    fn prefetch_ground(&self, grid: &HeightGrid, count: usize) {
-        for (EnvOrigin { position: [x0, y0], .. }, feet) in self.origins.iter().zip(self.feet.iter()).take(count) {
-            feet.position.iter().for_each(|[x, y, _]| grid.prefetch(x0 + x, y0 + y));
-        }
-    }
-
     pub(super) fn motion(&self, row: usize) -> Motion {
         Motion {
             pose: self.poses[row],
@@ -361,17 +354,13 @@ impl<L: Lanes> Engine for Packs<L> {
         });
         workers.for_each(tasks, |(packs, mut rows)| {
             benches.with(|benches| {
-                let mut packs = packs.iter_mut().peekable();
-                while let Some(pack) = packs.next() {
+                for pack in packs {
                     let (mut mine, more) = rows.split_rows(pack.count);
                     rows = more;
                     let topology = &morphologies.0[pack.morphology].topology;
                     let bench = &mut benches[pack.morphology];
                     bench.gather(&mine, pack.count);
                     pack.numbers.swap(&mut bench.nominal);
-                    if let (Some(grid), Some(next)) = (terrain, packs.peek()) {
-                        rows.prefetch_ground(grid, next.count);
-                    }
                     L::vectorize(ControlStep {
                         topology,
                         settings,

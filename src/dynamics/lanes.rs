@@ -562,21 +562,6 @@ impl Entry {
 #[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
-/// Asks for the memory of these values ahead of their use, into the second-level cache, where the machine can be asked.
-#[inline(always)]
-pub fn prefetch<T>(values: &[T]) {
-    /// Bytes that a cache fetches together.
-    const LINE: usize = 64;
-    #[cfg(target_arch = "x86_64")]
-    for at in (0..size_of_val(values)).step_by(LINE) {
-        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
-        // SAFETY: the address lies within the slice, and SSE is part of the architecture
-        unsafe { _mm_prefetch::<_MM_HINT_T1>(values.as_ptr().byte_add(at).cast()) };
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (values, LINE);
-}
-
 impl Simd {
     /// The way into code on single numbers that is compiled for this instruction set, as far as this machine has it.
     pub fn entry(self) -> Entry {

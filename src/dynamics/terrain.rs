@@ -1,6 +1,6 @@
 //! The height of the ground where it is not a plane.
 
-use super::lanes::{Real, prefetch};
+use super::lanes::Real;
 use super::math::Vec3;
 
 /// The steepest slope that a contact feels, rise over run: in a grid a wall is a slope within one cell.
@@ -164,7 +164,11 @@ impl HeightGrid {
         let (mut at, mut u, mut v) = ([0u32; N], [0.0f32; N], [0.0f32; N]);
         let columns = self.columns as u32;
         for k in 0..N {
-            (at[k], [u[k], v[k]]) = self.cell_at(x[k], y[k], columns);
+            let (i, in_x) = Self::split((x[k] - self.origin[0]) / self.cell, self.size[0]);
+            let (j, in_y) = Self::split((y[k] - self.origin[1]) / self.cell, self.size[1]);
+            let page = (i / PAGE as u32) * columns + j / PAGE as u32;
+            at[k] = page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32;
+            (u[k], v[k]) = (in_x, in_y);
         }
         // two corners at a time
         let (mut near, mut far) = ([[0.0f32; 2]; N], [[0.0f32; 2]; N]);
@@ -181,23 +185,6 @@ impl HeightGrid {
             let along_y = if first { d - c } else { b - a };
             found.height[k] = a + along_x * u[k] + along_y * v[k];
             (found.along_x[k], found.along_y[k]) = (along_x, along_y);
-        }
-    }
-
-    /// Where the first corner of the cell of a place is kept, and where in the cell the place is.
-    #[inline(always)]
-    fn cell_at(&self, x: f32, y: f32, columns: u32) -> (u32, [f32; 2]) {
-        let (i, u) = Self::split((x - self.origin[0]) / self.cell, self.size[0]);
-        let (j, v) = Self::split((y - self.origin[1]) / self.cell, self.size[1]);
-        let page = (i / PAGE as u32) * columns + j / PAGE as u32;
-        (page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32, [u, v])
-    }
-
-    /// Asks for the memory of the heights around a place ahead of their use.
-    pub(crate) fn prefetch(&self, x: f32, y: f32) {
-        let at = self.cell_at(x, y, self.columns as u32).0 as usize;
-        for corners in [at, at + EDGE] {
-            prefetch(&self.points[corners..corners + 2]);
         }
     }
 
