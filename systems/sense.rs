@@ -8,7 +8,7 @@ use crate::components::{
     BasePose, BaseVelocity, Body, ContactForces, ContactSensor, EnvOrigin, Feet, HeightScan, Imu, Morphology, Robot,
 };
 use crate::config::HeightScannerConfig;
-use crate::dynamics::lanes::{Kernel, prefetch};
+use crate::dynamics::lanes::Kernel;
 use crate::dynamics::terrain::LARGE_GROUP;
 use crate::morphology::Morphologies;
 use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
@@ -221,9 +221,6 @@ pub(crate) fn scan_heights(
     });
 }
 
-/// Turns for which memory is fetched ahead.
-const AHEAD: usize = 2;
-
 struct GroundRows<'a> {
     ground: &'a Ground,
     rays: &'a ScanRays,
@@ -245,19 +242,8 @@ impl Kernel<f32> for GroundRows<'_> {
         if ground.layout.is_some() {
             order.sort_unstable();
         }
-        let row_of = |key: u64| (key & u64::from(u32::MAX)) as usize;
-        for (k, &key) in order.iter().enumerate() {
-            // rows lie in the order of envs: those of later turns are fetched meanwhile
-            if let Some(row) = order.get(k + 2 * AHEAD).map(|&key| row_of(key)) {
-                prefetch(scans.0.get(row..row + 1).unwrap_or_default());
-                prefetch(feet.0.get(row..row + 1).unwrap_or_default());
-                prefetch(&poses[row..row + 1]);
-                prefetch(&origins[row..row + 1]);
-            }
-            if let Some(scan) = order.get(k + AHEAD).and_then(|&key| scans.0.get(row_of(key))) {
-                prefetch(&scan.hits);
-            }
-            let row = row_of(key);
+        for row in order {
+            let row = (row & u64::from(u32::MAX)) as usize;
             if let Some(feet) = feet.0.get_mut(row) {
                 feet.measure(ground, &origins[row]);
             }

@@ -562,20 +562,6 @@ impl Entry {
 #[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
-/// Asks for the memory of these values ahead of their use, where the machine can be asked.
-#[inline(always)]
-pub fn prefetch<T>(values: &[T]) {
-    #[cfg(target_arch = "x86_64")]
-    // a cache fetches so many bytes together
-    for at in (0..size_of_val(values)).step_by(64) {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: the address lies within the slice, and SSE is part of the architecture
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(values.as_ptr().byte_add(at).cast()) };
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = values;
-}
-
 impl Simd {
     /// The way into code on single numbers that is compiled for this instruction set, as far as this machine has it.
     pub fn entry(self) -> Entry {
