@@ -176,7 +176,7 @@ impl Sim {
         app.cleanup();
         let world = app.world_mut();
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
-        let workers = Workers::new(threads);
+        let workers = Workers::new(threads, simd);
         let engine =
             PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
                 argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")
@@ -217,7 +217,9 @@ impl Sim {
                 "pass one row of canonical actions per env",
             ));
         }
-        if let Some(at) = actions.iter().position(|a| !a.is_finite()) {
+        // all of them at once, and only then one by one
+        let finite = actions.iter().fold(true, |finite, a| finite & a.is_finite());
+        if !finite && let Some(at) = actions.iter().position(|a| !a.is_finite()) {
             let (env, joint) = (at / batch.num_actions, CANONICAL_JOINT_NAMES[at % batch.num_actions]);
             return Err(argument(
                 "actions",
@@ -485,7 +487,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
         ConstraintImpulses { contacts: smallvec![], limits: zeros },
-        ContactForces { net: smallvec![[0.0; 3]; bodies], normal: vec![0.0; bodies * decimation].into() },
+        ContactForces { net: smallvec![[0.0; 3]; bodies], normal: smallvec![0.0; bodies * decimation] },
         Feet {
             position: smallvec![[0.0; 3]; model.feet.len()],
             velocity: smallvec![[0.0; 3]; model.feet.len()],

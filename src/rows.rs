@@ -8,6 +8,9 @@ use std::sync::{Mutex, PoisonError};
 use bevy_ecs::prelude::*;
 use bevy_tasks::{TaskPool, TaskPoolBuilder};
 
+use crate::dynamics::Simd;
+use crate::dynamics::lanes::{Entry, Kernel};
+
 /// Something with rows that can be cut in two.
 pub trait SplitRows: Sized + Send {
     /// The first `n` rows, and the rest.
@@ -80,11 +83,12 @@ split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2);
 
-/// The threads of a simulation: the caller's and `threads - 1` workers.
+/// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
 #[derive(Resource)]
 pub struct Workers {
     pool: Option<TaskPool>,
     threads: usize,
+    entry: Entry,
 }
 
 /// Rows that one task takes at least; below it, starting a task costs more than it saves.
@@ -94,11 +98,16 @@ const CHUNKS_PER_THREAD: usize = 4;
 
 impl Workers {
     /// `threads` of them, at least one.
-    pub fn new(threads: usize) -> Self {
+    pub fn new(threads: usize, simd: Simd) -> Self {
         let threads = threads.max(1);
         let pool = (threads > 1)
             .then(|| TaskPoolBuilder::new().num_threads(threads - 1).thread_name("polypod".to_string()).build());
-        Self { pool, threads }
+        Self { pool, threads, entry: simd.entry() }
+    }
+
+    /// The way into code compiled for the instruction set.
+    pub fn entry(&self) -> Entry {
+        self.entry
     }
 
     /// Threads at work, the caller's included.
@@ -111,17 +120,22 @@ impl Workers {
         if self.threads == 1 { 1 } else { self.threads * CHUNKS_PER_THREAD }
     }
 
+    /// How many of `left` pieces of work the next task takes: the first tasks are large and the last ones small, so that the
+    /// threads end together and few tasks are started. At least `min`, as long as there are so many.
+    pub fn share(&self, left: usize, min: usize) -> usize {
+        (left / (2 * self.threads)).max(min).min(left)
+    }
+
     /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
     pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
-        let chunk = len.div_ceil(self.num_chunks()).max(MIN_CHUNK);
         match &self.pool {
-            Some(pool) if len > chunk => {
+            Some(pool) if len > MIN_CHUNK => {
                 pool.scope(|scope| {
                     let f = &f;
                     let mut rest = Some(rows);
                     let mut start = 0;
                     while let Some(rows) = rest.take() {
-                        let n = chunk.min(len - start);
+                        let n = self.share(len - start, MIN_CHUNK);
                         let first = start;
                         start += n;
                         let part = if start < len {
@@ -137,6 +151,16 @@ impl Workers {
             }
             _ => f(0, len, rows),
         }
+    }
+
+    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
+    pub fn vectorize_chunks<R: SplitRows, K: Kernel<f32, Output = ()>>(
+        &self,
+        rows: R,
+        len: usize,
+        kernel: impl Fn(usize, usize, R) -> K + Sync,
+    ) {
+        self.for_each_chunk(rows, len, |first, n, rows| self.entry.vectorize(kernel(first, n, rows)));
     }
 
     /// Runs `f(task)` on every task, in parallel.
@@ -194,5 +218,32 @@ pub fn write_rows<'w, C: Component<Mutability = bevy_ecs::component::Mutable>, F
     match query.contiguous_iter_mut().ok().and_then(|mut tables| tables.next()) {
         Some(rows) => bevy_ecs::change_detection::ContiguousMut::split(rows).0,
         None => &mut [],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_are_all_rows_and_shrink() {
+        for threads in [1, 2, 3, 8] {
+            let workers = Workers::new(threads, Simd::Portable);
+            for len in [0, 1, 63, 64, 65, 1000, 4097] {
+                let mut rows = vec![0; len];
+                let sizes = Mutex::new(vec![0; len]);
+                workers.for_each_chunk(&mut rows[..], len, |first, n, rows: &mut [usize]| {
+                    assert_eq!(rows.len(), n);
+                    if n > 0 {
+                        sizes.lock().unwrap()[first] = n;
+                    }
+                    rows.iter_mut().enumerate().for_each(|(i, row)| *row += first + i + 1);
+                });
+                assert!(rows.iter().enumerate().all(|(i, &row)| row == i + 1), "{threads} threads, {len} rows");
+                let sizes: Vec<usize> = sizes.into_inner().unwrap().into_iter().filter(|&n| n > 0).collect();
+                assert_eq!(sizes.iter().sum::<usize>(), len);
+                assert!(sizes.is_sorted_by(|a, b| a >= b), "{threads} threads, {len} rows: {sizes:?}");
+            }
+        }
     }
 }

@@ -188,6 +188,7 @@ pub struct Ground {
 
 impl Ground {
     /// Heights below places about an env's origin, m, as many as there is room for.
+    #[inline(always)]
     pub fn heights_at(&self, origin: &EnvOrigin, places: impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
         let [x0, y0] = origin.position;
         match &self.terrain {

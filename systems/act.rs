@@ -4,6 +4,7 @@ use bevy_ecs::prelude::*;
 
 use crate::batch::Batch;
 use crate::components::{Action, JointTargets, Morphology, Robot};
+use crate::dynamics::lanes::Kernel;
 use crate::morphology::Morphologies;
 use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
 
@@ -22,8 +23,30 @@ pub(super) fn apply_actions(
     let width = batch.num_actions;
     let rows =
         (tags, write_rows(&mut actions), write_rows(&mut targets), MatrixRows { data: &mut batch.actions[..], width });
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, actions, targets, mut raw)| {
-        for i in 0..n {
+    workers.vectorize_chunks(rows, tags.len(), |_, _, (tags, actions, targets, raw)| ActionRows {
+        morphologies: &morphologies,
+        tags,
+        actions,
+        targets,
+        raw,
+    });
+}
+
+struct ActionRows<'a> {
+    morphologies: &'a Morphologies,
+    tags: &'a [Morphology],
+    actions: &'a mut [Action],
+    targets: &'a mut [JointTargets],
+    raw: MatrixRows<'a, f32>,
+}
+
+impl Kernel<f32> for ActionRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { morphologies, tags, actions, targets, mut raw } = self;
+        for i in 0..tags.len() {
             let morphology = morphologies.get(tags[i]);
             let action = &mut actions[i];
             std::mem::swap(&mut action.current, &mut action.previous);
@@ -43,5 +66,5 @@ pub(super) fn apply_actions(
                 }
             }
         }
-    });
+    }
 }

@@ -1,9 +1,10 @@
 //! Packs between components and kernel: robots are gathered into lanes and scattered back.
 
 use super::physics::{PhysicsRows, get, get_arrays, history_length, put, state_numbers};
-use super::terminate::StateLimits;
+use super::terminate::{StateLimits, StateNumbers};
 use crate::components::ContactImpulse;
-use crate::dynamics::{Drive, Parameters, Real, Report, State, Workspace};
+use crate::dynamics::lanes::Kernel;
+use crate::dynamics::{Drive, Lanes, Parameters, Real, Report, State, Workspace};
 use crate::morphology::MorphologyModel;
 
 /// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
@@ -16,16 +17,20 @@ pub(super) struct Bench<L> {
     pub(super) drive: Drive<L>,
     pub(super) report: Report<L>,
     pub(super) work: Workspace<L>,
+    /// Which of the state's impulses are pressing.
+    presses: Vec<bool>,
 }
 
-impl<L: Real> Bench<L> {
+impl<L: Lanes> Bench<L> {
     /// For a morphology whose numbers are `nominal` in every lane.
     pub(super) fn new(model: &MorphologyModel, nominal: &Parameters<L>, decimation: usize) -> Self {
         let topology = &model.topology;
+        let state = State::zeros(topology);
         Self {
             origin: [L::zero(); 2],
             nominal: nominal.clone(),
-            state: State::zeros(topology),
+            presses: vec![false; state.impulse.len()],
+            state,
             drive: Drive::zeros(topology, history_length(model.max_delay(), decimation)),
             report: Report::zeros(topology, decimation),
             work: Workspace::new(topology),
@@ -37,6 +42,7 @@ impl<L: Real> Bench<L> {
         for &contact in &self.state.pressing {
             self.state.impulse[contact as usize] = [L::zero(); 3];
         }
+        self.presses.fill(false);
         self.state.pressing.clear();
         for lane in 0..L::LANES {
             // idle lanes shadow the last robot
@@ -45,9 +51,12 @@ impl<L: Real> Bench<L> {
             rows.read_motion(row, state, lane);
             put(&mut self.origin, &rows.origins[row].position, lane);
             for ContactImpulse { contact, impulse } in &rows.impulses[row].contacts {
-                if let Some(all) = state.impulse.get_mut(*contact as usize) {
+                let contact = *contact as usize;
+                if let (Some(all), Some(presses)) = (state.impulse.get_mut(contact), self.presses.get_mut(contact)) {
                     put(all, impulse, lane);
-                    state.pressing.push(*contact);
+                    if !std::mem::replace(presses, true) {
+                        state.pressing.push(contact as u32);
+                    }
                 }
             }
             put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
@@ -59,13 +68,15 @@ impl<L: Real> Bench<L> {
             put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
         }
         self.state.pressing.sort_unstable();
-        self.state.pressing.dedup();
     }
 
     /// The first lane whose new state is not finite or beyond the limits.
     pub(super) fn first_broken(&self, limits: &StateLimits, count: usize) -> Option<usize> {
         let numbers = state_numbers(&self.state, &self.report.joint_effort);
-        (0..count).find(|&lane| limits.violation(numbers, |x| x.lane(lane) as f32).is_some())
+        // of all lanes at once, and only then one by one
+        let broken = L::vectorize(BrokenAnywhere { limits, numbers });
+        let breaks = |&lane: &usize| limits.violation(numbers, |x| x.lane(lane) as f32).is_some();
+        if broken { (0..count).find(breaks) } else { None }
     }
 
     /// Writes the lanes to the first `count` rows.
@@ -94,5 +105,19 @@ impl<L: Real> Bench<L> {
             get_arrays(&report.site_position, &mut rows.feet[lane].position, lane);
             get_arrays(&report.site_velocity, &mut rows.feet[lane].velocity, lane);
         }
+    }
+}
+
+struct BrokenAnywhere<'a, L> {
+    limits: &'a StateLimits,
+    numbers: StateNumbers<'a, L>,
+}
+
+impl<L: Real> Kernel<L> for BrokenAnywhere<'_, L> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        self.limits.broken_anywhere(self.numbers)
     }
 }

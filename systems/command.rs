@@ -5,6 +5,7 @@ use bevy_ecs::prelude::*;
 use super::terms::CompiledTask;
 use crate::components::{BasePose, Command, Env, EnvRng};
 use crate::config::VelocityCommandConfig;
+use crate::dynamics::lanes::Kernel;
 use crate::rows::{Workers, read_rows, write_rows};
 
 /// Counts down, draws anew where the time is up, and lets the yaw rate follow the heading.
@@ -16,25 +17,47 @@ pub(super) fn update_commands(
     mut rngs: Query<&'static mut EnvRng, With<Env>>,
 ) {
     let poses = read_rows(&poses);
-    let config = &task.config.commands.base_velocity;
+    let (config, step_dt) = (&task.config.commands.base_velocity, task.step_dt);
     let rows = (poses, write_rows(&mut commands), write_rows(&mut rngs));
-    workers.for_each_chunk(rows, poses.len(), |_, n, (poses, commands, rngs)| {
-        for i in 0..n {
-            let command = &mut commands[i];
-            if command.pinned {
-                continue;
-            }
-            command.time_left -= task.step_dt;
-            // half a step of tolerance: the sum of steps is not exact
-            if command.time_left <= -0.5 * task.step_dt {
-                draw_command(config, command, &mut rngs[i]);
-            }
-            steer(config, command, heading(&poses[i].rotation));
-        }
+    workers.vectorize_chunks(rows, poses.len(), |_, _, (poses, commands, rngs)| CommandRows {
+        config,
+        step_dt,
+        poses,
+        commands,
+        rngs,
     });
 }
 
+struct CommandRows<'a> {
+    config: &'a VelocityCommandConfig,
+    step_dt: f32,
+    poses: &'a [BasePose],
+    commands: &'a mut [Command],
+    rngs: &'a mut [EnvRng],
+}
+
+impl Kernel<f32> for CommandRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { config, step_dt, poses, commands, rngs } = self;
+        for ((pose, command), rng) in poses.iter().zip(commands).zip(rngs) {
+            if command.pinned {
+                continue;
+            }
+            command.time_left -= step_dt;
+            // half a step of tolerance: the sum of steps is not exact
+            if command.time_left <= -0.5 * step_dt {
+                draw_command(config, command, rng);
+            }
+            steer(config, command, heading(&pose.rotation));
+        }
+    }
+}
+
 /// Heading of the base's x axis in the world, rad.
+#[inline(always)]
 pub(super) fn heading([w, x, y, z]: &[f32; 4]) -> f32 {
     // libm-free functions keep the bits the same on every machine
     atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
@@ -51,6 +74,7 @@ pub(super) fn draw_command(config: &VelocityCommandConfig, command: &mut Command
 }
 
 /// Lets the yaw rate follow the heading, and a standing robot stand.
+#[inline(always)]
 pub(super) fn steer(config: &VelocityCommandConfig, command: &mut Command, heading: f32) {
     if command.holds_heading {
         let [low, high] = config.ang_vel_z.map(|x| x as f32);
@@ -63,6 +87,7 @@ pub(super) fn steer(config: &VelocityCommandConfig, command: &mut Command, headi
 }
 
 /// The same angle within half a turn of zero, rad.
+#[inline(always)]
 fn wrap_to_pi(angle: f32) -> f32 {
     const TURN: f32 = std::f32::consts::TAU;
     angle - TURN * (angle / TURN).round_ties_even()
@@ -70,6 +95,7 @@ fn wrap_to_pi(angle: f32) -> f32 {
 
 /// Angle of the vector (x, y), rad; error below 1e-6. A polynomial on the first octant (Abramowitz and Stegun 4.4.49)
 /// and reflections, with IEEE operations only.
+#[inline(always)]
 fn atan2(y: f32, x: f32) -> f32 {
     use std::f32::consts::{FRAC_PI_2, PI};
     let (ax, ay) = (x.abs(), y.abs());

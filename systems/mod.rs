@@ -144,7 +144,7 @@ impl Plugin for PipelinePlugin {
                 .chain()
                 .run_if(resource_exists::<LinkMirrors>)
                 .in_set(PipelineSet::Mirror),
-            (sense::read_sensors, sense::scan_heights).chain().in_set(PipelineSet::Sense),
+            (sense::read_sensors, sense::look_down).chain().in_set(PipelineSet::Sense),
             terminate::end_episodes.in_set(PipelineSet::Terminate),
             reward::compute_rewards.in_set(PipelineSet::Reward),
         ));

@@ -9,6 +9,7 @@ use super::{Autoreset, ResetRequest};
 use crate::batch::Batch;
 use crate::components::{Env, EnvRng, Episode};
 use crate::config::TaskConfig;
+use crate::dynamics::lanes::Kernel;
 use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
 
 /// Observes all envs; after resets that the caller asked for only those that were reset, so that the others keep their
@@ -31,7 +32,9 @@ pub(super) fn observe(
             if request.0 && !episodes[i].fresh {
                 continue;
             }
-            write_observation(&task, &views, first + i, &episodes[i], &mut rngs[i], out.row(i));
+            let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
+            let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
+            workers.entry().vectorize(observation);
         }
     });
 }
@@ -57,46 +60,53 @@ pub(super) fn observe_final(
         for i in 0..n {
             has_final[i] = wanted && episodes[i].done();
             if has_final[i] {
-                write_observation(&task, &views, first + i, &episodes[i], &mut rngs[i], out.row(i));
+                let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
+                let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
+                workers.entry().vectorize(observation);
             }
         }
     });
 }
 
-/// A broken state is observed as zeros: no NaN reaches a learner.
-fn write_observation(
-    task: &CompiledTask,
-    views: &Views,
+/// Writes the observation of one env. A broken state is observed as zeros: no NaN reaches a learner.
+struct Observation<'a> {
+    task: &'a CompiledTask,
+    views: &'a Views<'a>,
     env: usize,
-    episode: &Episode,
-    rng: &mut EnvRng,
-    out: &mut [f32],
-) {
-    if episode.invalid {
-        out.fill(0.0);
-        return;
-    }
-    let view = views.get(env);
-    let mut rest = out;
-    for term in &task.observations {
-        let (mine, more) = rest.split_at_mut(term.size);
-        (term.write)(&view, mine);
-        if term.noise > 0.0 {
-            for x in &mut *mine {
-                *x += rng.uniform([-term.noise, term.noise]);
-            }
+    episode: &'a Episode,
+    rng: &'a mut EnvRng,
+    out: &'a mut [f32],
+}
+
+impl Kernel<f32> for Observation<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        if self.episode.invalid {
+            self.out.fill(0.0);
+            return;
         }
-        if let Some([low, high]) = term.clip {
-            for x in &mut *mine {
-                *x = x.max(low).min(high);
+        let view = self.views.get(self.env);
+        let mut rest = self.out;
+        for term in &self.task.observations {
+            let (mine, more) = rest.split_at_mut(term.size);
+            (term.write)(&view, mine);
+            if term.noise > 0.0 {
+                self.rng.add_uniform([-term.noise, term.noise], mine);
             }
-        }
-        if term.scale != 1.0 {
-            for x in mine {
-                *x *= term.scale;
+            if let Some([low, high]) = term.clip {
+                for x in &mut *mine {
+                    *x = x.max(low).min(high);
+                }
             }
+            if term.scale != 1.0 {
+                for x in mine {
+                    *x *= term.scale;
+                }
+            }
+            rest = more;
         }
-        rest = more;
     }
 }
 

@@ -317,9 +317,6 @@ impl<L: Lanes> Packs<L> {
     }
 }
 
-/// Packs are cut into so many tasks for each thread: those of some robots take several times as long as others'.
-const TASKS_PER_THREAD: usize = 16;
-
 /// Control steps of targets that an actuator can still see.
 pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
     1 + (max_delay as usize).div_ceil(decimation)
@@ -347,12 +344,12 @@ impl<L: Lanes> Engine for Packs<L> {
         watched: &[bool],
     ) -> Vec<Evidence> {
         let (settings, terrain, benches) = (&self.settings, self.terrain.as_deref(), &self.benches);
-        let per_task = self.packs.len().div_ceil(workers.threads() * TASKS_PER_THREAD).max(1);
-        let mut rest = Some(rows);
-        let tasks = self.packs.chunks_mut(per_task).filter_map(|packs| {
-            let envs = packs.iter().map(|pack| pack.count).sum();
-            let (rows, more) = rest.take()?.split_rows(envs);
-            rest = Some(more);
+        let mut rest = Some((&mut self.packs[..], rows));
+        let tasks = std::iter::from_fn(|| {
+            let (packs, rows) = rest.take().filter(|(packs, _)| !packs.is_empty())?;
+            let (packs, more_packs) = packs.split_at_mut(workers.share(packs.len(), 1));
+            let (rows, more) = rows.split_rows(packs.iter().map(|pack| pack.count).sum());
+            rest = Some((more_packs, more));
             Some((packs, rows))
         });
         workers.for_each(tasks, |(packs, mut rows)| {

@@ -8,8 +8,10 @@ use crate::components::{
     BasePose, BaseVelocity, Body, ContactForces, ContactSensor, EnvOrigin, Feet, HeightScan, Imu, Morphology, Robot,
 };
 use crate::config::HeightScannerConfig;
+use crate::dynamics::lanes::Kernel;
+use crate::dynamics::terrain::LARGE_GROUP;
 use crate::morphology::Morphologies;
-use crate::rows::{Workers, read_rows, write_rows};
+use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
 /// Physics steps that a contact force is remembered for.
@@ -18,82 +20,102 @@ const HISTORY: usize = 3;
 const FORCE_THRESHOLD: f32 = 1.0;
 
 /// What sensors on the robots read: contact forces and, for feet, contact and air times, counted in physics steps; velocity and
-/// gravity in the base frame; how high the feet are above the ground. One pass over the robots, whose state it reads once.
+/// gravity in the base frame. One pass over the robots, whose state it reads once.
 pub(super) fn read_sensors(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
-    ground: Res<Ground>,
     tags: Query<&'static Morphology, With<Robot>>,
-    origins: Query<&'static EnvOrigin>,
     poses: Query<&'static BasePose>,
     velocities: Query<&'static BaseVelocity>,
     bodies: Query<&'static Body>,
     forces: Query<&'static ContactForces>,
     mut contacts: Query<&'static mut ContactSensor>,
     mut imus: Query<&'static mut Imu>,
-    mut feet: Query<&'static mut Feet>,
 ) {
     let tags = read_rows(&tags);
     let dt = task.config.sim.dt as f32;
-    let state = (read_rows(&origins), read_rows(&poses), read_rows(&velocities), read_rows(&bodies));
-    let sensors = (write_rows(&mut contacts), write_rows(&mut imus), write_rows(&mut feet));
-    let rows = (tags, state, read_rows(&forces), sensors);
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, state, forces, (contacts, imus, feet))| {
-        let (origins, poses, velocities, bodies) = state;
-        for i in 0..n {
+    let state = (read_rows(&poses), read_rows(&velocities), read_rows(&bodies));
+    let rows = (tags, state, read_rows(&forces), write_rows(&mut contacts), write_rows(&mut imus));
+    let morphologies = &morphologies;
+    workers.vectorize_chunks(rows, tags.len(), |_, _, (tags, (poses, velocities, bodies), forces, contacts, imus)| {
+        SensorRows { dt, morphologies, tags, poses, velocities, bodies, forces, contacts, imus }
+    });
+}
+
+struct SensorRows<'a> {
+    dt: f32,
+    morphologies: &'a Morphologies,
+    tags: &'a [Morphology],
+    poses: &'a [BasePose],
+    velocities: &'a [BaseVelocity],
+    bodies: &'a [Body],
+    forces: &'a [ContactForces],
+    contacts: &'a mut [ContactSensor],
+    imus: &'a mut [Imu],
+}
+
+impl Kernel<f32> for SensorRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { dt, morphologies, tags, poses, velocities, bodies, forces, contacts, imus } = self;
+        for i in 0..tags.len() {
             contacts[i].read(&forces[i], &morphologies.get(tags[i]).feet, dt);
             imus[i] = measure(&poses[i], &velocities[i], &bodies[i].0.com[0]);
-            feet[i].measure(&ground, &origins[i]);
         }
-    });
+    }
 }
 
 impl ContactSensor {
     /// The forces of a control step; `feet` are the contact bodies that are feet.
+    #[inline(always)]
     fn read(&mut self, forces: &ContactForces, feet: &[usize], dt: f32) {
         let Self { peak_force, contact_time, air_time, last_contact_time, last_air_time } = self;
         let steps = forces.normal.chunks_exact(peak_force.len().max(1));
-        peak_force.fill(0.0);
-        for normal in steps.clone().skip(steps.len().saturating_sub(HISTORY)) {
-            for (peak, &force) in peak_force.iter_mut().zip(normal) {
-                *peak = if force > *peak { force } else { *peak };
-            }
+        let mut recent = steps.clone().skip(steps.len().saturating_sub(HISTORY));
+        match recent.next() {
+            // as if it began with zeros
+            Some(first) => raise(peak_force, first, |_| 0.0),
+            None => peak_force.fill(0.0),
+        }
+        for normal in recent {
+            raise(peak_force, normal, |peak| peak);
         }
         let last = last_contact_time.iter_mut().zip(last_air_time);
         let times = contact_time.iter_mut().zip(air_time).zip(last);
         for (&body, ((contact, air), (last_contact, last_air))) in feet.iter().zip(times) {
             for normal in steps.clone() {
-                if normal[body] > FORCE_THRESHOLD {
-                    if *air > 0.0 {
-                        *last_air = *air + dt;
-                    }
-                    *contact += dt;
-                    *air = 0.0;
-                } else {
-                    if *contact > 0.0 {
-                        *last_contact = *contact + dt;
-                    }
-                    *air += dt;
-                    *contact = 0.0;
-                }
+                // by selection: which foot stands when is hard to foresee
+                let stands = normal[body] > FORCE_THRESHOLD;
+                let (longer_contact, longer_air) = (*contact + dt, *air + dt);
+                *last_air = if stands & (*air > 0.0) { longer_air } else { *last_air };
+                *last_contact = if !stands & (*contact > 0.0) { longer_contact } else { *last_contact };
+                *contact = if stands { longer_contact } else { 0.0 };
+                *air = if stands { 0.0 } else { longer_air };
             }
         }
     }
 }
 
-impl Feet {
-    /// Their heights above the ground, from where they are.
-    fn measure(&mut self, ground: &Ground, origin: &EnvOrigin) {
-        let Self { position, height, .. } = self;
-        ground.heights_at(origin, position.iter().map(|[x, y, _]| [*x, *y]), height);
-        for ([_, _, z], height) in position.iter().zip(height) {
-            *height = z - *height;
+/// Raises numbers, from what `start` makes of them, to others where those are larger.
+#[inline(always)]
+fn raise(numbers: &mut [f32], others: &[f32], start: impl Fn(f32) -> f32) {
+    let larger = |x: f32, other: f32| if other > x { other } else { x };
+    let ((groups, rest), (other_groups, other_rest)) = (numbers.as_chunks_mut::<4>(), others.as_chunks::<4>());
+    for (group, others) in groups.iter_mut().zip(other_groups) {
+        for k in 0..4 {
+            group[k] = larger(start(group[k]), others[k]);
         }
+    }
+    for (x, &other) in rest.iter_mut().zip(other_rest) {
+        *x = larger(start(*x), other);
     }
 }
 
 /// The IMU's reading; `com` is the base's centre of mass in its frame, m.
+#[inline(always)]
 pub(super) fn measure(pose: &BasePose, velocity: &BaseVelocity, com: &[f32; 3]) -> Imu {
     use crate::dynamics::math::{add, cross, mul_vec_transposed, quat_to_mat};
     let rotation = quat_to_mat(&pose.rotation);
@@ -105,41 +127,79 @@ pub(super) fn measure(pose: &BasePose, velocity: &BaseVelocity, com: &[f32; 3]) 
     }
 }
 
-/// Where the rays of the task's height scanner are about the base, m.
+/// Where the rays of the task's height scanner are about the base, m, in groups of which the last may have copies.
 #[derive(Resource, Clone, Debug, Default)]
-pub struct ScanRays(Vec<[f32; 2]>);
+pub struct ScanRays {
+    groups: Vec<[[f32; LARGE_GROUP]; 2]>,
+    len: usize,
+}
 
 impl ScanRays {
     /// Of a task's scanner; none without one.
     pub fn new(scanner: Option<&HeightScannerConfig>) -> Self {
-        Self(scanner.map(HeightScannerConfig::rays).unwrap_or_default())
+        let rays = scanner.map(HeightScannerConfig::rays).unwrap_or_default();
+        let group = |rays: &[[f32; 2]]| [0, 1].map(|axis| std::array::from_fn(|k| rays[k.min(rays.len() - 1)][axis]));
+        Self { groups: rays.chunks(LARGE_GROUP).map(group).collect(), len: rays.len() }
     }
 
     /// Number of rays.
     pub fn len(&self) -> usize {
-        self.0.len()
+        self.len
     }
 
     /// Whether there is no scanner.
     pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
+        self.len == 0
     }
 
     /// Looks down around a base; the grid turns with its heading alone.
+    #[inline(always)]
     pub(super) fn scan(&self, ground: &Ground, origin: &EnvOrigin, pose: &BasePose, scan: &mut HeightScan) {
+        let Some(grid) = &ground.terrain else {
+            return scan.hits.fill(ground.height as f32);
+        };
         let [w, x, y, z] = pose.rotation;
         // the base's x axis on the ground
         let (c, s) = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z));
         let length = (c * c + s * s).sqrt();
         // a base that points straight up has no heading
         let (c, s) = if length > 1e-6 { (c / length, s / length) } else { (1.0, 0.0) };
-        let [x0, y0, _] = pose.position;
-        let places = self.0.iter().map(|[x, y]| [x0 + (c * x - s * y), y0 + (s * x + c * y)]);
-        ground.heights_at(origin, places, &mut scan.hits);
+        let ([x0, y0, _], [x1, y1]) = (pose.position, origin.position);
+        for ([x, y], heights) in self.groups.iter().zip(scan.hits.chunks_mut(LARGE_GROUP)) {
+            let (mut at_x, mut at_y) = ([0.0; LARGE_GROUP], [0.0; LARGE_GROUP]);
+            for k in 0..LARGE_GROUP {
+                at_x[k] = x1 + (x0 + (c * x[k] - s * y[k]));
+                at_y[k] = y1 + (y0 + (s * x[k] + c * y[k]));
+            }
+            grid.heights_below(&at_x, &at_y, heights);
+        }
     }
 }
 
-/// Heights of the ground around the bases.
+/// How high the feet are above the ground, and heights of the ground around the bases.
+pub(super) fn look_down(
+    workers: Res<Workers>,
+    ground: Res<Ground>,
+    rays: Res<ScanRays>,
+    origins: Query<&'static EnvOrigin>,
+    poses: Query<&'static BasePose>,
+    mut feet: Query<&'static mut Feet>,
+    mut scans: Query<&'static mut HeightScan>,
+) {
+    let (origins, feet, scans) = (read_rows(&origins), write_rows(&mut feet), write_rows(&mut scans));
+    let rows = (origins, read_rows(&poses), OptionalRows(feet), OptionalRows(scans));
+    let (ground, rays) = (&ground, &rays);
+    workers.vectorize_chunks(rows, origins.len(), |_, _, (origins, poses, feet, scans)| GroundRows {
+        ground,
+        rays,
+        origins,
+        poses,
+        feet,
+        scans,
+    });
+}
+
+/// Heights of the ground around the bases alone.
 pub(crate) fn scan_heights(
     workers: Res<Workers>,
     ground: Res<Ground>,
@@ -148,14 +208,60 @@ pub(crate) fn scan_heights(
     poses: Query<&'static BasePose>,
     mut scans: Query<&'static mut HeightScan>,
 ) {
-    let scans = write_rows(&mut scans);
-    let len = scans.len();
-    let rows = (read_rows(&origins), read_rows(&poses), scans);
-    if len > 0 {
-        workers.for_each_chunk(rows, len, |_, n, (origins, poses, scans)| {
-            for i in 0..n {
-                rays.scan(&ground, &origins[i], &poses[i], &mut scans[i]);
+    let origins = read_rows(&origins);
+    let rows = (origins, read_rows(&poses), OptionalRows(write_rows(&mut scans)));
+    let (ground, rays) = (&ground, &rays);
+    workers.vectorize_chunks(rows, origins.len(), |_, _, (origins, poses, scans)| GroundRows {
+        ground,
+        rays,
+        origins,
+        poses,
+        feet: OptionalRows(&mut []),
+        scans,
+    });
+}
+
+struct GroundRows<'a> {
+    ground: &'a Ground,
+    rays: &'a ScanRays,
+    origins: &'a [EnvOrigin],
+    poses: &'a [BasePose],
+    feet: OptionalRows<'a, Feet>,
+    scans: OptionalRows<'a, HeightScan>,
+}
+
+impl Kernel<f32> for GroundRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { ground, rays, origins, poses, feet, scans } = self;
+        // those on the same tile in turn, which finds its heights in the cache
+        let tile = |origin: &EnvOrigin| u64::from(origin.terrain_level) << 16 | u64::from(origin.terrain_column);
+        let mut order: Vec<u64> = (0..).zip(origins).map(|(row, origin)| tile(origin) << 32 | row).collect();
+        if ground.layout.is_some() {
+            order.sort_unstable();
+        }
+        for row in order {
+            let row = (row & u64::from(u32::MAX)) as usize;
+            if let Some(feet) = feet.0.get_mut(row) {
+                feet.measure(ground, &origins[row]);
             }
-        });
+            if let Some(scan) = scans.0.get_mut(row) {
+                rays.scan(ground, &origins[row], &poses[row], scan);
+            }
+        }
+    }
+}
+
+impl Feet {
+    /// Their heights above the ground, from where they are.
+    #[inline(always)]
+    fn measure(&mut self, ground: &Ground, origin: &EnvOrigin) {
+        let Self { position, height, .. } = self;
+        ground.heights_at(origin, position.iter().map(|[x, y, _]| [*x, *y]), height);
+        for ([_, _, z], height) in position.iter().zip(height) {
+            *height = z - *height;
+        }
     }
 }

@@ -8,6 +8,7 @@ use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam};
 use crate::batch::Batch;
 use crate::components::Episode;
+use crate::dynamics::Real;
 use crate::robot::BodyGroup;
 use crate::rows::{Workers, write_rows};
 
@@ -119,16 +120,7 @@ impl StateLimits {
         numbers: StateNumbers<'_, T>,
         value: impl Fn(T) -> f32,
     ) -> Option<Violation> {
-        let limits = [
-            (Quantity::BasePosition, 1e6),
-            (Quantity::BaseRotation, 2.0),
-            (Quantity::BaseLinearVelocity, self.max_lin_vel),
-            (Quantity::BaseAngularVelocity, self.max_ang_vel),
-            (Quantity::JointPosition, 1e6),
-            (Quantity::JointVelocity, self.max_joint_vel),
-            (Quantity::JointEffort, 1e9),
-        ];
-        limits.into_iter().zip(numbers).find_map(|((quantity, limit), xs)| {
+        self.of_quantities().into_iter().zip(numbers).find_map(|((quantity, limit), xs)| {
             // a NaN is not below anything
             let is_allowed = |x: f32| x.abs() <= limit;
             let index = xs.iter().position(|&x| !is_allowed(value(x)))?;
@@ -136,7 +128,36 @@ impl StateLimits {
         })
     }
 
+    /// The largest allowed magnitudes.
+    #[inline(always)]
+    fn of_quantities(&self) -> [(Quantity, f32); 7] {
+        [
+            (Quantity::BasePosition, 1e6),
+            (Quantity::BaseRotation, 2.0),
+            (Quantity::BaseLinearVelocity, self.max_lin_vel),
+            (Quantity::BaseAngularVelocity, self.max_ang_vel),
+            (Quantity::JointPosition, 1e6),
+            (Quantity::JointVelocity, self.max_joint_vel),
+            (Quantity::JointEffort, 1e9),
+        ]
+    }
+
+    /// Whether some number of some lane is not finite or beyond its limit.
+    #[inline(always)]
+    pub(super) fn broken_anywhere<S: Real>(&self, numbers: StateNumbers<'_, S>) -> bool {
+        let mut allowed = S::one();
+        for ((_, limit), xs) in self.of_quantities().into_iter().zip(numbers) {
+            // what is below the next number is not beyond the limit, and a NaN is not below anything
+            let limit = S::splat(f64::from(limit.next_up()));
+            for x in xs {
+                allowed = S::select(x.abs().lt(limit), allowed, S::zero());
+            }
+        }
+        S::any(allowed.lt(S::one()))
+    }
+
     /// Whether the state is finite and within the limits.
+    #[inline(always)]
     fn allow(&self, view: &RobotView) -> bool {
         let numbers = [
             &view.pose.position[..],
@@ -147,7 +168,9 @@ impl StateLimits {
             &view.joints.velocity,
             &view.effort.applied,
         ];
-        self.violation(numbers, |x| x).is_none()
+        // all of a quantity's numbers at once
+        let within = |limit: f32, xs: &[f32]| xs.iter().fold(true, |all, x| all & (x.abs() <= limit));
+        self.of_quantities().into_iter().zip(numbers).all(|((_, limit), xs)| within(limit, xs))
     }
 }
 
@@ -167,4 +190,23 @@ pub(super) fn register(registry: &mut Registry) {
 fn base_contact(p: &ContactThreshold, view: &RobotView, _: &Episode, _: u32) -> bool {
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
     bodies.into_iter().any(|(force, group)| *group == BodyGroup::Base && *force > p.threshold)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_broken_number_is_found_among_all() {
+        let limits = StateLimits { max_lin_vel: 100.0, ..StateLimits::default() };
+        let broken = |velocity: f32| {
+            let (zeros, velocities) = ([0.0; 4], [3.0, velocity, -5.0]);
+            let numbers: StateNumbers<f32> = [&zeros[..3], &zeros, &velocities, &zeros[..3], &zeros, &zeros, &zeros];
+            let found = limits.violation(numbers, |x| x).is_some();
+            assert_eq!(limits.broken_anywhere(numbers), found, "{velocity}");
+            found
+        };
+        assert!([0.0, -0.0, 100.0, -100.0, 100.0f32.next_down()].into_iter().all(|x| !broken(x)));
+        assert!([100.0f32.next_up(), -1e30, f32::NAN, f32::INFINITY, f32::NEG_INFINITY].into_iter().all(broken));
+    }
 }

@@ -14,6 +14,8 @@ use super::view::RobotView;
 use super::{curriculum, disturb, observe, reset, reward, startup, terminate};
 use crate::components::{BaseVelocity, EnvRng, Episode, ExternalWrench};
 use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
+use crate::dynamics::Simd;
+use crate::dynamics::lanes::{Entry, Kernel};
 use crate::morphology::{Morphologies, MorphologyModel};
 
 /// A term of a task cannot be made.
@@ -30,7 +32,7 @@ pub enum TermError {
 pub(super) struct NoParams {}
 
 type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
-type RewardFn = Box<dyn Fn(&RobotView) -> f32 + Send + Sync>;
+type RewardFn = Box<dyn Fn(&RobotView, Entry) -> f32 + Send + Sync>;
 type ObservationFn = Box<dyn Fn(&RobotView, &mut [f32]) + Send + Sync>;
 type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + Send + Sync>;
 type BodyFn = Box<dyn Fn(&mut startup::NewBody, &mut EnvRng) + Send + Sync>;
@@ -78,14 +80,14 @@ impl Registry {
         registry
     }
 
-    /// A reward term: its unweighted value per second.
-    pub fn reward<P>(&mut self, name: &'static str, f: fn(&P, &RobotView) -> f32)
+    /// A reward term: its unweighted value per second. An `#[inline(always)]` function is compiled for each instruction set.
+    pub fn reward<P>(&mut self, name: &'static str, f: impl Fn(&P, &RobotView) -> f32 + Copy + Send + Sync + 'static)
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
         let build: Builder<RewardFn> = Box::new(move |file, element, table| {
             let p: P = parse_params(file, element, table)?;
-            Ok(Box::new(move |view: &RobotView| f(&p, view)))
+            Ok(Box::new(move |view: &RobotView, entry: Entry| entry.vectorize(Reward { f: &f, p: &p, view })))
         });
         self.rewards.insert(name, build);
     }
@@ -177,6 +179,22 @@ impl Registry {
     }
 }
 
+/// A reward term's function with its arguments.
+struct Reward<'a, P, F> {
+    f: &'a F,
+    p: &'a P,
+    view: &'a RobotView<'a>,
+}
+
+impl<P, F: Fn(&P, &RobotView) -> f32> Kernel<f32> for Reward<'_, P, F> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run(self) -> f32 {
+        (self.f)(self.p, self.view)
+    }
+}
+
 /// One term of a reward set.
 pub struct RewardTerm {
     /// Its name.
@@ -189,7 +207,7 @@ pub struct RewardTerm {
 impl RewardTerm {
     /// Its unweighted value per second for a robot.
     pub fn value(&self, robot: &RobotView) -> f32 {
-        (self.value)(robot)
+        (self.value)(robot, Simd::Portable.entry())
     }
 }
 

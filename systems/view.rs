@@ -110,6 +110,7 @@ impl<'a> Views<'a> {
         self.tags.len()
     }
 
+    #[inline(always)]
     pub(super) fn get(&self, env: usize) -> RobotView<'a> {
         RobotView {
             morphology: self.morphologies.get(self.tags[env]),

@@ -532,12 +532,46 @@ pub enum Simd {
     Portable,
 }
 
+/// The way into code on single numbers that is compiled for an instruction set: fused multiply-adds are then instructions
+/// instead of function calls, and the compiler may put loops into lanes. Bits do not depend on it.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// AVX2 with FMA, which the machine has; else what all machines of the architecture have.
+    avx2: bool,
+}
+
+impl Entry {
+    /// Runs a computation.
+    #[inline]
+    pub fn vectorize<K: Kernel<f32>>(self, kernel: K) -> K::Output {
+        #[cfg(target_arch = "x86_64")]
+        if self.avx2 {
+            #[target_feature(enable = "avx2,fma")]
+            fn compiled<K: Kernel<f32>>(kernel: K) -> K::Output {
+                kernel.run()
+            }
+            // SAFETY: `Simd::entry` has found that the machine has what it is compiled for
+            return unsafe { compiled(kernel) };
+        }
+        kernel.run()
+    }
+}
+
 /// An instruction set was asked for that this machine does not have, or that does not exist.
 #[derive(Debug, thiserror::Error)]
 #[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
 impl Simd {
+    /// The way into code on single numbers that is compiled for this instruction set, as far as this machine has it.
+    pub fn entry(self) -> Entry {
+        #[cfg(target_arch = "x86_64")]
+        let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+        #[cfg(not(target_arch = "x86_64"))]
+        let avx2 = false;
+        Entry { avx2: avx2 && matches!(self, Simd::Avx512 | Simd::Avx2) }
+    }
+
     /// Those this machine has, fastest first.
     pub fn available() -> Vec<Simd> {
         let mut found = Vec::new();
@@ -668,6 +702,17 @@ mod tests {
             })
             .collect();
         assert_eq!(scalar, run_on::<Portable>(&inputs));
+        for simd in Simd::available() {
+            let entered: Vec<[u32; 3]> = inputs
+                .iter()
+                .map(|x| {
+                    let mut d = [x[0], x[1], x[2], 0.0, 0.0, 0.0];
+                    simd.entry().vectorize(Everything(&mut d));
+                    [d[3].to_bits(), d[4].to_bits(), d[5].to_bits()]
+                })
+                .collect();
+            assert_eq!(scalar, entered, "{simd:?}");
+        }
         #[cfg(target_arch = "x86_64")]
         for simd in Simd::available() {
             match simd {

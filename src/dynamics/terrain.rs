@@ -15,7 +15,8 @@ const EDGE: usize = PAGE + 1;
 const PAGE_POINTS: usize = EDGE * EDGE;
 /// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner looks at.
 const GROUP: usize = 16;
-const LARGE_GROUP: usize = 64;
+/// See [`GROUP`].
+pub(crate) const LARGE_GROUP: usize = 64;
 
 /// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut from the first to the last
 /// corner; beyond the rectangle its edge goes on.
@@ -169,15 +170,16 @@ impl HeightGrid {
             at[k] = page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32;
             (u[k], v[k]) = (in_x, in_y);
         }
-        let mut corners = [[0.0f32; N]; 4];
+        // two corners at a time
+        let (mut near, mut far) = ([[0.0f32; 2]; N], [[0.0f32; 2]; N]);
         for k in 0..n {
             // the four corners of a cell lie in one page
             let page = &self.points[at[k] as usize..][..EDGE + 2];
-            (corners[0][k], corners[1][k]) = (page[0], page[1]);
-            (corners[2][k], corners[3][k]) = (page[EDGE], page[EDGE + 1]);
+            near[k] = [page[0], page[1]];
+            far[k] = [page[EDGE], page[EDGE + 1]];
         }
         for k in 0..N {
-            let (a, b, c, d) = (corners[0][k], corners[1][k], corners[2][k], corners[3][k]);
+            let ([a, b], [c, d]) = (near[k], far[k]);
             let first = u[k] > v[k];
             let along_x = if first { c - a } else { d - b };
             let along_y = if first { d - c } else { b - a };
@@ -187,6 +189,7 @@ impl HeightGrid {
     }
 
     /// Heights below places, m, as many as there is room for.
+    #[inline(always)]
     pub fn heights_at(&self, mut places: impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
         if heights.len() <= GROUP {
             return self.heights_of_group::<GROUP>(&mut places, heights);
@@ -196,13 +199,20 @@ impl HeightGrid {
         }
     }
 
+    #[inline(always)]
     fn heights_of_group<const N: usize>(&self, places: &mut impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
         let (mut x, mut y) = ([0.0; N], [0.0; N]);
         for (place, (x, y)) in places.zip(x.iter_mut().zip(&mut y)).take(heights.len()) {
             [*x, *y] = place;
         }
+        self.heights_below(&x, &y, heights);
+    }
+
+    /// Heights below the first of a group of places, m, as many as there is room for.
+    #[inline(always)]
+    pub(crate) fn heights_below<const N: usize>(&self, x: &[f32; N], y: &[f32; N], heights: &mut [f32]) {
         let mut found = Samples::<N>::zeros();
-        self.sample_group(&x, &y, heights.len(), &mut found);
+        self.sample_group(x, y, heights.len(), &mut found);
         heights.copy_from_slice(&found.height[..heights.len()]);
     }
 

@@ -15,6 +15,7 @@ use crate::app::{Sim, SimOptions};
 use crate::components::{Command, EnvId, EnvOrigin, Episode};
 use crate::morphology::Morphologies;
 use crate::robot::CANONICAL_JOINT_NAMES;
+use crate::rows::Workers;
 use crate::systems::{Autoreset, CompiledTask, Logs, StateField};
 use crate::world::Ground;
 
@@ -37,13 +38,22 @@ pub(super) struct VecSim {
     arrays: Arrays,
 }
 
-fn fill<T: Element + Copy, D: numpy::ndarray::Dimension>(
+/// Numbers from which on a copy is shared out among the threads.
+const LARGE: usize = 1 << 16;
+
+fn fill<T: Element + Copy + Send + Sync, D: numpy::ndarray::Dimension>(
     py: Python<'_>,
+    workers: &Workers,
     array: &Py<PyArray<T, D>>,
     values: &[T],
 ) -> PyResult<()> {
     let mut target = array.bind(py).try_readwrite()?;
-    target.as_slice_mut()?.copy_from_slice(values);
+    let target = target.as_slice_mut()?;
+    if values.len() < LARGE || values.len() != target.len() {
+        target.copy_from_slice(values);
+    } else {
+        workers.for_each_chunk((target, values), values.len(), |_, _, (to, from)| to.copy_from_slice(from));
+    }
     Ok(())
 }
 
@@ -88,14 +98,17 @@ impl VecSim {
     fn publish(&mut self, py: Python<'_>) -> PyResult<()> {
         let arrays = &mut self.arrays;
         arrays.current = 1 - arrays.current;
-        let batch = self.sim.batch();
-        fill(py, &arrays.observations[arrays.current], &batch.observations)?;
-        fill(py, &arrays.reward, &batch.rewards)?;
-        fill(py, &arrays.terminated, &batch.terminated)?;
-        fill(py, &arrays.truncated, &batch.truncated)?;
-        fill(py, &arrays.final_mask, &batch.has_final)?;
-        if batch.has_final.contains(&true) {
-            fill(py, &arrays.final_obs, &batch.final_observations)?;
+        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
+        fill(py, workers, &arrays.observations[arrays.current], &batch.observations)?;
+        fill(py, workers, &arrays.reward, &batch.rewards)?;
+        fill(py, workers, &arrays.terminated, &batch.terminated)?;
+        fill(py, workers, &arrays.truncated, &batch.truncated)?;
+        fill(py, workers, &arrays.final_mask, &batch.has_final)?;
+        let mut final_obs = arrays.final_obs.bind(py).try_readwrite()?;
+        let width = batch.num_obs.max(1);
+        let rows = final_obs.as_slice_mut()?.chunks_exact_mut(width).zip(batch.final_observations.chunks_exact(width));
+        for ((to, from), _) in rows.zip(&batch.has_final).filter(|(_, valid)| **valid) {
+            to.copy_from_slice(from);
         }
         self.publish_commands(py)
     }
@@ -326,9 +339,9 @@ impl VecSim {
         let n = self.sim.num_envs();
         let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
         self.sim.terminate(mask.as_slice()?).map_err(|error| to_python(py, error))?;
-        let batch = self.sim.batch();
-        fill(py, &self.arrays.terminated, &batch.terminated)?;
-        fill(py, &self.arrays.truncated, &batch.truncated)
+        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
+        fill(py, workers, &self.arrays.terminated, &batch.terminated)?;
+        fill(py, workers, &self.arrays.truncated, &batch.truncated)
     }
 
     /// Level and type of each env's tile.

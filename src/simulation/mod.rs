@@ -106,7 +106,7 @@ impl Simulation {
         }
         default_qpos.extend(&robot.default_position);
         let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
-        let workers = Workers::new(threads);
+        let workers = Workers::new(threads, simd);
         let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
         let packs = match (options.engine(), options.precision) {
             (EngineKind::Avian, _) => avian::packs(&robot, &settings, n, workers.threads())?,

@@ -22,6 +22,7 @@ enum Group {
 }
 
 impl Group {
+    #[inline(always)]
     fn holds(self, group: BodyGroup) -> bool {
         let own = match self {
             Group::Base => BodyGroup::Base,
@@ -100,6 +101,7 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("gait", gait);
 }
 
+#[inline(always)]
 fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
     if norm(&r.command[..2]) <= 0.1 {
         return 0.0;
@@ -111,11 +113,13 @@ fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
     landed.map(|(_, air)| air - p.threshold).sum()
 }
 
+#[inline(always)]
 fn undesired_contacts(p: &BodiesInContact, r: &RobotView) -> f32 {
     let bodies = r.contacts.peak_force.iter().zip(&r.morphology.body_groups);
     bodies.filter(|(force, group)| **force > p.threshold && p.bodies.iter().any(|g| g.holds(**group))).count() as f32
 }
 
+#[inline(always)]
 fn air_time(p: &ModeTime, r: &RobotView) -> f32 {
     let moving = is_moving(r, p.velocity_threshold);
     let c = r.contacts;
@@ -130,6 +134,7 @@ fn air_time(p: &ModeTime, r: &RobotView) -> f32 {
     .sum()
 }
 
+#[inline(always)]
 fn air_time_variance(p: &MaxTime, r: &RobotView) -> f32 {
     let variance = |times: &[f32]| {
         let n = times.len() as f32;
@@ -140,6 +145,7 @@ fn air_time_variance(p: &MaxTime, r: &RobotView) -> f32 {
     variance(&r.contacts.last_air_time) + variance(&r.contacts.last_contact_time)
 }
 
+#[inline(always)]
 fn foot_clearance(p: &Clearance, r: &RobotView) -> f32 {
     let feet = r.feet.height.iter().zip(&r.feet.velocity);
     let error: f32 = feet
@@ -151,12 +157,14 @@ fn foot_clearance(p: &Clearance, r: &RobotView) -> f32 {
     exp(-error / p.std)
 }
 
+#[inline(always)]
 fn foot_slip(p: &Force, r: &RobotView) -> f32 {
     let feet = r.morphology.feet.iter().zip(&r.feet.velocity);
     feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
 }
 
 /// Diagonal feet together, the two diagonals in turn. Feet are in the order LF, LH, RF, RH.
+#[inline(always)]
 fn gait(p: &Gait, r: &RobotView) -> f32 {
     if !is_moving(r, p.velocity_threshold) {
         return 0.0;

@@ -41,7 +41,7 @@ pub(super) fn compute_rewards(
             sums.add_errors(&view);
             let mut total = 0.0;
             for (term, sum) in terms.iter().zip(sums.terms.iter_mut()) {
-                let value = term.weight * (term.value)(&view) * task.step_dt;
+                let value = term.weight * (term.value)(&view, workers.entry()) * task.step_dt;
                 *sum += value;
                 total += value;
             }
@@ -58,17 +58,20 @@ pub(super) fn register(registry: &mut Registry) {
 }
 
 /// Sum of squares.
+#[inline(always)]
 fn sum_of_squares(x: &[f32]) -> f32 {
     x.iter().fold(0.0, |sum: f32, &x| x.mul_add(x, sum))
 }
 
 /// Euclidean norm.
+#[inline(always)]
 fn norm(x: &[f32]) -> f32 {
     sum_of_squares(x).sqrt()
 }
 
 /// `e^x`, relative error below 3e-7: range reduction and a polynomial (the single-precision coefficients of the Cephes
 /// library), with IEEE operations only, so that the bits are the same on every machine.
+#[inline(always)]
 fn exp(x: f32) -> f32 {
     if x < -87.0 {
         return 0.0;
@@ -83,6 +86,7 @@ fn exp(x: f32) -> f32 {
 }
 
 /// Hyperbolic tangent of a non-negative number.
+#[inline(always)]
 fn tanh_positive(x: f32) -> f32 {
     let e = exp(-2.0 * x);
     (1.0 - e) / (1.0 + e)

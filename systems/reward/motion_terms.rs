@@ -55,43 +55,52 @@ pub(super) fn register(registry: &mut Registry) {
 }
 
 /// Planar velocity error: commanded less measured, m/s.
+#[inline(always)]
 fn velocity_error(r: &RobotView) -> [f32; 2] {
     [r.command[0] - r.imu.linear_velocity[0], r.command[1] - r.imu.linear_velocity[1]]
 }
 
+#[inline(always)]
 fn action_change(r: &RobotView) -> f32 {
     let pairs = r.action.current.iter().zip(&r.action.previous);
     pairs.fold(0.0, |sum: f32, (a, b)| (a - b).mul_add(a - b, sum))
 }
 
 /// Whether the robot is told to move or moves faster than `threshold`, m/s.
+#[inline(always)]
 pub(super) fn is_moving(r: &RobotView, threshold: f32) -> bool {
     norm(r.command) > 0.0 || norm(&r.imu.linear_velocity[..2]) > threshold
 }
 
+#[inline(always)]
 fn track_lin_vel_xy_exp(p: &Std, r: &RobotView) -> f32 {
     exp(-sum_of_squares(&velocity_error(r)) / (p.std * p.std))
 }
 
+#[inline(always)]
 fn track_ang_vel_z_exp(p: &Std, r: &RobotView) -> f32 {
     let error = r.command[2] - r.imu.angular_velocity[2];
     exp(-error * error / (p.std * p.std))
 }
 
+#[inline(always)]
 fn base_angular_velocity(p: &Std, r: &RobotView) -> f32 {
     exp(-(r.command[2] - r.imu.angular_velocity[2]).abs() / p.std)
 }
 
+#[inline(always)]
 fn base_linear_velocity(p: &RampedStd, r: &RobotView) -> f32 {
     let ramp = (1.0 + p.ramp_rate * (norm(&r.command[..2]) - p.ramp_at_vel)).max(1.0);
     exp(-norm(&velocity_error(r)) / p.std) * ramp
 }
 
+#[inline(always)]
 fn base_motion(_: &NoParams, r: &RobotView) -> f32 {
     let (v, w) = (&r.imu.linear_velocity, &r.imu.angular_velocity);
     0.8 * v[2] * v[2] + 0.2 * (w[0].abs() + w[1].abs())
 }
 
+#[inline(always)]
 fn joint_pos(p: &StandStill, r: &RobotView) -> f32 {
     let pairs = r.joints.position.iter().zip(&r.morphology.default_position);
     let distance = pairs.fold(0.0, |sum: f32, (q, q0)| (q - q0).mul_add(q - q0, sum)).sqrt();
