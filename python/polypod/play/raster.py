@@ -42,7 +42,7 @@ TILE = 1.0
 """Of the ground, m."""
 TILES_SHOWN = 22
 """In each direction from the middle of the picture."""
-CLOSE_UP = 2.6
+CLOSE_UP = 3.1
 """Seen around a robot that is followed on terrain, in lengths of its reach."""
 CLOSE_UP_FROM = (0.67, 0.74, 0.50)
 """Where it is seen from; 0.5 is the least rise over the distance."""
@@ -168,7 +168,7 @@ def _camera(target: tuple[float, float, float], distance: float, direction: tupl
 
 
 def _caption(robot: RobotFrame) -> str:
-    return f"{robot.name}: {robot.tile}" if robot.tile else robot.name
+    return f"{robot.name}\n{robot.tile}" if robot.tile else robot.name
 
 
 class _Canvas:
@@ -256,7 +256,7 @@ class _Canvas:
             self._draw.text((x, y + 14 * SUPERSAMPLING), text, fill=TEXT, font=_font(), anchor="mm")
 
     def caption(self, text: str) -> None:
-        """A line in the upper left corner."""
+        """Lines in the upper left corner."""
         at = (5 * SUPERSAMPLING, 4 * SUPERSAMPLING)
         self._draw.text(at, text, fill=TEXT, font=_font(), stroke_width=SUPERSAMPLING, stroke_fill=SKY)
 
