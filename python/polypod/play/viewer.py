@@ -97,11 +97,12 @@ class Viewer:
             robots = [f"{index}: {robot.name}" for index, robot in enumerate(self._shown.robots)]
             beside = gui.add_dropdown("look at", robots)
 
-            @beside.on_update
             def look(event: Any) -> None:
                 if event.client is not None:
                     camera = event.client.camera
                     camera.position, camera.look_at = _beside(self._shown.robots[robots.index(beside.value)])
+
+            beside.on_update(look)
 
         return pause, own
 
