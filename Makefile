@@ -26,15 +26,17 @@ RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -t
 
 # The policy that comes along, and how it is filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
+SHIPPED_ROUGH := $(wildcard assets/policies/rough_universal/model_*.pt)
+FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 10 --size 640 360 --set scene.terrain.max_init_terrain_level=1
 FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
 
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 
-.PHONY: help build train eval demo film test bench soak accuracy lint format lock clean
+.PHONY: help build train eval demo film film-rough test bench soak accuracy lint format lock clean
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
 
 build: $(VENV)/.extension target/release/polypod-sim ## Build the Python package (into .venv) and target/release/polypod-sim
 
@@ -51,6 +53,9 @@ demo: build ## Play the policy that comes along: evaluate it on all eight robots
 
 film: build ## Film the eight robots anew for the README
 	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video docs/media/eight_robots.gif
+
+film-rough: build ## Film the eight robots on rough ground anew for docs/terrain.md
+	$(BIN)/polypod play --checkpoint $(SHIPPED_ROUGH) $(FILM_ROUGH) --video docs/media/rough_robots.gif
 
 test: build ## Run the tests of Rust and of Python
 	cargo test --release --locked

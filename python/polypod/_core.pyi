@@ -220,6 +220,16 @@ class VecSim:
             ConfigError: with any autoreset but "disabled".
         """
 
+    def env_origins(self) -> npt.NDArray[np.float64]:
+        """[num_envs, 3], the envs' origins in the world, m: zeros where each env has ground of its own. A copy.
+
+        Their x and y are what positions of `qpos` and `link_pose` are relative to; z is the height of the ground there
+        (those positions count from the world's zero). A reset may move an env to another tile.
+        """
+
+    def terrain(self) -> TerrainEntry | None:
+        """The ground, as `_core.terrain` gives it for the sim's task and overrides; None for a plane."""
+
     def terrain_tiles(self) -> tuple[npt.NDArray[np.int64], list[str]]:
         """Level and type of the tile of each env, [num_envs]; zeros and an empty list without generated terrain."""
 

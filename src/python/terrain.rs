@@ -6,9 +6,9 @@ use pyo3::types::PyDict;
 
 use super::exceptions::to_python;
 use crate::app::SimError;
-use crate::config::Library;
+use crate::config::{Library, TaskConfig};
 use crate::terrain::{Mesh, TerrainLayout, border, generate};
-use crate::world;
+use crate::world::{self, Ground};
 
 #[pyfunction]
 #[pyo3(signature = (task, overrides=Vec::new()))]
@@ -16,12 +16,23 @@ pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) 
     let failed = |error: SimError| to_python(py, error);
     let config = Library::new(Vec::new()).task(task, &overrides).map_err(|error| failed(error.into()))?.config;
     let ground = py.detach(|| world::load(&config)).map_err(|error| failed(error.into()))?;
-    let Some(grid) = ground.terrain else {
-        return Err(failed(SimError::Argument {
+    entry(py, &config, &ground)?.ok_or_else(|| {
+        failed(SimError::Argument {
             element: "task",
             problem: format!("the ground of {} is a plane", config.name),
             remedy: "name a task with terrain or obstacles, such as velocity_rough".into(),
-        }));
+        })
+    })
+}
+
+/// The heights, triangles and tiles of a task's ground; none of a plane.
+pub(super) fn entry<'py>(
+    py: Python<'py>,
+    config: &TaskConfig,
+    ground: &Ground,
+) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let Some(grid) = &ground.terrain else {
+        return Ok(None);
     };
     let dict = PyDict::new(py);
     dict.set_item("task", &config.name)?;
@@ -43,5 +54,5 @@ pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) 
     dict.set_item("vertices", PyArray1::from_vec(py, vertices).reshape(rows(mesh.vertices.len()))?)?;
     dict.set_item("triangles", PyArray1::from_vec(py, triangles).reshape(rows(mesh.triangles.len()))?)?;
     dict.set_item("tiles", tiles)?;
-    Ok(dict)
+    Ok(Some(dict))
 }

@@ -8,9 +8,10 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyDict};
 
 use super::exceptions::{to_python, type_error, value_error};
+use super::terrain;
 use crate::app::{Sim, SimOptions};
 use crate::components::{Command, EnvId, EnvOrigin, Episode};
 use crate::morphology::Morphologies;
@@ -342,6 +343,27 @@ impl VecSim {
         let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
         fill(py, workers, &self.arrays.terminated, &batch.terminated)?;
         fill(py, workers, &self.arrays.truncated, &batch.truncated)
+    }
+
+    /// Where each env's origin is in the world, and how high the ground is there.
+    fn env_origins<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let ground = self.sim.world().resource::<Ground>().clone();
+        let mut rows = vec![0.0; 3 * self.sim.num_envs()];
+        let world = self.sim.world_mut();
+        for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+            let mut height = [0.0];
+            ground.heights_at(origin, std::iter::once([0.0, 0.0]), &mut height);
+            let [x, y] = origin.position;
+            let first = 3 * env.0 as usize;
+            rows[first..first + 3].copy_from_slice(&[x, y, height[0]].map(f64::from));
+        }
+        PyArray1::from_vec(py, rows).reshape([self.sim.num_envs(), 3])
+    }
+
+    /// The ground that all envs share, as `_core.terrain` has it.
+    fn terrain<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let ground = self.sim.world().resource::<Ground>();
+        terrain::entry(py, &self.sim.task().config, ground)
     }
 
     /// Level and type of each env's tile.

@@ -3,9 +3,10 @@
 `polypod play` is its command; it needs the `play` extra.
 """
 
+from polypod.play.camera import Camera
 from polypod.play.film import Film
 from polypod.play.player import Frame, Player, RobotFrame
-from polypod.play.raster import Camera, render
+from polypod.play.raster import picture, render
 from polypod.play.viewer import Viewer
 
-__all__ = ["Camera", "Film", "Frame", "Player", "RobotFrame", "Viewer", "render"]
+__all__ = ["Camera", "Film", "Frame", "Player", "RobotFrame", "Viewer", "picture", "render"]

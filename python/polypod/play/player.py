@@ -13,6 +13,7 @@ from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import load_policy, play_task
 from polypod.play import mesh
+from polypod.play.ground import Ground
 from polypod.play.mesh import Array, Mesh
 from polypod.training import run_dir
 
@@ -53,6 +54,8 @@ class RobotFrame:
     """N."""
     command: Array
     """[3], commanded forward and left velocity, m/s, and yaw rate, rad/s."""
+    tile: str = ""
+    """Type and level of its tile; empty without generated terrain."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,9 +117,9 @@ class Player:
         changes = [*manifest["overrides"], *overrides]
         arguments: dict[str, Any] = {"robots": sources, "seed": seed, "threads": threads}
         self.sim = _core.VecSim(name, envs_per_robot * len(sources), overrides=changes, **arguments)
-        if command is not None:
-            start = tomllib.loads(self.sim.resolved_config())["task"].get("events", {}).get("reset_base", {})
-            changes = [*(f"events.reset_base.{key}=[0.0, 0.0]" for key in _ALIGNED if key in start), *changes]
+        defaults = _defaults(tomllib.loads(self.sim.resolved_config())["task"], aligned=command is not None)
+        if defaults:
+            changes = [*defaults, *changes]
             self.sim = _core.VecSim(name, envs_per_robot * len(sources), overrides=changes, **arguments)
         if self.sim.num_obs != manifest["policy"]["num_obs"]:
             raise _core.ConfigError(
@@ -127,7 +130,11 @@ class Player:
         self.obstacles: list[Mesh] = [
             part for description in config["scene"].get("obstacles", []) for part in mesh.obstacle(description)
         ]
-        """Meshes of the scene, around each env's origin."""
+        """Meshes of the scene; see `obstacle_places`."""
+        terrain = self.sim.terrain() if "terrain" in config["scene"] else None
+        self.ground = None if terrain is None else Ground(terrain)
+        """The generated terrain on which all robots are; None without."""
+        self._shared = self.ground is not None or config["scene"].get("placement") == "global"
         self.step_dt = self.sim.step_dt
         self.time = 0.0
         shapes, infos = json.loads(self.sim.robot_shapes()), json.loads(self.sim.robot_info())
@@ -135,14 +142,22 @@ class Player:
         self.tallies = {robot: Tally() for robot in self.sim.robots}
         self._com = {robot: np.array(shapes[robot]["base_com"]) for robot in self.sim.robots}
         self._weights = {robot: infos[robot]["mass"] * 9.81 for robot in self.sim.robots}
+        self.reach = {robot: _reach(self.sim.link_pose(robot)[0]) for robot in self.sim.robots}
+        """From the base to the link that is farthest from it as the robot begins, m."""
         # a row across the direction of the walk; with obstacles or random starts, wider
         spacing = SPACING if command is not None and not self.obstacles else config["sim"]["env_spacing"]
         row = np.arange(self.sim.num_envs) - 0.5 * (self.sim.num_envs - 1)
         self.places = np.column_stack([np.zeros_like(row), -spacing * row, np.zeros_like(row)])
-        """[envs, 3], of the envs' origins, m."""
+        """[envs, 3], of the envs' origins, m; their heights are zero."""
         if command is not None:
             self.command(command)
             self.sim.reset()
+
+    def obstacle_places(self, frame: Frame) -> list[Array]:
+        """Where the obstacles stand: once in a world that all envs share, else around each env's origin, m."""
+        if not self.obstacles:
+            return []
+        return [np.zeros(3)] if self._shared else [robot.place for robot in frame.robots]
 
     def command(self, command: Sequence[float]) -> None:
         """From now on all robots are to follow this: forward and left velocity, m/s, and yaw rate, rad/s."""
@@ -172,6 +187,10 @@ class Player:
         """The present state."""
         robots = []
         command = self.sim.command
+        if self._shared:
+            # a reset may have moved an env to another tile; heights are the world's already
+            self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
+        levels, types = self.sim.terrain_tiles()
         for name in self.sim.robots:
             position, quaternion = self.sim.link_pose(name)
             forces = self.sim.contact_forces(name)
@@ -187,6 +206,7 @@ class Player:
                         forces=self._contacts(name, position[row] + place, quaternion[row], forces[row]),
                         weight=self._weights[name],
                         command=command[first + row].astype(np.float64),
+                        tile=f"{types[first + row]}, level {levels[first + row]}" if types else "",
                     )
                 )
         return Frame(self.time, robots)
@@ -205,6 +225,20 @@ class Player:
         qpos, qvel = self.sim.qpos(robot), self.sim.qvel(robot)
         velocity = np.stack([mesh.rotation(q[3:7]).T @ v[:3] for q, v in zip(qpos, qvel, strict=True)])
         return velocity + np.cross(qvel[:, 3:6], self._com[robot]), qvel[:, 3:6]
+
+
+def _defaults(task: dict[str, Any], *, aligned: bool) -> list[str]:
+    """What a player changes unless it is told otherwise: aligned starts, and each robot on a tile of its own."""
+    start = task.get("events", {}).get("reset_base", {})
+    changes = [f"events.reset_base.{key}=[0.0, 0.0]" for key in _ALIGNED if key in start] if aligned else []
+    if "terrain" in task["scene"]:
+        changes.append('scene.terrain.columns="contiguous"')
+    return changes
+
+
+def _reach(position: Array) -> float:
+    """[envs, links, 3] of one robot."""
+    return float(np.linalg.norm(position[0] - position[0, 0], axis=1).max())
 
 
 def _parts(outline: dict[str, Any]) -> list[Part]:

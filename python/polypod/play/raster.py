@@ -1,7 +1,7 @@
 """Pictures of a frame without a display or a graphics card: flat polygons from far to near, drawn by Pillow."""
 
-import dataclasses
 import functools
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod.extras import package
+from polypod.play import relief
+from polypod.play.camera import NEAR, Camera, Lens
 from polypod.play.mesh import Array, Mesh
-from polypod.play.player import Frame, Player, arrow
+from polypod.play.player import Frame, Player, RobotFrame, arrow
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -40,30 +42,12 @@ TILE = 1.0
 """Of the ground, m."""
 TILES_SHOWN = 22
 """In each direction from the middle of the picture."""
+CLOSE_UP = 3.1
+"""Seen around a robot that is followed on terrain, in lengths of its reach."""
+CLOSE_UP_FROM = (0.67, 0.74, 0.50)
+"""Where it is seen from; 0.5 is the least rise over the distance."""
 FORCE_LENGTH = 0.35
 """Of an arrow for a force like the robot's weight, m."""
-NEAR = 0.1
-"""What is nearer to the camera is not drawn, m."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Camera:
-    """Where a picture is taken from."""
-
-    position: tuple[float, float, float]
-    """m."""
-    target: tuple[float, float, float]
-    """In the middle of the picture, m."""
-    field_of_view: float = 32.0
-    """From the upper to the lower edge, degrees."""
-
-    def view(self) -> Array:
-        """[3, 3], rows are the camera's right, down and forward axes in the world."""
-        forward = np.subtract(self.target, self.position)
-        forward = forward / np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right = right / np.linalg.norm(right)
-        return np.stack([right, np.cross(forward, right), forward])
 
 
 def follow(player: Player, frame: Frame, size: tuple[int, int]) -> Camera:
@@ -74,31 +58,92 @@ def follow(player: Player, frame: Frame, size: tuple[int, int]) -> Camera:
     across = float(np.ptp(player.places[:, 1])) + 1.5
     aspect = size[0] / size[1]
     distance = 0.55 * across / (aspect * np.tan(np.radians(0.5 * Camera.field_of_view))) + 0.8
-    target = (float(middle[0]), float(middle[1]), 0.3)
-    direction = np.array([0.92, 0.20, 0.36])
-    position = np.array(target) + distance * direction / np.linalg.norm(direction)
-    return Camera((float(position[0]), float(position[1]), float(position[2])), target)
+    return _camera((float(middle[0]), float(middle[1]), 0.3), distance, (0.92, 0.20, 0.36))
 
 
-def render(player: Player, frame: Frame, camera: Camera, size: tuple[int, int] = (640, 360)) -> "Image":
-    """The picture of a frame, RGB.
+def follow_one(player: Player, robot: RobotFrame, size: tuple[int, int]) -> Camera:
+    """A camera that looks at one robot from its front left and above, over whatever ground is between."""
+    wide = min(1.0, size[0] / size[1])
+    distance = 0.5 * CLOSE_UP * player.reach[robot.name] / (wide * np.tan(np.radians(0.5 * Camera.field_of_view)))
+    x, y, z = (float(value) for value in robot.position[0])
+    if player.ground is None:
+        return _camera((x, y, z), distance, CLOSE_UP_FROM)
+    # the mean around each point of the line of sight, so that the picture does not jump at a step
+    sight = np.linspace(0.0, 1.0, 7)[:, None] * distance * np.array(CLOSE_UP_FROM[:2])
+    offsets = np.linspace(-0.6, 0.6, 7)
+    around = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
+    heights = player.ground.heights(np.array([x, y]) + sight[:, None, :] + around).mean(axis=1)
+    z = float(heights[0]) + 0.3
+    rise = max(CLOSE_UP_FROM[2], float(((heights[1:] + 0.3 - z) / np.linalg.norm(sight[1:], axis=1)).max()) + 0.1)
+    return _camera((x, y, z), distance, (*CLOSE_UP_FROM[:2], rise))
+
+
+def picture(player: Player, frame: Frame, size: tuple[int, int] = (640, 360)) -> "Image":
+    """What a film shows of a frame: all robots in a row or, on terrain, each from nearby in a field of its own.
+
+    Raises:
+        ConfigError: where Pillow is missing.
+    """
+    if player.ground is None:
+        return render(player, frame, follow(player, frame, size), size)
+    image = package("PIL.Image", "drawing pictures", "play")
+    whole: Image = image.new("RGB", size, TEXT)
+    columns, rows = fields(len(frame.robots), size)
+    # a line of one pixel between two fields
+    field = ((size[0] + 1) // columns - 1, (size[1] + 1) // rows - 1)
+    blank = image.new("RGB", field, SKY)
+    for index in range(columns * rows):
+        shown = blank
+        if index < len(frame.robots):
+            robot = frame.robots[index]
+            shown = render(player, frame, follow_one(player, robot, field), field, caption=_caption(robot))
+        whole.paste(shown, (index % columns * (field[0] + 1), index // columns * (field[1] + 1)))
+    return whole
+
+
+def fields(count: int, size: tuple[int, int]) -> tuple[int, int]:
+    """Columns and rows that show `count` robots in fields of a good shape, with few of them left empty."""
+
+    def loss(columns: int) -> float:
+        rows = -(-count // columns)
+        return abs(math.log(size[0] * rows / (columns * size[1]) / 1.2)) + 0.5 * (columns * rows / count - 1.0)
+
+    best = min(range(1, count + 1), key=loss)
+    return best, -(-count // best)
+
+
+def render(
+    player: Player, frame: Frame, camera: Camera, size: tuple[int, int] = (640, 360), *, caption: str | None = None
+) -> "Image":
+    """The picture of a frame, RGB; on terrain of what is near the camera's target.
+
+    `caption` stands in a corner in place of the names below the robots.
 
     Raises:
         ConfigError: where Pillow is missing.
     """
     canvas = _Canvas(camera, size)
-    _draw_ground(canvas, camera)
+    robots = frame.robots
     solids: list[tuple[Mesh, Color]] = []
-    for robot in frame.robots:
-        solids += [(part.moved(robot.place, (1.0, 0.0, 0.0, 0.0)), OBSTACLE) for part in player.obstacles]
+    if player.ground is not None:
+        away = [np.linalg.norm(robot.position[0][:2] - camera.target[:2]) for robot in robots]
+        robots = [robot for robot, distance in zip(robots, away, strict=True) if distance < relief.RADIUS]
+    for place in player.obstacle_places(frame):
+        solids += [(part.moved(place, (1.0, 0.0, 0.0, 0.0)), OBSTACLE) for part in player.obstacles]
+    for robot in robots:
         for part in player.parts[robot.name]:
             placed = part.mesh.moved(robot.position[part.link], robot.quaternion[part.link])
             solids.append((placed, COLORS[part.group]))
-    for solid, _ in solids:
-        canvas.shadow(solid)
-    for solid, color in solids:
-        canvas.solid(solid, color)
-    for robot in frame.robots:
+    if player.ground is None:
+        _draw_ground(canvas, camera)
+        for solid, _ in solids:
+            canvas.shadow(solid)
+        for solid, color in solids:
+            canvas.solid(solid, color)
+    else:
+        middles = [robot.position[0] for robot in robots]
+        canvas.paint(relief.picture(canvas.lens, player.ground, camera.target, solids, middles, LIGHT, SKY))
+    for robot in robots:
         for point, force in robot.forces:
             canvas.line(point, point + FORCE_LENGTH * force / robot.weight, FORCE)
         top = robot.position[0] + np.array([0.0, 0.0, 0.35])
@@ -107,9 +152,23 @@ def render(player: Player, frame: Frame, camera: Camera, size: tuple[int, int] =
             direction = 0.6 * np.array([*(heading @ robot.command[:2]), 0.0])
             canvas.flat(arrow(top, direction, 0.06), COMMAND)
     canvas.flush()
-    for robot in frame.robots:
-        canvas.text(robot.position[0] - np.array([0.0, 0.0, robot.position[0][2]]), robot.name)
+    if caption is not None:
+        canvas.caption(caption)
+        return canvas.image()
+    for robot in robots:
+        x, y, _ = robot.position[0]
+        height = 0.0 if player.ground is None else float(player.ground.heights(np.array([x, y])))
+        canvas.text(np.array([x, y, height]), robot.name)
     return canvas.image()
+
+
+def _camera(target: tuple[float, float, float], distance: float, direction: tuple[float, float, float]) -> Camera:
+    position = np.array(target) + distance * np.array(direction) / np.linalg.norm(direction)
+    return Camera((float(position[0]), float(position[1]), float(position[2])), target)
+
+
+def _caption(robot: RobotFrame) -> str:
+    return f"{robot.name}\n{robot.tile}" if robot.tile else robot.name
 
 
 class _Canvas:
@@ -123,22 +182,18 @@ class _Canvas:
         self._image: Image = image.new("RGB", self._pixels, SKY)
         self._draw = draw.Draw(self._image)
         self._resampling = image.Resampling.BOX
-        self._origin = np.array(camera.position)
-        self._view = camera.view()
-        self._focal = 0.5 * self._pixels[1] / np.tan(np.radians(0.5 * camera.field_of_view))
+        self.lens = Lens(camera, self._pixels)
         self._queue: list[tuple[float, list[tuple[float, float]], Color, int]] = []
+        self._new: Any = (image.fromarray, draw.Draw)
 
-    def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixels [..., 2] and depths [...] of points [..., 3]."""
-        seen = (points - self._origin) @ self._view.T
-        depth = seen[..., 2]
-        scale = self._focal / np.maximum(depth, NEAR)
-        middle = 0.5 * np.array(self._pixels)
-        return seen[..., :2] * scale[..., None] + middle, depth
+    def paint(self, pixels: npt.NDArray[np.uint8]) -> None:
+        """Replaces all that was drawn; [height, width, 3]."""
+        self._image = self._new[0](pixels)
+        self._draw = self._new[1](self._image)
 
     def flat(self, outline: Array, color: Color, *, at_once: bool = False) -> None:
         """A flat polygon [n, 3] that is seen from both sides."""
-        pixels, depth = self.project(outline)
+        pixels, depth = self.lens.project(outline)
         if depth.min() <= NEAR:
             return
         points = [(x, y) for x, y in pixels.tolist()]
@@ -164,12 +219,12 @@ class _Canvas:
         normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
         lengths = np.linalg.norm(normals, axis=1)
         centers = corners.mean(axis=1)
-        facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, self._origin - centers) > 0.0)
+        facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, self.lens.origin - centers) > 0.0)
         if not facing.any():
             return
         brightness = 0.62 + 0.38 * np.clip(normals[facing] @ LIGHT / lengths[facing], -0.6, 1.0)
-        pixels, depths = self.project(corners[facing])
-        distances = np.linalg.norm(centers[facing] - self._origin, axis=1)
+        pixels, depths = self.lens.project(corners[facing])
+        distances = np.linalg.norm(centers[facing] - self.lens.origin, axis=1)
         shades = np.clip(np.outer(brightness, color), 0, 255).astype(int)
         for outline, depth, distance, shade in zip(pixels, depths, distances, shades, strict=True):
             if depth.min() > NEAR:
@@ -178,7 +233,7 @@ class _Canvas:
 
     def line(self, start: Array, end: Array, color: Color) -> None:
         """A line, as thick as an eighth of a foot."""
-        pixels, depth = self.project(np.stack([start, end]))
+        pixels, depth = self.lens.project(np.stack([start, end]))
         if depth.min() > NEAR:
             points = [(x, y) for x, y in pixels.tolist()]
             # in front of what it acts on
@@ -195,10 +250,15 @@ class _Canvas:
 
     def text(self, at: Array, text: str) -> None:
         """A label below a point."""
-        pixels, depth = self.project(at)
+        pixels, depth = self.lens.project(at)
         if depth > NEAR:
             x, y = pixels.tolist()
             self._draw.text((x, y + 14 * SUPERSAMPLING), text, fill=TEXT, font=_font(), anchor="mm")
+
+    def caption(self, text: str) -> None:
+        """Lines in the upper left corner."""
+        at = (5 * SUPERSAMPLING, 4 * SUPERSAMPLING)
+        self._draw.text(at, text, fill=TEXT, font=_font(), stroke_width=SUPERSAMPLING, stroke_fill=SKY)
 
     def image(self) -> "Image":
         return self._image.resize(self._size, self._resampling)

@@ -8,7 +8,7 @@ from pathlib import Path
 from polypod import _core
 from polypod.play.film import Film
 from polypod.play.player import Player
-from polypod.play.raster import follow, render
+from polypod.play.raster import picture
 from polypod.play.viewer import Viewer
 
 
@@ -113,5 +113,5 @@ def _record(player: Player, viewer: Viewer | None, film: Film | None, seconds: f
             viewer.show(frame)
             viewer.tick(player.step_dt)
         if film is not None and due:
-            film.add(render(player, frame, follow(player, frame, film.size), film.size))
+            film.add(picture(player, frame, film.size))
             shot += 1

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.extras import package
-from polypod.play.player import Frame, Player
+from polypod.play.ground import Ground
+from polypod.play.player import Frame, Player, RobotFrame
 from polypod.play.raster import COLORS, COMMAND, FORCE, FORCE_LENGTH, OBSTACLE
 from polypod.training import run_dir
 
@@ -34,7 +35,8 @@ class Viewer:
         self._recording: Any = None
         self._links: dict[tuple[int, int], Any] = {}
         self._arrows: list[tuple[Any, Any]] = []
-        self._build(player.frame())
+        self._shown = player.frame()
+        self._build(self._shown)
 
     @property
     def url(self) -> str:
@@ -43,6 +45,7 @@ class Viewer:
 
     def show(self, frame: Frame) -> None:
         """Moves everything to where it is in a frame."""
+        self._shown = frame
         with self._server.atomic():
             for index, robot in enumerate(frame.robots):
                 for link, (position, quaternion) in enumerate(zip(robot.position, robot.quaternion, strict=True)):
@@ -72,7 +75,10 @@ class Viewer:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --record") from error
 
     def controls(self) -> tuple[Any, Any]:
-        """Adds a pause box and sliders for a command of one's own; returns the pause box and the box that uses them."""
+        """Adds a pause box and sliders for a command of one's own; returns the pause box and the box that uses them.
+
+        On terrain, where robots are far apart, a list of them moves the camera to one.
+        """
         gui = self._server.gui
         pause = gui.add_checkbox("pause", initial_value=False)
         own = gui.add_checkbox("own command", initial_value=False)
@@ -87,6 +93,17 @@ class Viewer:
 
         for handle in (own, *sliders):
             handle.on_update(use)
+        if self.player.ground is not None:
+            robots = [f"{index}: {robot.name}" for index, robot in enumerate(self._shown.robots)]
+            beside = gui.add_dropdown("look at", robots)
+
+            def look(event: Any) -> None:
+                if event.client is not None:
+                    camera = event.client.camera
+                    camera.position, camera.look_at = _beside(self._shown.robots[robots.index(beside.value)])
+
+            beside.on_update(look)
+
         return pause, own
 
     def close(self) -> None:
@@ -96,7 +113,18 @@ class Viewer:
     def _build(self, frame: Frame) -> None:
         scene = self._server.scene
         scene.set_up_direction("+z")
-        scene.add_grid("/ground", infinite_grid=True, cell_size=0.5, section_size=1.0)
+        if self.player.ground is None:
+            scene.add_grid("/ground", infinite_grid=True, cell_size=0.5, section_size=1.0)
+        else:
+            scene.add_glb("/ground", terrain_glb(self.player.ground), cast_shadow=False)
+            camera = self._server.initial_camera
+            camera.position, camera.look_at = _beside(frame.robots[0])
+        for at, place in enumerate(self.player.obstacle_places(frame)):
+            for number, obstacle in enumerate(self.player.obstacles):
+                vertices = (obstacle.vertices + place).astype(np.float32)
+                scene.add_mesh_simple(
+                    f"/obstacles/{at}_{number}", vertices, obstacle.triangles(), color=OBSTACLE, flat_shading=True
+                )
         for index, robot in enumerate(frame.robots):
             root = f"/{index}_{robot.name}"
             for link in range(len(robot.position)):
@@ -110,16 +138,39 @@ class Viewer:
                     color=COLORS[part.group],
                     flat_shading=True,
                 )
-            for number, obstacle in enumerate(self.player.obstacles):
-                vertices = (obstacle.vertices + robot.place).astype(np.float32)
-                scene.add_mesh_simple(
-                    f"{root}/obstacle_{number}", vertices, obstacle.triangles(), color=OBSTACLE, flat_shading=True
-                )
             scene.add_label(f"{root}/0/label", robot.name, position=(0.0, 0.0, 0.5))
             forces = scene.add_arrows(f"{root}_forces", _HIDDEN, colors=FORCE)
             command = scene.add_arrows(f"{root}_command", _HIDDEN, colors=COMMAND)
             self._arrows.append((forces, command))
         self.show(frame)
+
+
+def terrain_glb(ground: Ground) -> bytes:
+    """The terrain's own triangles as binary glTF, coloured by height."""
+    trimesh = package("trimesh", "the viewer", "play")
+    # glTF's colours of vertices are linear
+    colors = (ground.colors(ground.vertices[:, 2]) / 255.0) ** 2.2
+    rgba = np.full((len(colors), 4), 255, dtype=np.uint8)
+    rgba[:, :3] = np.rint(255.0 * colors)
+    # without normals, viewers shade flat
+    mesh = trimesh.Trimesh(ground.vertices, ground.triangles, vertex_colors=rgba, process=False)
+
+    def matt(tree: dict[str, Any]) -> None:
+        """The default material of glTF is a metal, and walls are to be seen from both sides."""
+        tree["materials"] = [
+            {"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+        ]
+        for part in tree["meshes"]:
+            for primitive in part["primitives"]:
+                primitive["material"] = 0
+
+    data: bytes = mesh.export(file_type="glb", tree_postprocessor=matt)
+    return data
+
+
+def _beside(robot: RobotFrame) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Position and target of a camera near a robot, m."""
+    return robot.position[0] + np.array([2.6, 2.2, 1.6]), robot.position[0]
 
 
 def _command_arrow(

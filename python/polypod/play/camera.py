@@ -1,0 +1,56 @@
+"""Where a picture is taken from, and where things are in it."""
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod.play.mesh import Array
+
+NEAR = 0.1
+"""What is nearer to the camera is not drawn, m."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from."""
+
+    position: tuple[float, float, float]
+    """m."""
+    target: tuple[float, float, float]
+    """In the middle of the picture, m."""
+    field_of_view: float = 32.0
+    """From the upper to the lower edge, degrees."""
+
+    def view(self) -> Array:
+        """[3, 3], rows are the camera's right, down and forward axes in the world."""
+        forward = np.subtract(self.target, self.position)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right = right / np.linalg.norm(right)
+        return np.stack([right, np.cross(forward, right), forward])
+
+
+class Lens:
+    """A camera with a picture of so many pixels."""
+
+    def __init__(self, camera: Camera, pixels: tuple[int, int]) -> None:
+        """Of a picture with this width and height."""
+        self.pixels = pixels
+        self.origin = np.array(camera.position)
+        self.view = camera.view()
+        self.focal = 0.5 * pixels[1] / float(np.tan(np.radians(0.5 * camera.field_of_view)))
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Pixels [..., 2] and depths [...] of points [..., 3]."""
+        seen = (points - self.origin) @ self.view.T
+        depth = seen[..., 2]
+        scale = self.focal / np.maximum(depth, NEAR)
+        return seen[..., :2] * scale[..., None] + 0.5 * np.array(self.pixels), depth
+
+    def rays(self, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> npt.NDArray[np.float32]:
+        """[n, 3], from the camera through the middles of pixels; camera axes, at depth one."""
+        rays = np.ones((len(rows), 3), dtype=np.float32)
+        rays[:, 0] = (columns + (0.5 - 0.5 * self.pixels[0])) / self.focal
+        rays[:, 1] = (rows + (0.5 - 0.5 * self.pixels[1])) / self.focal
+        return rays
