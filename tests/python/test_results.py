@@ -13,7 +13,7 @@ import polypod
 import polypod.cli
 from polypod import results
 from polypod.evaluation import Evaluation, RobotResult, TileResult, evaluate
-from polypod.results import runs
+from polypod.results import pictures, runs
 
 ROBOTS = ["anymal_d", "spot"]
 TASK, PLAY = "Velocity-Flat-Universal-v0", "Velocity-Flat-Universal-Play-v0"
@@ -233,12 +233,22 @@ def test_the_command_writes_document_and_pictures(tmp_path, capsys):
     assert text.endswith("<!-- results:end -->\n\nafter\n")
     assert "old" not in text
     assert "![curves error vel xy](media/curves_error_vel_xy.png)" in text
-    pictures = sorted(path.name for path in (tmp_path / "docs" / "media").iterdir())
-    assert pictures == ["curves_error_vel_xy.png", "curves_fall_rate.png", "own_network_grid.png"]
-    assert all((tmp_path / "docs" / "media" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
+    drawn = sorted(path.name for path in (tmp_path / "docs" / "media").iterdir())
+    assert drawn == ["curves_error_vel_xy.png", "curves_fall_rate.png", "own_network_grid.png"]
+    assert all((tmp_path / "docs" / "media" / name).read_bytes().startswith(b"\x89PNG") for name in drawn)
     # again: the same document
     assert polypod.cli.main(arguments) == 0
     assert document.read_text() == text
+
+
+def test_policies_for_one_robot_each_share_a_map(tmp_path, monkeypatch):
+    for name in ROBOTS:
+        over_grid = evaluate(stand, "velocity_flat", robots=[name], num_envs=4, steps=2, grid=(2, 2, 1))
+        write_run(tmp_path / "runs" / "specialists" / name, {"grid": over_grid}, robots=[name])
+    drawn = []
+    monkeypatch.setattr(pictures, "picture", lambda summary, out: drawn.append((out.name, list(summary.robots))))
+    assert pictures.draw(results.read(tmp_path / "runs"), tmp_path) == [tmp_path / "specialists_grid.png"]
+    assert drawn == [("specialists_grid.png", ROBOTS)]
 
 
 @pytest.mark.parametrize(

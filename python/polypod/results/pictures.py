@@ -1,5 +1,6 @@
 """The pictures of a folder of results: curves per robot over samples, and maps of evaluations."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -37,12 +38,20 @@ def _draw_maps(results: Results, folder: Path) -> list[Path]:
         for run in runs:
             for name, each in run.evaluations.items():
                 if each.grid is not None or any(robot.terrain for robot in each.robots.values()):
-                    alike.setdefault((condition_of(each), *each.robots), []).append((name, each))
+                    alike.setdefault(condition_of(each), []).append((name, each))
         for found in alike.values():
             stem = re.sub(r"[^0-9A-Za-z]+", "_", f"{group}_{found[0][0]}")
             files.append(folder / f"{stem}.png")
-            picture(summarize([each for _, each in found]), files[-1])
+            picture(summarize(_one_robot_each([each for _, each in found])), files[-1])
     return files
+
+
+def _one_robot_each(evaluations: list[Evaluation]) -> list[Evaluation]:
+    """Evaluations of policies for one robot each, as if it were one policy's; others as they are."""
+    robots = {name: result for each in evaluations for name, result in each.robots.items()}
+    if len(robots) == len(evaluations):
+        return [dataclasses.replace(evaluations[0], robots=robots)]
+    return [each for each in evaluations if list(each.robots) == list(evaluations[0].robots)]
 
 
 def _draw_curves(results: Results, folder: Path) -> list[Path]:
