@@ -16,6 +16,7 @@ import polypod
 import polypod.cli
 from common import FLAT_POLICY
 from polypod.evaluation import load_policy
+from polypod.evaluation.policies import load_network
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
 from polypod.export.checkpoint import compare
 from polypod.training import run_dir
@@ -135,7 +136,13 @@ def test_the_manifest_says_what_a_deployment_needs(exported):
     layout = manifest["observation_layout"]
     assert sum(entry["size"] for entry in layout) == manifest["num_obs"] == 83
     assert [entry["start"] for entry in layout] == [0, 3, 6, 9, 12, 24, 36, 48]
-    assert manifest["observation_normalization"] is None
+    normalization = manifest["observation_normalization"]
+    assert normalization["in_graph"]
+    network = load_network(run_dir.load_checkpoint(FLAT_POLICY), run_dir.read_manifest(FLAT_POLICY)["policy"])
+    observations = np.random.default_rng(4).normal(size=(5, 83)).astype(np.float32)
+    wanted = network.obs_normalizer(torch.from_numpy(observations)).numpy()
+    normalized = (observations - normalization["mean"]) / normalization["std"]
+    np.testing.assert_allclose(normalized.reshape(5, 83), wanted, rtol=1e-5, atol=1e-6)
     assert manifest["step_dt"] == 0.02
     assert set(manifest["robot_info"]) == set(ROBOTS)
     for info in manifest["robot_info"].values():
