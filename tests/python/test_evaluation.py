@@ -15,6 +15,7 @@ from common import FLAT_POLICY, SHORT, TASK
 from polypod import evaluation
 from polypod.evaluation import measures, plot, seeds
 from polypod.evaluation.results import robot_result
+from polypod.training import run_dir
 
 
 def still(observations):
@@ -322,7 +323,7 @@ def test_the_command_line_writes_figures_and_a_picture(tmp_path, capsys):
     assert "CoT" in shown
     found = evaluation.Evaluation.from_dict(json.loads(out.read_text()))
     assert found.randomized
-    assert found.checkpoint["seed"] == 42
+    assert found.checkpoint["seed"] == run_dir.read_manifest(FLAT_POLICY)["seed"]
     assert found.checkpoint["iteration"] == int(FLAT_POLICY.stem.removeprefix("model_"))
     assert len(found.robots["spot"].commands) == 4
     # what it says of itself measures the same again

@@ -52,18 +52,23 @@ def test_shapes_stand_on_the_ground_where_the_simulator_has_them():
     player = Player(FLAT_POLICY, ["unitree_go2", "spot"], command=(0.0, 0.0, 0.0), threads=1)
     for _ in range(75):
         player.step()
-    for robot in player.frame().robots:
-        lowest = min(
-            part.mesh.moved(robot.position[part.link], robot.quaternion[part.link]).vertices[:, 2].min()
-            for part in player.parts[robot.name]
-        )
-        assert -0.01 < lowest < 0.01
-        carried = sum(force[2] for _, force in robot.forces)
-        assert carried == pytest.approx(robot.weight, rel=0.5)
-        assert len(robot.forces) >= 2
-        for point, force in robot.forces:
-            assert point[2] < 0.1
-            assert force[2] > 0.0
+    carried: dict[str, list[float]] = {robot: [] for robot in player.sim.robots}
+    for _ in range(100):
+        player.step()
+        for robot in player.frame().robots:
+            lowest = min(
+                part.mesh.moved(robot.position[part.link], robot.quaternion[part.link]).vertices[:, 2].min()
+                for part in player.parts[robot.name]
+            )
+            assert -0.01 < lowest < 0.01
+            assert len(robot.forces) >= 1
+            for point, force in robot.forces:
+                assert point[2] < 0.1
+                assert force[2] > 0.0
+            carried[robot.name].append(sum(force[2] for _, force in robot.forces) / robot.weight)
+    # a policy may trot in place: the weight is what the ground carries on average
+    for robot, shares in carried.items():
+        assert np.mean(shares) == pytest.approx(1.0, abs=0.15), robot
 
 
 def test_a_picture_shows_robots_shadows_and_commands():
