@@ -1,16 +1,15 @@
 """Generated terrain is drawn where the simulator has it, and robots stand on what is drawn."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import polypod.cli
+from common import ROUGH_POLICY
 from polypod.play import Player, mesh, picture, raster, relief, render, viewer
 from polypod.play.camera import Camera, Lens
 
-(CHECKPOINT,) = (Path(__file__).parents[2] / "assets" / "policies" / "rough_universal").glob("model_*.pt")
 # one row of ten columns: every type of tile
 SMALL = ("scene.terrain.num_rows=1", "scene.terrain.border_width=2.0", "scene.terrain.difficulty_range=[0.3, 0.3]")
 SIZE = (320, 180)
@@ -19,7 +18,7 @@ SIZE = (320, 180)
 @pytest.fixture(scope="module")
 def player():
     """Spot once on each column; it has walked off the platform in the middle and stands."""
-    player = Player(CHECKPOINT, ["spot"], (0.6, 0.0, 0.0), envs_per_robot=10, threads=1, overrides=SMALL)
+    player = Player(ROUGH_POLICY, ["spot"], (0.6, 0.0, 0.0), envs_per_robot=10, threads=1, overrides=SMALL)
     for _ in range(150):
         player.step()
     player.command((0.0, 0.0, 0.0))
@@ -168,7 +167,7 @@ def test_a_film_and_a_recording_of_a_rough_policy(tmp_path, capsys):
 
     film, recording = tmp_path / "film.gif", tmp_path / "run.viser"
     changes = [argument for change in SMALL for argument in ("--set", change)]
-    arguments = ("play", "--checkpoint", str(CHECKPOINT), "--robots", "spot,unitree_a1", "--seconds", "0.2", *changes)
+    arguments = ("play", "--checkpoint", str(ROUGH_POLICY), "--robots", "spot,unitree_a1", "--seconds", "0.2", *changes)
     files = ("--fps", "10", "--size", "160", "90", "--video", str(film), "--record", str(recording), "--port", "8930")
     assert polypod.cli.main([*arguments, *files]) == 0
     assert str(film) in capsys.readouterr().out

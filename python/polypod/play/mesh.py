@@ -36,6 +36,21 @@ class Mesh:
         return both.astype(np.uint32)
 
 
+def lit(corners: Array, camera: Array, light: Array) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Which faces with corners [n, 4, 3] look at the camera, [n], and how bright those are.
+
+    Args:
+        corners: m; a triangle repeats its last corner.
+        camera: where it is, m.
+        light: where light comes from, of unit length.
+    """
+    # of the diagonals; a triangle keeps its sense
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    lengths = np.linalg.norm(normals, axis=1)
+    facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, camera - corners.mean(axis=1)) > 0.0)
+    return facing, 0.62 + 0.38 * np.clip(normals[facing] @ light / lengths[facing], -0.6, 1.0)
+
+
 def rotation(quaternion: npt.ArrayLike) -> Array:
     """The rotation matrix of (w, x, y, z)."""
     w, x, y, z = np.asarray(quaternion, dtype=np.float64)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from polypod.extras import package
 from polypod.play import relief
 from polypod.play.camera import NEAR, Camera, Lens
-from polypod.play.mesh import Array, Mesh
+from polypod.play.mesh import Array, Mesh, lit
 from polypod.play.player import Frame, Player, RobotFrame, arrow
 
 if TYPE_CHECKING:
@@ -215,16 +215,11 @@ class _Canvas:
     def solid(self, solid: Mesh, color: Color) -> None:
         """The faces of a solid that look at the camera."""
         corners = solid.vertices[solid.faces]
-        # of the diagonals; a triangle, which repeats its last corner, keeps its sense
-        normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-        lengths = np.linalg.norm(normals, axis=1)
-        centers = corners.mean(axis=1)
-        facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, self.lens.origin - centers) > 0.0)
+        facing, brightness = lit(corners, self.lens.origin, LIGHT)
         if not facing.any():
             return
-        brightness = 0.62 + 0.38 * np.clip(normals[facing] @ LIGHT / lengths[facing], -0.6, 1.0)
         pixels, depths = self.lens.project(corners[facing])
-        distances = np.linalg.norm(centers[facing] - self.lens.origin, axis=1)
+        distances = np.linalg.norm(corners[facing].mean(axis=1) - self.lens.origin, axis=1)
         shades = np.clip(np.outer(brightness, color), 0, 255).astype(int)
         for outline, depth, distance, shade in zip(pixels, depths, distances, shades, strict=True):
             if depth.min() > NEAR:

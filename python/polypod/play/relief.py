@@ -9,7 +9,7 @@ import numpy.typing as npt
 from polypod.extras import package
 from polypod.play.camera import NEAR, Lens
 from polypod.play.ground import LARGEST_FACE, Ground
-from polypod.play.mesh import Array, Mesh
+from polypod.play.mesh import Array, Mesh, lit
 
 RADIUS = 9.0
 """Ground is drawn so far around the middle of the picture, m; it fades from two thirds of that on."""
@@ -118,11 +118,7 @@ def _solids(lens: Lens, solids: Sequence[tuple[Mesh, tuple[int, int, int]]], lig
         return None
     corners = np.concatenate([solid.vertices[solid.faces] for solid, _ in solids])
     colors = np.concatenate([np.tile(color, (len(solid.faces), 1)) for solid, color in solids]).astype(np.float64)
-    # of the diagonals; a triangle, which repeats its last corner, keeps its sense
-    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    lengths = np.linalg.norm(normals, axis=1)
-    facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, lens.origin - corners.mean(axis=1)) > 0.0)
-    brightness = 0.62 + 0.38 * np.clip(normals[facing] @ light / lengths[facing], -0.6, 1.0)
+    facing, brightness = lit(corners, lens.origin, light)
     return _Layer(lens, corners[facing], colors[facing] * brightness[:, None])
 
 
