@@ -10,7 +10,7 @@ use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
     Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
-    JointEffort, JointState, JointTargets, Morphology, MountedOn, PerJoint, Robot, SpawnHeight, StartupBody,
+    JointEffort, JointState, JointTargets, Morphology, MountedOn, PerJoint, Robot, StartupBody,
 };
 use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
@@ -493,7 +493,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
             velocity: smallvec![[0.0; 3]; model.feet.len()],
             height: smallvec![0.0; model.feet.len()],
         },
-        (ExternalWrench::default(), SpawnHeight(model.spawn_height), StartupBody::default()),
+        (ExternalWrench::default(), model.stance(), StartupBody::default()),
         Body(Box::new(model.nominal.clone())),
     )
 }

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 
 use crate::config::fnv1a;
-use crate::dynamics::Parameters;
+use crate::dynamics::{Numbers, Parameters};
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
 pub type PerJoint = SmallVec<[f32; 12]>;
@@ -308,12 +308,20 @@ pub struct Body(pub Box<Parameters<f32>>);
 /// The robot as the startup events left it, from which events of its body at a reset start; none where the task has no
 /// such events.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct StartupBody(pub Option<Box<(Parameters<f32>, SpawnHeight)>>);
+pub struct StartupBody(pub Option<Box<(Parameters<f32>, Stance)>>);
 
-/// Height of the base above the ground at which an episode begins: that of the default pose on this body's own legs, the
-/// reset's margin included, m.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct SpawnHeight(pub f32);
+/// How the robot stands while its actions are zero, and what an action changes. It starts as its morphology's and may be
+/// varied.
+#[derive(Component, Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stance {
+    /// Joint positions of the default pose, physical order, rad.
+    pub default_position: Numbers<f32>,
+    /// Joint target per unit of action, rad.
+    pub action_scale: f32,
+    /// Height of the base above the ground at which an episode begins: that of the default pose on this body's own legs,
+    /// the reset's margin included, m.
+    pub spawn_height: f32,
+}
 
 // ------------------------------------------------------------------------------------------------------------- sensors
 

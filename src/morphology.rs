@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use bevy_ecs::prelude::Resource;
 use glam::DMat3;
 
+use crate::components::Stance;
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
-use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
+use crate::dynamics::{EffortTable, JointTopology, Numbers, Parameters, Topology};
 use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
 
 /// A robot could not be made from its URDF and config.
@@ -40,7 +41,7 @@ pub struct MorphologyModel {
     /// Canonical slot -> physical joint.
     pub joint_of_slot: [usize; 12],
     /// Default joint positions, rad, physical order.
-    pub default_position: Vec<f32>,
+    pub default_position: Numbers<f32>,
     /// Group of each contact body.
     pub body_groups: Vec<BodyGroup>,
     /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
@@ -119,6 +120,15 @@ impl MorphologyModel {
     /// The robot's name in configs.
     pub fn name(&self) -> &str {
         &self.config.name
+    }
+
+    /// How a robot of this kind stands whose body is that of the URDF.
+    pub fn stance(&self) -> Stance {
+        Stance {
+            default_position: self.default_position.clone(),
+            action_scale: self.action_scale,
+            spawn_height: self.spawn_height,
+        }
     }
 
     /// Largest delay of any target, physics steps.
@@ -288,7 +298,7 @@ impl MorphologyModel {
             mass: self.model.total_mass(),
             joint_names: self.model.joints.iter().map(|joint| joint.name.clone()).collect(),
             joint_of_slot: self.joint_of_slot,
-            default_pose: self.default_position.clone(),
+            default_pose: self.default_position.to_vec(),
             action_scale: self.action_scale,
             stiffness: p.stiffness.to_vec(),
             damping: p.damping.to_vec(),

@@ -8,7 +8,7 @@ use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
     EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, Imu, JointEffort, JointState,
-    JointTargets, Morphology, SpawnHeight, StartupBody,
+    JointTargets, Morphology, Stance, StartupBody,
 };
 use crate::config::fnv1a;
 use crate::morphology::Morphologies;
@@ -78,7 +78,7 @@ snapshot! {
     rngs: EnvRng, episodes: Episode, commands: Command, timers: EventTimers, sums: EpisodeSums,
     poses: BasePose, velocities: BaseVelocity, joints: JointState, actions: Action, targets: JointTargets,
     delays: ActuatorDelay, efforts: JointEffort, impulses: ConstraintImpulses, forces: ContactForces, feet: Feet,
-    bodies: Body, startup_bodies: StartupBody, heights: SpawnHeight, wrenches: ExternalWrench, contacts: ContactSensor,
+    bodies: Body, startup_bodies: StartupBody, stances: Stance, wrenches: ExternalWrench, contacts: ContactSensor,
     imus: Imu, origins: EnvOrigin,
 }
 
@@ -123,8 +123,12 @@ fn write<C: Component<Mutability = bevy_ecs::component::Mutable>>(world: &mut Wo
 /// What a robot's numbers have in common with its morphology's is kept once again.
 fn share_bodies(world: &mut World) {
     world.resource_scope(|world, morphologies: Mut<Morphologies>| {
-        for (tag, mut body) in world.query::<(&Morphology, &mut Body)>().iter_mut(world) {
-            body.0.share(&morphologies.get(*tag).nominal);
+        for (tag, mut body, mut stance) in world.query::<(&Morphology, &mut Body, &mut Stance)>().iter_mut(world) {
+            let kind = morphologies.get(*tag);
+            body.0.share(&kind.nominal);
+            if stance.default_position == kind.default_position {
+                stance.default_position = kind.default_position.clone();
+            }
         }
     });
 }

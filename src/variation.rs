@@ -1,11 +1,18 @@
-//! Bodies that differ from their URDF: links stretched and weighed otherwise, with all that follows from it.
+//! Bodies that differ from their URDF: links stretched and weighed otherwise, another pose to stand in, another size, with all
+//! that follows from it.
 //!
 //! Every number of a body may be its own ([`Parameters`]), and varied bodies step by the same instructions as equal ones. Only that
 //! their numbers come from memory, where those of equal bodies stay in the cache, costs some hundredths more
 //! (docs/performance.md). A link is stretched by a linear map of its points: joint origins, centres of mass, collision shapes and
 //! feet go along, spheres, capsules and cylinders keep their radius, and the second moments of its mass follow the same map. Left
-//! and right legs are stretched alike and stay mirror images.
+//! and right legs are stretched alike and stay mirror images. Which shapes can touch what is the kind's: parts that are stretched by more
+//! than 1.15 times the size may reach a little where nothing is looked for.
+//!
+//! A body of another size is dynamically similar (Alexander and Jayes, A dynamic similarity hypothesis for the gaits of quadrupedal
+//! mammals, 1983): under the same gravity and of the same density, what the one does in a time the other does in that time by the root
+//! of the size.
 
+use crate::components::Stance;
 use crate::dynamics::kinematics::forward_kinematics;
 use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
 use crate::dynamics::{Parameters, Topology, Workspace};
@@ -39,6 +46,14 @@ pub struct BodyScales {
     pub stiffness: f64,
     /// Damping of all actuators.
     pub damping: f64,
+    /// All lengths; masses, inertias, torques, gains and speeds as dynamic similarity has them.
+    pub size: f64,
+    /// Joint target per unit of action.
+    pub action_scale: f64,
+    /// Angles of hip flexion and knee in the default pose: straighter or more bent legs.
+    pub default_flexion: f64,
+    /// Not a factor: what the legs are spread more in the default pose, rad.
+    pub default_abduction: f64,
 }
 
 impl BodyScales {
@@ -56,10 +71,14 @@ impl BodyScales {
         joint_range: 1.0,
         stiffness: 1.0,
         damping: 1.0,
+        size: 1.0,
+        action_scale: 1.0,
+        default_flexion: 1.0,
+        default_abduction: 0.0,
     };
 
-    /// Scales a body of this kind.
-    pub fn apply(&self, model: &MorphologyModel, body: &mut Parameters<f32>) {
+    /// Scales a body of this kind and how it stands.
+    pub fn apply(&self, model: &MorphologyModel, body: &mut Parameters<f32>, stance: &mut Stance) {
         let topology = &model.topology;
         let mut p = Parameters::<f64>::from_scalars(topology, body);
         // the maps come from the lengths as they are, so all of them first
@@ -75,11 +94,13 @@ impl BodyScales {
         for (s, &link) in topology.sites.iter().enumerate() {
             p.site_position[s] = mul_vec(&maps[link].0, &p.site_position[s]);
         }
-        stretch_shapes(topology, &maps, &mut p);
+        stretch_shapes(topology, &maps, self.size, &mut p);
+        self.pose(model, &p, &mut stance.default_position);
+        stance.action_scale *= self.action_scale as f32;
         for j in 0..topology.num_joints() {
             p.stiffness[j] *= self.stiffness;
             p.damping[j] *= self.damping;
-            let default = f64::from(model.default_position[j]);
+            let default = f64::from(stance.default_position[j]);
             let (lower, upper) = (p.lower[j], p.upper[j]);
             if -lower < UNLIMITED && upper < UNLIMITED {
                 let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * self.joint_range);
@@ -87,7 +108,49 @@ impl BodyScales {
                 p.upper[j] = (middle + half).max(default);
             }
         }
+        self.drive(&mut p);
+        stance.spawn_height = spawn_height(model, &p, &stance.default_position, self.size);
         body.zip_with(&p, |x, y| *x = *y as f32);
+    }
+
+    /// The default pose with legs more or less bent and spread, within the joints' limits.
+    fn pose(&self, model: &MorphologyModel, p: &Parameters<f64>, position: &mut [f32]) {
+        for (slot, &joint) in model.joint_of_slot.iter().enumerate() {
+            let (role, leg) = (slot / 4, slot % 4);
+            let q = f64::from(position[joint]);
+            let new = if role == 0 {
+                // a positive turn about the forward axis spreads the left legs, LF and LH
+                let [forward, ..] = model.topology.joints[joint].axis.direction();
+                let outward = if leg < 2 { 1.0 } else { -1.0 } * forward.signum();
+                outward.mul_add(self.default_abduction, q)
+            } else {
+                q * self.default_flexion
+            };
+            if new != q {
+                position[joint] = new.max(p.lower[joint]).min(p.upper[joint]) as f32;
+            }
+        }
+    }
+
+    /// What the actuators of a body of this size give and how its joints turn. A torque is a weight times a length, a time the root
+    /// of a length.
+    fn drive(&self, p: &mut Parameters<f64>) {
+        let size = self.size;
+        let (torque, time) = (size * size * size * size, size.sqrt());
+        for (list, factor) in [
+            (&mut p.stiffness, torque),
+            (&mut p.effort_limit, torque),
+            (&mut p.saturation_effort, torque),
+            (&mut p.joint_friction, torque),
+            (&mut p.damping, torque * time),
+            (&mut p.joint_damping, torque * time),
+            (&mut p.motor_velocity_limit, 1.0 / time),
+            (&mut p.velocity_limit, 1.0 / time),
+            (&mut p.armature, torque * size),
+        ] {
+            // what has no limit gets none
+            list.iter_mut().filter(|x| **x < UNLIMITED).for_each(|x| *x *= factor);
+        }
     }
 
     /// How each link is stretched, and the factor of its mass, `[links]`.
@@ -110,6 +173,10 @@ impl BodyScales {
             {
                 maps[joint(role) + 1] = (stretch(&end, length), mass);
             }
+        }
+        for (map, mass) in &mut maps {
+            map.iter_mut().flatten().for_each(|x| *x *= self.size);
+            *mass *= self.size * self.size * self.size;
         }
         maps
     }
@@ -144,11 +211,13 @@ fn complement(&[xx, yy, zz, xy, xz, yz]: &Sym3<f64>, share: f64) -> Sym3<f64> {
     [trace - xx, trace - yy, trace - zz, -xy, -xz, -yz]
 }
 
-fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], p: &mut Parameters<f64>) {
+fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: &mut Parameters<f64>) {
     p.contact_reach.fill(0.0);
     for (i, contact) in topology.contacts.iter().enumerate() {
         let at = mul_vec(&maps[contact.link].0, &p.contact_position[i]);
         p.contact_position[i] = at;
+        p.contact_radius[i] *= size;
+        p.contact_rim[i] *= size;
         let reach = dot(&at, &at).sqrt() + p.contact_radius[i] + p.contact_rim[i];
         p.contact_reach[contact.link] = p.contact_reach[contact.link].max(reach);
     }
@@ -163,8 +232,9 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], p: &mut Parame
                 let after = dot(&image, &image).sqrt();
                 if before > 0.0 && after > 0.0 {
                     let tip = (before + radius) * after / before;
-                    p.collider_half[i] = image.map(|x| x * (tip - radius).max(0.0) / after);
+                    p.collider_half[i] = image.map(|x| x * (tip - radius * size).max(0.0) / after);
                 }
+                p.collider_radius[i] *= size;
             }
             // a box stays one: its edges take the lengths of their images
             Some(rows) => {
@@ -178,16 +248,15 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], p: &mut Parame
 }
 
 /// Height of the base above level ground in the default pose, with the lowest foot at the reset's margin above it, m.
-pub fn spawn_height(model: &MorphologyModel, body: &Parameters<f32>) -> f32 {
+fn spawn_height(model: &MorphologyModel, p: &Parameters<f64>, position: &[f32], size: f64) -> f32 {
     let topology = &model.topology;
-    let p = Parameters::<f64>::from_scalars(topology, body);
-    let q: Vec<f64> = model.default_position.iter().map(|&q| f64::from(q)).collect();
+    let q: Vec<f64> = position.iter().map(|&q| f64::from(q)).collect();
     let mut work = Workspace::new(topology);
-    forward_kinematics(topology, &p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
+    forward_kinematics(topology, p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
     let lowest = (0..4).map(|leg| {
         let link = &work.links[topology.sites[leg]];
         let foot = mul_vec(&link.rotation, &p.site_position[leg]);
-        link.position[2] + foot[2] - model.roles.foot_radius[leg]
+        link.position[2] + foot[2] - model.roles.foot_radius[leg] * size
     });
     (model.config.reset.spawn_margin - lowest.fold(f64::INFINITY, f64::min)) as f32
 }

@@ -3,7 +3,7 @@
 use bevy_ecs::prelude::*;
 
 use crate::batch::Batch;
-use crate::components::{Action, JointTargets, Morphology, Robot};
+use crate::components::{Action, JointTargets, Morphology, Robot, Stance};
 use crate::dynamics::lanes::Kernel;
 use crate::morphology::Morphologies;
 use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
@@ -16,16 +16,18 @@ pub(super) fn apply_actions(
     morphologies: Res<Morphologies>,
     mut batch: ResMut<Batch>,
     tags: Query<&'static Morphology, With<Robot>>,
+    stances: Query<&'static Stance>,
     mut actions: Query<&'static mut Action>,
     mut targets: Query<&'static mut JointTargets>,
 ) {
     let tags = read_rows(&tags);
     let width = batch.num_actions;
-    let rows =
-        (tags, write_rows(&mut actions), write_rows(&mut targets), MatrixRows { data: &mut batch.actions[..], width });
-    workers.vectorize_chunks(rows, tags.len(), |_, _, (tags, actions, targets, raw)| ActionRows {
+    let raw = MatrixRows { data: &mut batch.actions[..], width };
+    let rows = (tags, read_rows(&stances), write_rows(&mut actions), write_rows(&mut targets), raw);
+    workers.vectorize_chunks(rows, tags.len(), |_, _, (tags, stances, actions, targets, raw)| ActionRows {
         morphologies: &morphologies,
         tags,
+        stances,
         actions,
         targets,
         raw,
@@ -35,6 +37,7 @@ pub(super) fn apply_actions(
 struct ActionRows<'a> {
     morphologies: &'a Morphologies,
     tags: &'a [Morphology],
+    stances: &'a [Stance],
     actions: &'a mut [Action],
     targets: &'a mut [JointTargets],
     raw: MatrixRows<'a, f32>,
@@ -45,9 +48,9 @@ impl Kernel<f32> for ActionRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { morphologies, tags, actions, targets, mut raw } = self;
+        let Self { morphologies, tags, stances, actions, targets, mut raw } = self;
         for i in 0..tags.len() {
-            let morphology = morphologies.get(tags[i]);
+            let (morphology, stance) = (morphologies.get(tags[i]), &stances[i]);
             let action = &mut actions[i];
             std::mem::swap(&mut action.current, &mut action.previous);
             action.current.copy_from_slice(raw.row(i));
@@ -56,9 +59,9 @@ impl Kernel<f32> for ActionRows<'_> {
             let Some((newest, older)) = target.history.split_first_mut() else {
                 continue;
             };
-            let (newest, default) = (&mut newest[..], &morphology.default_position[..]);
+            let (newest, default) = (&mut newest[..], &stance.default_position[..]);
             for (&action, &joint) in action.current.iter().zip(&morphology.joint_of_slot) {
-                newest[joint] = morphology.action_scale.mul_add(action, default[joint]);
+                newest[joint] = stance.action_scale.mul_add(action, default[joint]);
             }
             if std::mem::take(&mut target.fresh) {
                 for past in older {

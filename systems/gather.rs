@@ -125,7 +125,7 @@ impl StateField {
             Self::JointVel => joints(out, &r.joints.velocity),
             Self::JointAcc => joints(out, &r.effort.acceleration),
             Self::JointEffort => joints(out, &r.effort.applied),
-            Self::DefaultJointPos => joints(out, &r.morphology.default_position),
+            Self::DefaultJointPos => joints(out, &r.stance.default_position),
             Self::ContactForces => {
                 for (foot, &body) in out.chunks_exact_mut(3).zip(&r.morphology.feet) {
                     foot.copy_from_slice(&forces.net[body]);

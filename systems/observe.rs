@@ -117,7 +117,7 @@ pub(super) fn register(registry: &mut Registry) {
     registry.observation("projected_gravity", 3, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.projected_gravity));
     registry.observation("velocity_commands", 3, |_: &NoParams, r, out| out.copy_from_slice(r.command));
     registry.observation("joint_pos_rel", 12, |_: &NoParams, r, out| {
-        by_slot(r, out, |j| r.joints.position[j] - r.morphology.default_position[j]);
+        by_slot(r, out, |j| r.joints.position[j] - r.stance.default_position[j]);
     });
     registry.observation("joint_vel_rel", 12, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
     registry.observation("last_action", 12, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
@@ -162,7 +162,7 @@ const MORPHOLOGY_SIZE: usize = 35;
 ///
 /// Randomised bodies describe themselves as they are.
 fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
-    let (body, model) = (r.body, r.morphology);
+    let (body, model, stance) = (r.body, r.morphology, r.stance);
     let length = |v: &[f32; 3]| v[0].mul_add(v[0], v[1].mul_add(v[1], v[2] * v[2])).sqrt();
     let joint = |role: usize, leg: usize| model.joint_of_slot[4 * role + leg];
     let mean = |f: &dyn Fn(usize) -> f32| (f(0) + f(1) + f(2) + f(3)) * 0.25;
@@ -174,13 +174,13 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
     let offset = mean(&|leg| length(&body.joint_offset[joint(1, leg)]));
     let upper = mean(&|leg| length(&body.joint_offset[joint(2, leg)]));
     let lower = mean(&|leg| length(&body.site_position[leg]));
-    out[..7].copy_from_slice(&[mass / 50.0, along, across, upper, lower, offset, model.action_scale]);
+    out[..7].copy_from_slice(&[mass / 50.0, along, across, upper, lower, offset, stance.action_scale]);
     for role in 0..3 {
         let stiffness = mean(&|leg| body.stiffness[joint(role, leg)]);
         let damping = mean(&|leg| body.damping[joint(role, leg)]);
         let effort = mean(&|leg| model.max_effort(joint(role, leg), body));
         let armature = mean(&|leg| body.armature[joint(role, leg)]);
-        let authority = stiffness * model.action_scale / (mass * 9.81 * (upper + lower));
+        let authority = stiffness * stance.action_scale / (mass * 9.81 * (upper + lower));
         out[7 + 5 * role..12 + 5 * role].copy_from_slice(&[
             stiffness / 100.0,
             damping / 5.0,
@@ -189,8 +189,8 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
             authority,
         ]);
     }
-    by_slot(r, &mut out[22..34], |j| model.default_position[j]);
-    out[34] = r.spawn_height;
+    by_slot(r, &mut out[22..34], |j| stance.default_position[j]);
+    out[34] = stance.spawn_height;
 }
 
 /// Physical joints in canonical order.

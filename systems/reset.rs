@@ -12,7 +12,7 @@ use super::{Autoreset, ResetRequest};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
     Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu, JointEffort,
-    JointState, JointTargets, Morphology, Robot, SpawnHeight,
+    JointState, JointTargets, Morphology, Robot, Stance,
 };
 use crate::config::JointPositionMode;
 use crate::dynamics::Parameters;
@@ -92,7 +92,7 @@ pub(super) fn reset_envs(
     (ground, rays): (Res<Ground>, Res<ScanRays>),
     tags: Query<&'static Morphology, With<Robot>>,
     bodies: Query<&'static Body>,
-    heights: Query<&'static SpawnHeight>,
+    stances: Query<&'static Stance>,
     (
         mut poses,
         mut velocities,
@@ -124,8 +124,8 @@ pub(super) fn reset_envs(
     );
     let scans = OptionalRows(write_rows(&mut scans));
     let sensor_rows = (write_rows(&mut forces), write_rows(&mut contacts), write_rows(&mut imus), scans);
-    let rows = (tags, (read_rows(&bodies), read_rows(&heights)), robot_rows, env_rows, sensor_rows);
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, (bodies, heights), robots, envs, sensors)| {
+    let rows = (tags, (read_rows(&bodies), read_rows(&stances)), robot_rows, env_rows, sensor_rows);
+    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, (bodies, stances), robots, envs, sensors)| {
         let ((poses, velocities, joints), (actions, targets, delays), (efforts, impulses, feet, wrenches)) = robots;
         let (episodes, rngs, commands, timers, sums, origins) = envs;
         let (forces, contacts, imus, scans) = sensors;
@@ -134,7 +134,7 @@ pub(super) fn reset_envs(
                 continue;
             }
             let morphology = morphologies.get(tags[i]);
-            let rng = &mut rngs[i];
+            let (rng, stance) = (&mut rngs[i], &stances[i]);
             let (pose, velocity, joints) = (&mut poses[i], &mut velocities[i], &mut joints[i]);
             let origin = &mut origins[i];
             if episodes[i].length > 0 {
@@ -150,9 +150,9 @@ pub(super) fn reset_envs(
                     term(&mut end, rng);
                 }
             }
-            *pose = BasePose { position: [0.0, 0.0, heights[i].0], rotation: [1.0, 0.0, 0.0, 0.0] };
+            *pose = BasePose { position: [0.0, 0.0, stance.spawn_height], rotation: [1.0, 0.0, 0.0, 0.0] };
             *velocity = BaseVelocity::default();
-            joints.position.copy_from_slice(&morphology.default_position);
+            joints.position.copy_from_slice(&stance.default_position);
             joints.velocity.fill(0.0);
             let (delay, wrench) = (&mut delays[i], &mut wrenches[i]);
             delay.0.fill(0.0);
@@ -175,7 +175,7 @@ pub(super) fn reset_envs(
             actions[i].current.fill(0.0);
             actions[i].previous.fill(0.0);
             for past in &mut targets[i].history {
-                past.copy_from_slice(&morphology.default_position);
+                past.copy_from_slice(&stance.default_position);
             }
             targets[i].fresh = true;
             efforts[i].applied.fill(0.0);

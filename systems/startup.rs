@@ -7,12 +7,12 @@ use super::draw::{self, Source};
 use super::reset::is_due;
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::{Autoreset, ResetRequest};
-use crate::components::{Body, Env, EnvRng, Episode, Morphology, Robot, SpawnHeight, StartupBody};
-use crate::config::{Distribution, Draw, Operation};
+use crate::components::{Body, Env, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
+use crate::config::{Distribution, Draw, Operation, values};
 use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::{read_rows, write_rows};
-use crate::variation::{BodyScales, spawn_height};
+use crate::variation::BodyScales;
 use crate::world::Ground;
 
 /// A robot's numbers, as events of its body may change them.
@@ -23,8 +23,8 @@ pub struct NewBody<'a> {
     pub ground: &'a Ground,
     /// Masses, lengths, gains and friction: at startup those of the morphology, at a reset what startup made of them.
     pub parameters: &'a mut Parameters<f32>,
-    /// Height at which its episodes begin.
-    pub spawn_height: &'a mut SpawnHeight,
+    /// Default pose, action scale and the height at which its episodes begin: likewise.
+    pub stance: &'a mut Stance,
 }
 
 /// Gives every robot its material and applies the task's startup events, each env from its own stream.
@@ -32,20 +32,20 @@ pub fn randomise_at_startup(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     ground: Res<Ground>,
-    mut robots: Query<(&Morphology, &mut Body, &mut SpawnHeight, &mut StartupBody), With<Robot>>,
+    mut robots: Query<(&Morphology, &mut Body, &mut Stance, &mut StartupBody), With<Robot>>,
     mut rngs: Query<&mut EnvRng, With<Env>>,
 ) {
-    for ((tag, mut body, mut height, mut startup), mut rng) in robots.iter_mut().zip(rngs.iter_mut()) {
+    for ((tag, mut body, mut stance, mut startup), mut rng) in robots.iter_mut().zip(rngs.iter_mut()) {
         let morphology = morphologies.get(*tag);
-        *height = SpawnHeight(morphology.spawn_height);
-        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, spawn_height: &mut height };
+        *stance = morphology.stance();
+        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, stance: &mut stance };
         let material = &task.config.robot_material;
         new.set_material(material.static_friction as f32, material.dynamic_friction as f32);
         new.parameters.restitution = ground.restitution_with(material.restitution as f32);
         for event in &task.startup_events {
             event(&mut new, &mut rng);
         }
-        startup.0 = (!task.reset_body_events.is_empty()).then(|| Box::new((body.0.as_ref().clone(), *height)));
+        startup.0 = (!task.reset_body_events.is_empty()).then(|| Box::new((body.0.as_ref().clone(), stance.clone())));
     }
 }
 
@@ -57,23 +57,23 @@ pub(super) fn reset_bodies(
     request: Res<ResetRequest>,
     ground: Res<Ground>,
     episodes: Query<&'static Episode>,
-    mut robots: Query<(&Morphology, &mut Body, &mut SpawnHeight, &StartupBody), With<Robot>>,
+    mut robots: Query<(&Morphology, &mut Body, &mut Stance, &StartupBody), With<Robot>>,
     mut rngs: Query<&'static mut EnvRng, With<Env>>,
 ) {
     if task.reset_body_events.is_empty() {
         return;
     }
     let rows = read_rows(&episodes).iter().zip(write_rows(&mut rngs));
-    for ((tag, mut body, mut height, startup), (episode, rng)) in robots.iter_mut().zip(rows) {
+    for ((tag, mut body, mut stance, startup), (episode, rng)) in robots.iter_mut().zip(rows) {
         if !is_due(episode, *autoreset, *request) {
             continue;
         }
         if let Some(startup) = &startup.0 {
             *body.0 = startup.0.clone();
-            *height = startup.1;
+            *stance = startup.1.clone();
         }
         let morphology = morphologies.get(*tag);
-        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, spawn_height: &mut height };
+        let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, stance: &mut stance };
         for event in &task.reset_body_events {
             event(&mut new, rng);
         }
@@ -158,8 +158,33 @@ impl TryFrom<UncheckedJoints> for JointParameters {
 #[serde(deny_unknown_fields)]
 struct MotorStrength {
     /// Share of its torque that each motor gives. Default: each robot's own range.
-    #[serde(default, deserialize_with = "crate::config::values::optional_non_negative_range")]
+    #[serde(default, deserialize_with = "values::optional_non_negative_range")]
     strength_range: Option<[f64; 2]>,
+}
+
+/// What a task says of its bodies, for all robots alike, beside each robot's own `[variation]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TaskVariation {
+    /// Power to which the robots' own factors are raised: 1 as they are, 2 about twice as far from the URDF's body.
+    #[serde(default = "one", deserialize_with = "values::non_negative")]
+    range_power: f64,
+    /// Factor on all lengths; the rest follows by dynamic similarity. Default: none.
+    #[serde(default, deserialize_with = "values::optional_positive_range")]
+    size: Option<[f64; 2]>,
+    /// Factor on the joint target per unit of action. Default: none.
+    #[serde(default, deserialize_with = "values::optional_positive_range")]
+    action_scale: Option<[f64; 2]>,
+    /// Factor on the angles of hip flexion and knee in the default pose. Default: none.
+    #[serde(default, deserialize_with = "values::optional_positive_range")]
+    default_flexion: Option<[f64; 2]>,
+    /// Angle by which the legs are spread more in the default pose, rad. Default: 0.
+    #[serde(default, deserialize_with = "values::optional_range")]
+    default_abduction: Option<[f64; 2]>,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 /// All built-in events of a robot's body, under Isaac Lab's names where it has them; they happen in this order.
@@ -176,10 +201,12 @@ pub(super) fn register(registry: &mut Registry) {
 /// The event that changes the shapes of links.
 pub(super) const BODY_VARIATION: &str = "body_variation";
 
-/// Another body of the same kind, from the ranges of the robot's `[variation]`.
-fn body_variation(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
+/// Another body of the same kind, from the ranges of the robot's `[variation]` and those of the task.
+fn body_variation(p: &TaskVariation, body: &mut NewBody, rng: &mut EnvRng) {
     let ranges = &body.morphology.config.variation;
-    let mut draw = |range: [f64; 2]| f64::from(rng.uniform(range.map(|x| x as f32)));
+    let mut uniform = |range: [f64; 2]| f64::from(rng.uniform(range.map(|x| x as f32)));
+    let mut draw =
+        |range: [f64; 2]| uniform(range.map(|x| if p.range_power == 1.0 { x } else { libm::pow(x, p.range_power) }));
     let scales = BodyScales {
         base_length: draw(ranges.base_length),
         base_width: draw(ranges.base_width),
@@ -193,9 +220,12 @@ fn body_variation(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
         joint_range: draw(ranges.joint_range),
         stiffness: draw(ranges.stiffness),
         damping: draw(ranges.damping),
+        size: p.size.map_or(1.0, &mut uniform),
+        action_scale: p.action_scale.map_or(1.0, &mut uniform),
+        default_flexion: p.default_flexion.map_or(1.0, &mut uniform),
+        default_abduction: p.default_abduction.map_or(0.0, &mut uniform),
     };
-    scales.apply(body.morphology, body.parameters);
-    body.spawn_height.0 = spawn_height(body.morphology, body.parameters);
+    scales.apply(body.morphology, body.parameters, body.stance);
 }
 
 /// One of `num_buckets` values of static and of dynamic friction, the dynamic one at most the static one.

@@ -5,7 +5,7 @@ use bevy_ecs::system::SystemParam;
 
 use crate::components::{
     Action, BasePose, BaseVelocity, Body, Command, ContactSensor, Feet, HeightScan, Imu, JointEffort, JointState,
-    Morphology, Robot, SpawnHeight,
+    Morphology, Robot, Stance,
 };
 use crate::dynamics::Parameters;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -38,8 +38,8 @@ pub struct RobotView<'a> {
     pub height_scan: &'a [f32],
     /// The robot's own numbers, as randomised.
     pub body: &'a Parameters<f32>,
-    /// Height of the base at which its episodes begin, m.
-    pub spawn_height: f32,
+    /// Default pose and action scale of this body.
+    pub stance: &'a Stance,
     /// Length of a control step, s.
     pub step_dt: f32,
 }
@@ -60,7 +60,7 @@ pub(super) struct ViewParam<'w, 's> {
     feet: Query<'w, 's, &'static Feet>,
     scans: Query<'w, 's, &'static HeightScan>,
     bodies: Query<'w, 's, &'static Body>,
-    heights: Query<'w, 's, &'static SpawnHeight>,
+    stances: Query<'w, 's, &'static Stance>,
 }
 
 impl ViewParam<'_, '_> {
@@ -79,7 +79,7 @@ impl ViewParam<'_, '_> {
             feet: read_rows(&self.feet),
             scans: read_rows(&self.scans),
             bodies: read_rows(&self.bodies),
-            heights: read_rows(&self.heights),
+            stances: read_rows(&self.stances),
             step_dt,
         }
     }
@@ -101,7 +101,7 @@ pub(super) struct Views<'a> {
     feet: &'a [Feet],
     scans: &'a [HeightScan],
     bodies: &'a [Body],
-    heights: &'a [SpawnHeight],
+    stances: &'a [Stance],
     step_dt: f32,
 }
 
@@ -125,7 +125,7 @@ impl<'a> Views<'a> {
             feet: &self.feet[env],
             height_scan: self.scans.get(env).map_or(&[], |scan| &scan.hits),
             body: &self.bodies[env].0,
-            spawn_height: self.heights[env].0,
+            stance: &self.stances[env],
             step_dt: self.step_dt,
         }
     }

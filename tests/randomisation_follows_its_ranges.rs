@@ -4,7 +4,7 @@
 //! level of 1 in 1000 or less. The draws are seeded: what passes once passes always.
 
 use polypod::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, Command, EnvId, EventTimers, ExternalWrench, JointState,
+    ActuatorDelay, BasePose, BaseVelocity, Body, Command, EnvId, EventTimers, ExternalWrench, JointState, Stance,
 };
 use polypod::morphology::MorphologyModel;
 use polypod::{Sim, SimOptions};
@@ -324,6 +324,65 @@ fn bodies_vary_over_their_ranges_and_independently() {
     ];
     columns.iter().for_each(assert_uniform);
     assert_independent(&columns);
+}
+
+#[test]
+fn a_task_may_draw_bodies_of_any_size_and_stance() {
+    let event = |text: &str| format!("events.body_variation.{text}");
+    let ranges =
+        ["size=[0.8, 1.5]", "action_scale=[0.5, 1.5]", "default_flexion=[0.7, 1.2]", "default_abduction=[-0.1, 0.2]"];
+    let with = |power: f64| {
+        let power = format!("range_power={power:?}");
+        let mut more: Vec<String> = ranges.iter().map(|text| event(text)).chain([event(&power)]).collect();
+        more.extend(["events.add_base_mass.enabled=false".into(), "events.base_com.enabled=false".into()]);
+        let more: Vec<&str> = more.iter().map(String::as_str).collect();
+        Sim::new(&options("spot", &["body_variation"], &more, 11)).unwrap()
+    };
+    // to the power of 0 the robot's own factors are 1, and what is left is the task's
+    let mut sim = with(0.0);
+    let model = sim.morphologies()[0].clone();
+    let nominal = &model.nominal;
+    let joint = |slot: usize| model.joint_of_slot[slot];
+    let stances = read(&mut sim, |stance: &Stance| stance.clone());
+    let bodies = bodies(&mut sim);
+    let size: Vec<f64> = bodies.iter().map(|b| f64::from(b.0.mass[0] / nominal.mass[0]).cbrt()).collect();
+    let moved = |slot: usize| stances.iter().map(move |s| f64::from(s.default_position[joint(slot)]));
+    let at_rest = |slot: usize| f64::from(model.default_position[joint(slot)]);
+    let columns = [
+        column("size", [0.8, 1.5], size.clone()),
+        column(
+            "action scale",
+            [0.5, 1.5],
+            stances.iter().map(|s| f64::from(s.action_scale / model.action_scale)).collect(),
+        ),
+        column("default flexion", [0.7, 1.2], moved(8).map(|q| q / at_rest(8)).collect()),
+        column("default abduction", [-0.1, 0.2], moved(0).map(|q| q - at_rest(0)).collect()),
+    ];
+    columns.iter().for_each(assert_uniform);
+    assert_independent(&columns);
+    for ((body, stance), size) in bodies.iter().zip(&stances).zip(&size) {
+        let share = |of: fn(&Body) -> f32, power: f64| {
+            let whole = f64::from(of(body) / of(&Body(Box::new(nominal.clone()))));
+            assert!((whole / size.powf(power) - 1.0).abs() < 1e-4, "{whole} at size {size}");
+        };
+        share(|b| b.0.joint_offset[0][0], 1.0);
+        share(|b| b.0.inertia[0][0], 5.0);
+        share(|b| b.0.stiffness[0], 4.0);
+        share(|b| b.0.damping[0], 4.5);
+        share(|b| b.0.effort_limit[0], 4.0);
+        // LF and RF are spread alike
+        let outward = |slot: usize| stance.default_position[joint(slot)] - model.default_position[joint(slot)];
+        assert!((outward(0) + outward(2)).abs() < 1e-6, "{stance:?}");
+    }
+    // lengths across and along the base: their ratio does not depend on the size
+    let ratio = |body: &Body| f64::from(body.0.joint_offset[0][0] / body.0.joint_offset[0][1]);
+    let whole = ratio(&Body(Box::new(nominal.clone())));
+    let ratios = read(&mut with(2.0), ratio);
+    let variation = &model.config.variation;
+    let ([x0, x1], [y0, y1]) = (variation.base_length.map(|x| x * x), variation.base_width.map(|y| y * y));
+    assert!(ratios.iter().all(|r| (x0 / y1..x1 / y0).contains(&(r / whole))));
+    let beyond = ratios.iter().filter(|r| *r / whole > variation.base_length[1] / variation.base_width[0]).count();
+    assert!(beyond > ENVS / 100, "{beyond} bodies are farther from the robot's than its own ranges go");
 }
 
 /// The base's velocity after one control step in the air, with pushes at once or none.

@@ -191,7 +191,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 feet: &h.feet,
                 height_scan: &[],
                 body: &model.nominal,
-                spawn_height: model.spawn_height,
+                stance: &model.stance(),
                 step_dt: 0.02,
             };
             for term in terms {

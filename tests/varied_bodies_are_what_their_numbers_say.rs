@@ -3,11 +3,11 @@
 
 use std::path::PathBuf;
 
-use polypod::components::{Body, ContactSensor, EnvId, Feet, SpawnHeight};
+use polypod::components::{Body, ContactSensor, EnvId, Feet, Stance};
 use polypod::config::Library;
 use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
-use polypod::variation::{BodyScales, spawn_height};
+use polypod::variation::BodyScales;
 use polypod::{Sim, SimOptions};
 
 const X: BodyScales = BodyScales {
@@ -23,6 +23,10 @@ const X: BodyScales = BodyScales {
     joint_range: 0.85,
     stiffness: 1.1,
     damping: 0.9,
+    size: 1.1,
+    action_scale: 0.7,
+    default_flexion: 0.9,
+    default_abduction: 0.1,
 };
 
 /// An inertial element of a uniform box.
@@ -49,9 +53,11 @@ fn box_of([x, y, z]: [f64; 3]) -> String {
 
 /// A quadruped of boxes and cylinders, with every length, mass and limit multiplied where it stands.
 fn urdf(s: &BodyScales) -> String {
-    let base = [0.5 * s.base_length, 0.2 * s.base_width, 0.1];
-    let offset = 0.08 * s.hip_offset;
-    let (thigh, shank) = (0.22 * s.thigh_length, 0.24 * s.shank_length);
+    let size = s.size;
+    let base = [0.5 * s.base_length, 0.2 * s.base_width, 0.1].map(|x| x * size);
+    let offset = 0.08 * s.hip_offset * size;
+    let (thigh, shank) = (0.22 * s.thigh_length * size, 0.24 * s.shank_length * size);
+    let inertial = |mass: f64, across: [f64; 3], centre: [f64; 3]| inertial(mass * size.powi(3), across, centre);
     let mut text = format!(
         r#"<robot name="boxes"><link name="base">{}{}</link>"#,
         inertial(8.0 * s.base_mass, base, [0.0; 3]),
@@ -63,18 +69,22 @@ fn urdf(s: &BodyScales) -> String {
         let links = [
             (
                 "HIP",
-                inertial(0.6 * s.hip_mass, [0.06, offset, 0.06], hip),
-                collision(&format!(r#"<cylinder radius="0.03" length="{offset}"/>"#), hip, "1.5707963267948966 0 0"),
+                inertial(0.6 * s.hip_mass, [0.06 * size, offset, 0.06 * size], hip),
+                collision(
+                    &format!(r#"<cylinder radius="{}" length="{offset}"/>"#, 0.03 * size),
+                    hip,
+                    "1.5707963267948966 0 0",
+                ),
             ),
             (
                 "THIGH",
-                inertial(1.0 * s.thigh_mass, [0.04, 0.03, thigh], mid_thigh),
-                collision(&box_of([0.04, 0.03, thigh]), mid_thigh, "0 0 0"),
+                inertial(1.0 * s.thigh_mass, [0.04 * size, 0.03 * size, thigh], mid_thigh),
+                collision(&box_of([0.04 * size, 0.03 * size, thigh]), mid_thigh, "0 0 0"),
             ),
             (
                 "SHANK",
-                inertial(0.3 * s.shank_mass, [0.02, 0.02, shank], mid_shank),
-                collision(&box_of([0.02, 0.02, shank]), mid_shank, "0 0 0"),
+                inertial(0.3 * s.shank_mass, [0.02 * size, 0.02 * size, shank], mid_shank),
+                collision(&box_of([0.02 * size, 0.02 * size, shank]), mid_shank, "0 0 0"),
             ),
         ];
         for (part, mass, shape) in &links {
@@ -82,9 +92,9 @@ fn urdf(s: &BodyScales) -> String {
         }
         text += &format!(
             r#"<link name="{leg}_FOOT">{}</link>"#,
-            collision(r#"<sphere radius="0.022"/>"#, [0.0; 3], "0 0 0")
+            collision(&format!(r#"<sphere radius="{}"/>"#, 0.022 * size), [0.0; 3], "0 0 0")
         );
-        let hip_at = [0.2 * s.base_length * front, 0.06 * s.base_width * left, 0.0];
+        let hip_at = [0.2 * s.base_length * front, 0.06 * s.base_width * left, 0.0].map(|x| x * size);
         for (name, parent, child, at, axis, [lower, upper]) in [
             ("HAA", "base".into(), "HIP", hip_at, "1 0 0", [-0.9, 0.9]),
             ("HFE", format!("{leg}_HIP"), "THIGH", [0.0, left * offset, 0.0], "0 1 0", [-1.0, 3.6]),
@@ -95,9 +105,11 @@ fn urdf(s: &BodyScales) -> String {
             text += &format!(
                 r#"<joint name="{leg}_{name}" type="revolute"><parent link="{parent}"/><child link="{leg}_{child}"/>
                 <origin xyz="{x} {y} {z}"/><axis xyz="{axis}"/>
-                <limit lower="{}" upper="{}" effort="40" velocity="30"/></joint>"#,
+                <limit lower="{}" upper="{}" effort="{}" velocity="{}"/></joint>"#,
                 middle - half,
-                middle + half
+                middle + half,
+                40.0 * size.powi(4),
+                30.0 / size.sqrt()
             );
         }
         text += &format!(
@@ -116,16 +128,22 @@ impl Folder {
     fn new(label: &str, scales: &BodyScales, self_collisions: bool) -> Self {
         let folder = std::env::temp_dir().join(format!("polypod-boxes-{label}-{}", std::process::id()));
         std::fs::create_dir_all(folder.join("configs/robots")).unwrap();
-        let pose = [("HAA", "0.0"), ("HFE", "0.8"), ("KFE", "-1.5")];
-        let pose =
-            pose.iter().flat_map(|(role, q)| ["LF", "LH", "RF", "RH"].map(|leg| format!("{leg}_{role} = {q}\n")));
+        let outward = scales.default_abduction;
+        let pose = [("HAA", [0.05 + outward, -0.05 - outward]), ("HFE", [0.8; 2]), ("KFE", [-1.5; 2])];
+        let pose = pose.iter().flat_map(|(role, sides)| {
+            let bent = if *role == "HAA" { 1.0 } else { scales.default_flexion };
+            ["LF", "LH", "RF", "RH"]
+                .map(|leg| format!("{leg}_{role} = {:?}\n", bent * sides[usize::from(&leg[..1] == "R")]))
+        });
         let config = format!(
-            "name = \"boxes\"\ntitle = \"Boxes\"\nurdf = \"boxes.urdf\"\nreward_set = \"unitree\"\naction_scale = 0.25\n\
+            "name = \"boxes\"\ntitle = \"Boxes\"\nurdf = \"boxes.urdf\"\nreward_set = \"unitree\"\naction_scale = {}\n\
              self_collisions = {self_collisions}\n[default_pose]\n{}[actuators.legs]\njoints = [\"*\"]\nmodel = \"ideal_pd\"\n\
-             effort_limit = 40.0\nstiffness = {}\ndamping = {}\n",
+             effort_limit = {}\nstiffness = {}\ndamping = {}\n",
+            0.25 * scales.action_scale,
             pose.collect::<String>(),
-            50.0 * scales.stiffness,
-            1.5 * scales.damping
+            40.0 * scales.size.powi(4),
+            50.0 * scales.stiffness * scales.size.powi(4),
+            1.5 * scales.damping * scales.size.powf(4.5)
         );
         std::fs::write(folder.join("configs/robots/boxes.toml"), config).unwrap();
         std::fs::write(folder.join("configs/robots/boxes.urdf"), urdf(scales)).unwrap();
@@ -160,6 +178,12 @@ impl Drop for Folder {
     }
 }
 
+fn assert_same_stance(a: &Stance, b: &Stance) {
+    assert!((a.spawn_height - b.spawn_height).abs() < 1e-6, "{a:?} {b:?}");
+    assert!((a.action_scale - b.action_scale).abs() < 1e-7, "{a:?} {b:?}");
+    assert!(a.default_position.iter().zip(&b.default_position).all(|(x, y)| (x - y).abs() < 1e-6), "{a:?} {b:?}");
+}
+
 #[test]
 fn a_varied_body_has_the_numbers_of_an_edited_urdf() {
     for self_collisions in [false, true] {
@@ -168,8 +192,9 @@ fn a_varied_body_has_the_numbers_of_an_edited_urdf() {
         assert_eq!(plain.topology.colliders.len(), edited.topology.colliders.len());
         assert_eq!(plain.topology.colliders.is_empty(), !self_collisions);
         let mut varied = plain.nominal.clone();
-        X.apply(&plain, &mut varied);
-        assert!((spawn_height(&plain, &varied) - edited.spawn_height).abs() < 1e-6);
+        let mut stance = plain.stance();
+        X.apply(&plain, &mut varied, &mut stance);
+        assert_same_stance(&stance, &edited.stance());
         let mut numbers = 0;
         varied.zip_with(&edited.nominal, |x, y| {
             numbers += 1;
@@ -178,7 +203,9 @@ fn a_varied_body_has_the_numbers_of_an_edited_urdf() {
         assert!(numbers > 500);
         // the identity changes nothing but by rounding, and nothing by none
         let mut same = plain.nominal.clone();
-        BodyScales::NOMINAL.apply(&plain, &mut same);
+        let mut stance = plain.stance();
+        BodyScales::NOMINAL.apply(&plain, &mut same, &mut stance);
+        assert_same_stance(&stance, &plain.stance());
         same.zip_with(&plain.nominal, |x, y| assert!((*x - *y).abs() <= 2e-7 * y.abs(), "{x} is not {y}"));
     }
 }
@@ -207,16 +234,16 @@ fn a_varied_body_moves_and_is_described_as_an_edited_urdf() {
     // what startup has drawn for the masses goes, in both
     let model = a.morphologies()[0].clone();
     let edited = b.morphologies()[0].clone();
-    let varied = |body: &mut Body| {
+    let varied = |body: &mut Body, stance: &mut Stance| {
         let friction = (body.0.static_friction, body.0.dynamic_friction);
         *body.0 = model.nominal.clone();
-        X.apply(&model, &mut body.0);
+        *stance = model.stance();
+        X.apply(&model, &mut body.0, stance);
         (body.0.static_friction, body.0.dynamic_friction) = friction;
     };
     let world = a.world_mut();
-    for (mut body, mut height) in world.query::<(&mut Body, &mut SpawnHeight)>().iter_mut(world) {
-        varied(&mut body);
-        height.0 = spawn_height(&model, &body.0);
+    for (mut body, mut stance) in world.query::<(&mut Body, &mut Stance)>().iter_mut(world) {
+        varied(&mut body, &mut stance);
     }
     let world = b.world_mut();
     for mut body in world.query::<&mut Body>().iter_mut(world) {
@@ -286,9 +313,11 @@ fn varied_robots_stand_on_their_feet() {
         let standing = models[robot].feet.iter().filter(|&&body| sensor.peak_force[body] > 1.0).count();
         assert!(standing >= 3, "{}, env {}: {standing} feet on the ground", ROBOTS[robot], id.0);
     }
-    for (id, height, feet) in world.query::<(&EnvId, &SpawnHeight, &Feet)>().iter(world) {
+    for (id, stance, feet) in world.query::<(&EnvId, &Stance, &Feet)>().iter(world) {
         let robot = id.0 as usize / EACH;
-        assert!(height.0 > margins[robot] && feet.position.iter().all(|foot| foot[2] > -0.005 && foot[2] < 0.1));
+        assert!(
+            stance.spawn_height > margins[robot] && feet.position.iter().all(|foot| foot[2] > -0.005 && foot[2] < 0.1)
+        );
     }
 }
 

@@ -53,6 +53,14 @@ pub fn positive_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64
     }
 }
 
+/// A [`positive_range`] that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`positive_range`].
+pub fn optional_positive_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
+    positive_range(deserializer).map(Some)
+}
+
 /// `[fewest, most]` steps, both included.
 ///
 /// # Errors

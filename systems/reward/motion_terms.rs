@@ -102,7 +102,7 @@ fn base_motion(_: &NoParams, r: &RobotView) -> f32 {
 
 #[inline(always)]
 fn joint_pos(p: &StandStill, r: &RobotView) -> f32 {
-    let pairs = r.joints.position.iter().zip(&r.morphology.default_position);
+    let pairs = r.joints.position.iter().zip(&r.stance.default_position);
     let distance = pairs.fold(0.0, |sum: f32, (q, q0)| (q - q0).mul_add(q - q0, sum)).sqrt();
     if is_moving(r, p.velocity_threshold) { distance } else { p.stand_still_scale * distance }
 }
