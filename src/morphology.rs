@@ -156,6 +156,7 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
         (&config.bodies.thigh, BodyGroup::Thigh, "bodies.thigh"),
         (&config.bodies.shank, BodyGroup::Shank, "bodies.shank"),
         (&config.bodies.foot, BodyGroup::Foot, "bodies.foot"),
+        (&config.bodies.other, BodyGroup::Other, "bodies.other"),
     ];
     for (names, group, element) in named {
         for name in names {

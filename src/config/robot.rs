@@ -133,6 +133,8 @@ pub struct BodiesConfig {
     pub shank: Vec<String>,
     /// What stands on the ground.
     pub foot: Vec<String>,
+    /// What belongs to none of these, though it is fixed to one: a head on the trunk, say.
+    pub other: Vec<String>,
 }
 
 impl BodiesConfig {
