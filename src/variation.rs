@@ -4,9 +4,9 @@
 //! Every number of a body may be its own ([`Parameters`]), and varied bodies step by the same instructions as equal ones. Only that
 //! their numbers come from memory, where those of equal bodies stay in the cache, costs some hundredths more
 //! (docs/performance.md). A link is stretched by a linear map of its points: joint origins, centres of mass, collision shapes and
-//! feet go along, spheres, capsules and cylinders keep their radius, and the second moments of its mass follow the same map. Left
-//! and right legs are stretched alike and stay mirror images. Which shapes can touch what is the kind's: parts that are stretched by more
-//! than 1.15 times the size may reach a little where nothing is looked for.
+//! feet go along, spheres, capsules and cylinders keep their radius unless all of the robot is of another size, and the second
+//! moments of its mass follow the same map. Left and right legs are stretched alike and stay mirror images. Which shapes can touch
+//! what is the kind's: parts that are stretched by more than 1.15 times the size may reach a little where nothing is looked for.
 //!
 //! A body of another size is dynamically similar (Alexander and Jayes, A dynamic similarity hypothesis for the gaits of quadrupedal
 //! mammals, 1983): under the same gravity and of the same density, what the one does in a time the other does in that time by the root
@@ -95,7 +95,9 @@ impl BodyScales {
             p.site_position[s] = mul_vec(&maps[link].0, &p.site_position[s]);
         }
         stretch_shapes(topology, &maps, self.size, &mut p);
-        self.pose(model, &p, &mut stance.default_position);
+        if (self.default_flexion, self.default_abduction) != (1.0, 0.0) {
+            self.pose(model, &p, &mut stance.default_position);
+        }
         stance.action_scale *= self.action_scale as f32;
         for j in 0..topology.num_joints() {
             p.stiffness[j] *= self.stiffness;
@@ -121,14 +123,12 @@ impl BodyScales {
             let new = if role == 0 {
                 // a positive turn about the forward axis spreads the left legs, LF and LH
                 let [forward, ..] = model.topology.joints[joint].axis.direction();
-                let outward = if leg < 2 { 1.0 } else { -1.0 } * forward.signum();
-                outward.mul_add(self.default_abduction, q)
+                let is_outward = (leg < 2) == (forward > 0.0);
+                if is_outward { q + self.default_abduction } else { q - self.default_abduction }
             } else {
                 q * self.default_flexion
             };
-            if new != q {
-                position[joint] = new.max(p.lower[joint]).min(p.upper[joint]) as f32;
-            }
+            position[joint] = new.max(p.lower[joint]).min(p.upper[joint]) as f32;
         }
     }
 
