@@ -40,6 +40,8 @@ pub struct RobotView<'a> {
     pub body: &'a Parameters<f32>,
     /// Default pose and action scale of this body.
     pub stance: &'a Stance,
+    /// Whether the episode ends as failed in this step. Rewards alone know: for other terms it is false.
+    pub terminated: bool,
     /// Length of a control step, s.
     pub step_dt: f32,
 }
@@ -126,6 +128,7 @@ impl<'a> Views<'a> {
             height_scan: self.scans.get(env).map_or(&[], |scan| &scan.hits),
             body: &self.bodies[env].0,
             stance: &self.stances[env],
+            terminated: false,
             step_dt: self.step_dt,
         }
     }

@@ -192,6 +192,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 height_scan: &[],
                 body: &model.nominal,
                 stance: &model.stance(),
+                terminated: false,
                 step_dt: 0.02,
             };
             for term in terms {

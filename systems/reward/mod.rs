@@ -7,7 +7,7 @@ use bevy_ecs::prelude::*;
 
 use super::Autoreset;
 use super::terms::{CompiledTask, Registry};
-use super::view::ViewParam;
+use super::view::{RobotView, ViewParam};
 use crate::batch::Batch;
 use crate::components::{Episode, EpisodeSums};
 use crate::rows::{Workers, read_rows, write_rows};
@@ -35,7 +35,7 @@ pub(super) fn compute_rewards(
                 rewards[i] = 0.0;
                 continue;
             }
-            let view = views.get(first + i);
+            let view = RobotView { terminated: episode.terminated, ..views.get(first + i) };
             let terms = &task.rewards[usize::from(views.tags[first + i].0)];
             let sums = &mut sums[i];
             sums.add_errors(&view);
