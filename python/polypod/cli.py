@@ -128,7 +128,7 @@ class Sim2sim:
     command: Velocity = None
     """Forward and left velocity (m/s) and yaw rate (rad/s) for all envs. Default: drawn as the task draws them."""
     dt: Annotated[float | None, _arg(metavar="S")] = None
-    """MuJoCo's physics step, s. Default: the task's."""
+    """MuJoCo's physics step, s. Default: the task's, on terrain 0.002."""
     integrator: Literal["implicitfast", "RK4"] = "implicitfast"
     """MuJoCo's."""
     friction: Annotated[float | None, _arg(metavar="MU")] = None

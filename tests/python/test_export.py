@@ -14,11 +14,13 @@ from tensordict import TensorDict
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY
+from common import FLAT_POLICY, ROUGH_POLICY
 from polypod.evaluation import load_policy
 from polypod.evaluation.policies import load_network
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
 from polypod.export.checkpoint import compare
+from polypod.export.robot import OUTPUTS
+from polypod.export.torch_graph import RobotPolicy
 from polypod.training import run_dir
 
 EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
@@ -187,12 +189,68 @@ def build(activation, normalized=False):
 
 def test_a_term_that_cannot_be_folded_is_named():
     robot = interfaces(run_dir.read_manifest(FLAT_POLICY), ["spot"])["spot"]
-    strange = type(robot)(**{**vars(robot), "layout": (("height_scan", 187),)})
-    with pytest.raises(polypod.ConfigError, match="height_scan"):
+    strange = type(robot)(**{**vars(robot), "layout": (("contact_forces", 12),)})
+    with pytest.raises(polypod.ConfigError, match="contact_forces"):
         strange.inputs()
-    scaled = type(robot)(**{**vars(robot), "treatment": {"base_ang_vel": (0.25, None)}})
-    with pytest.raises(polypod.ConfigError, match="base_ang_vel"):
-        scaled.inputs()
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        [
+            "observations.policy.height_scan.offset=0.3",
+            "observations.policy.height_scan.clip=[-0.4, 0.2]",
+            "observations.policy.height_scan.scale=2.0",
+            "observations.policy.base_ang_vel.scale=0.25",
+            "observations.policy.joint_vel_rel.clip=[-0.5, 0.5]",
+        ],
+    ],
+)
+def test_a_graph_folded_on_rough_ground_takes_heights(overrides):
+    """What the task does to its terms is in the graph: the simulator's own observation is the reference."""
+    state, manifest = run_dir.load_checkpoint(ROUGH_POLICY), run_dir.read_manifest(ROUGH_POLICY)
+    manifest = {**manifest, "overrides": [*manifest["overrides"], *overrides]}
+    robot = interfaces(manifest, ["unitree_b2"])["unitree_b2"]
+    network = load_network(state, manifest["policy"])
+    sim = polypod.VecSim(
+        "velocity_rough_universal_play", 16, robots=["unitree_b2"], seed=3, threads=1, overrides=manifest["overrides"]
+    )
+    for _ in range(8):
+        sim.step(np.random.default_rng(0).normal(size=(16, 12)).astype(np.float32))
+    qpos, qvel, ground = sim.qpos("unitree_b2"), sim.qvel("unitree_b2"), sim.terrain()
+    turns = np.stack([quaternion_to_matrix(q) for q in qpos[:, 3:7]])
+    heading = np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+    forward, left = robot.scan_points.T
+    x = qpos[:, :1] + sim.env_origins()[:, :1] + np.outer(np.cos(heading), forward) - np.outer(np.sin(heading), left)
+    y = qpos[:, 1:2] + sim.env_origins()[:, 1:2] + np.outer(np.sin(heading), forward) + np.outer(np.cos(heading), left)
+    grid = [
+        np.rint((at - start) / ground["cell"]).astype(int) for at, start in zip((x, y), ground["origin"], strict=True)
+    ]
+    inputs = {
+        "base_lin_vel": np.einsum("eji,ej->ei", turns, qvel[:, :3]),
+        "base_ang_vel": qvel[:, 3:6],
+        "projected_gravity": -turns[:, 2, :],
+        "velocity_commands": sim.command,
+        "joint_pos": qpos[:, 7:],
+        "joint_vel": qvel[:, 6:],
+        "height_scan": qpos[:, 2:3] - ground["heights"][grid[0], grid[1]],
+        "last_action": sim.state("last_action"),
+    }
+    assert list(robot.inputs()) == list(inputs)
+    tensors = [torch.from_numpy(np.asarray(value, dtype=np.float32)) for value in inputs.values()]
+    observed = RobotPolicy(network, robot).observe(*tensors).numpy()
+    # the nearest point's height is not the one below a ray: on a wall it is a step off
+    scale = 2.0 if overrides else 1.0
+    np.testing.assert_allclose(observed[:, :83], sim.observation[:, :83], atol=1e-4)
+    off = np.abs(observed[:, 83:] - sim.observation[:, 83:]) / scale
+    assert np.median(off) < 1e-3
+    assert (off < 0.03).mean() > 0.97
+    model = onnx_graph.robot_model(network, robot, {})
+    sizes = {name: value.shape[1] for name, value in inputs.items()}
+    assert (
+        compare(OnnxPolicy(model.SerializeToString()), RobotPolicy(network, robot).eval(), sizes, list(OUTPUTS)) < 1e-5
+    )
 
 
 def test_the_command_line(tmp_path, capsys):

@@ -8,7 +8,7 @@ import torch
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY
+from common import FLAT_POLICY, ROUGH_POLICY
 from polypod import sim2sim
 from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network
@@ -20,12 +20,12 @@ from polypod.training import run_dir
 TASK = "Velocity-Flat-Universal-Play-v0"
 
 
-def make_twin(robot, num_envs=4, delay=0):
-    manifest, state = run_dir.read_manifest(FLAT_POLICY), run_dir.load_checkpoint(FLAT_POLICY)
+def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK):
+    manifest, state = run_dir.read_manifest(checkpoint), run_dir.load_checkpoint(checkpoint)
     network = load_network(state, manifest["policy"])
     interface = interfaces(manifest, [robot])[robot]
     policy = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
-    sim = polypod.VecSim(TASK, num_envs, robots=[robot], seed=5, threads=1, autoreset="disabled")
+    sim = polypod.VecSim(task, num_envs, robots=[robot], seed=5, threads=1, autoreset="disabled")
     described = accuracy_robot.of(sim, robot, robot)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
     made = twin.Twin(
@@ -37,6 +37,8 @@ def make_twin(robot, num_envs=4, delay=0):
         physics_dt=0.005,
         physics=twin.Physics(),
         delays=np.full((num_envs, 12), float(delay)),
+        heights=sim2sim.heights(sim),
+        places=sim.env_origins() * [1.0, 1.0, 0.0],
     )
     return sim, made, RobotPolicy(network, interface)
 
@@ -146,6 +148,41 @@ def test_it_walks_in_both_simulators(tmp_path, capsys):
         assert abs(robot["mujoco"]["error_vel_xy"] - robot["polypod"]["error_vel_xy"]) < sim2sim.MAX_VELOCITY_DIFFERENCE
         assert robot["mujoco"]["episode_length_s"] == pytest.approx(3.0)
     assert "unitree_go2" in output
+
+
+def test_the_ground_is_the_tasks_own(capsys):
+    """What MuJoCo's rays hit is what polypod's robots stand on, and what the twin's scanner says."""
+    sim, mujoco, policy = make_twin("unitree_go1", 16, checkpoint=ROUGH_POLICY, task="velocity_rough_universal_play")
+    for _ in range(3):
+        sim.step(np.zeros((16, 12), dtype=np.float32))
+    mujoco.reset(sim.qpos("unitree_go1"), sim.qvel("unitree_go1"))
+    sensors = mujoco.sensors() | {"velocity_commands": sim.command}
+    inputs = [torch.from_numpy(np.asarray(sensors[name], dtype=np.float32)) for name in policy.inputs]
+    wanted = sim.observation.copy()
+    # two ways to lie between the same four heights
+    np.testing.assert_allclose(policy.observe(*inputs).numpy(), wanted, atol=6e-3)
+    assert np.ptp(wanted[:, 83:], axis=1).max() > 0.1
+    engine, model, hit = mujoco._mj, mujoco.reference.model, np.zeros(1, dtype=np.int32)
+    ground = np.flatnonzero(model.geom_type == engine.mjtGeom.mjGEOM_HFIELD)
+    random = np.random.default_rng(0)
+    for at in random.uniform(-20.0, 20.0, size=(300, 2)):
+        above, down = np.array([*at, 30.0]), np.array([0.0, 0.0, -1.0])
+        distance = engine.mj_ray(model, mujoco._data[0], above, down, None, 1, -1, hit, None)
+        if hit[0] == ground[0]:
+            # a wall is a slope within a cell, which is cut along either diagonal
+            cell = mujoco.heights.cell
+            near = [mujoco.heights.at(at + cell * np.array(step)) for step in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
+            slack = 0.5 * (max(near) - min(near)) + 1e-4
+            assert 30.0 - distance == pytest.approx(float(mujoco.heights.at(at)), abs=slack)
+
+
+def test_it_climbs_in_both_simulators():
+    options = sim2sim.Options(envs_per_robot=6, steps=250, overrides=("scene.terrain.max_init_terrain_level=2",))
+    found = sim2sim.compare(ROUGH_POLICY, ["unitree_go1"], options)
+    assert found.physics.dt == 0.002
+    robot = found.robots["unitree_go1"]
+    assert robot.mujoco.fall_rate == 0.0
+    assert abs(robot.mujoco.error_vel_xy - robot.polypod.error_vel_xy) < sim2sim.MAX_VELOCITY_DIFFERENCE
 
 
 def test_a_robot_that_slips_does_not_transfer(capsys):

@@ -21,9 +21,11 @@ What is set, and why:
 """
 
 import dataclasses
+import math
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod.accuracy.robot import Actuators, Array, Robot
 from polypod.extras import package
@@ -35,15 +37,47 @@ GRAVITY = 9.81
 
 
 @dataclasses.dataclass(frozen=True)
+class Heights:
+    """Heights of the ground on the points of a grid."""
+
+    heights: npt.NDArray[np.float32]
+    """[points along x, points along y], m."""
+    origin: tuple[float, float]
+    """x and y of the first point, m."""
+    cell: float
+    """Distance of two points, m."""
+
+    def widened(self, by: float) -> "Heights":
+        """The same with its edges drawn out by this much, m: MuJoCo's height fields end where they end."""
+        points = math.ceil(by / self.cell)
+        x, y = (start - points * self.cell for start in self.origin)
+        return Heights(np.pad(self.heights, points, mode="edge"), (x, y), self.cell)
+
+    def at(self, places: Array) -> Array:
+        """Heights below places [..., 2], m, linear in between the points; beyond the grid its edge goes on."""
+        scaled = (places - self.origin) / self.cell
+        last = np.array(self.heights.shape) - 1
+        scaled = np.clip(scaled, 0.0, last)
+        first = np.minimum(scaled.astype(np.intp), last - 1)
+        (i, j), (u, v) = np.moveaxis(first, -1, 0), np.moveaxis(scaled - first, -1, 0)
+        near = (1.0 - v) * self.heights[i, j] + v * self.heights[i, j + 1]
+        far = (1.0 - v) * self.heights[i + 1, j] + v * self.heights[i + 1, j + 1]
+        level: Array = (1.0 - u) * near + u * far
+        return level
+
+
+@dataclasses.dataclass(frozen=True)
 class Ground:
-    """A plane through the world's origin."""
+    """A plane through the world's origin, or heights."""
 
     friction: float
     """Coulomb's coefficient of every contact."""
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Of unit length."""
+    """Of the plane; of unit length."""
     soft: bool = False
     """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that the step allows."""
+    heights: Heights | None = None
+    """In place of the plane."""
 
 
 def mujoco() -> Any:
@@ -96,6 +130,10 @@ class Reference:
         spec.option.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
         spec.option.gravity = gravity
         self.model = spec.compile()
+        if ground is not None and ground.heights is not None:
+            lowest, rise = _levels(ground.heights)
+            # rows of a height field run along x, one after the other along y
+            self.model.hfield_data[:] = ((ground.heights.heights.T - lowest) / rise).ravel()
         self.data = mj.MjData(self.model)
         self.root = root.name
         self.actuators = actuators
@@ -194,9 +232,12 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
         geom.contype, geom.conaffinity = (0 if ground is None else 1), 0
     if ground is None:
         return
-    plane = spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
-    plane.contype, plane.conaffinity = 0, 1
-    plane.quat = _turn_z_to(np.array(ground.normal))
+    if ground.heights is None:
+        surface = spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
+        surface.quat = _turn_z_to(np.array(ground.normal))
+    else:
+        surface = _height_field(mj, spec, ground.heights)
+    surface.contype, surface.conaffinity = 0, 1
     for geom in spec.geoms:
         geom.condim = 3
         geom.friction = [ground.friction, 0.0, 0.0]
@@ -206,6 +247,23 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
         geom.solimp = [0.99, 0.999, 0.001, 0.5, 2.0]
     spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 100.0  # feet do not creep
+
+
+def _height_field(mj: Any, spec: Any, heights: Heights) -> Any:
+    """A geom whose heights are filled in once the model is compiled."""
+    half = 0.5 * heights.cell * (np.array(heights.heights.shape) - 1)
+    lowest, rise = _levels(heights)
+    columns, rows = heights.heights.shape
+    spec.add_hfield(name="ground", nrow=rows, ncol=columns, size=[*half, rise, 1.0], userdata=np.zeros(rows * columns))
+    return spec.worldbody.add_geom(
+        type=mj.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[*(half + heights.origin), lowest]
+    )
+
+
+def _levels(heights: Heights) -> tuple[float, float]:
+    """The lowest height, and how far the highest is above it, m; more than nothing, as MuJoCo wants it."""
+    lowest, highest = float(heights.heights.min()), float(heights.heights.max())
+    return lowest, max(highest - lowest, 1e-3)
 
 
 def _turn_z_to(normal: Array) -> Array:

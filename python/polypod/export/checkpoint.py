@@ -15,7 +15,7 @@ from rsl_rl.modules import EmpiricalNormalization
 from polypod import _core
 from polypod.evaluation import load_network
 from polypod.export import onnx_graph
-from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, changes, interfaces
+from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, Treatment, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, write_torchscript
 from polypod.training import run_dir
@@ -88,7 +88,8 @@ class _Writer:
         formats: Sequence[Format],
     ) -> None:
         self.manifest, self.network, self.out, self.formats = manifest, network, out, formats
-        self.treatment: dict[str, tuple[float, list[float] | None]] = {}
+        self.treatment: dict[str, Treatment] = {}
+        self.scan_points: list[list[float]] = []
         self.files: list[Path] = []
         self.difference = 0.0
         self.origin = {
@@ -101,7 +102,9 @@ class _Writer:
 
     def write_policy(self, robots: dict[str, RobotInterface]) -> None:
         """The network alone, with a manifest about all robots."""
-        self.treatment = {term: value for robot in robots.values() for term, value in robot.treatment.items()}
+        any_robot = next(iter(robots.values()))
+        self.treatment = dict(any_robot.treatment)
+        self.scan_points = any_robot.scan_points.tolist()
         module = self.network.as_jit()
         sizes = {"obs": self.num_obs}
         if "onnx" in self.formats:
@@ -165,9 +168,9 @@ class _Writer:
     def _write_manifest(self, name: str, content: dict[str, Any]) -> None:
         start, layout = 0, []
         for entry in self.manifest["observation_layout"]:
-            scale, clip = self.treatment.get(entry["term"], (1.0, None))
+            treatment = self.treatment.get(entry["term"], Treatment())
             place = {"term": entry["term"], "size": entry["size"], "start": start}
-            layout.append({**place, "scale": scale, "clip": clip})
+            layout.append({**place, **dataclasses.asdict(treatment)})
             start += entry["size"]
         normalizer = self.network.obs_normalizer
         normalized = isinstance(normalizer, EmpiricalNormalization)
@@ -180,6 +183,7 @@ class _Writer:
             "step_dt": self.manifest["step_dt"],
             "canonical_joint_names": self.manifest["canonical_joint_names"],
             "observation_layout": layout,
+            "height_scan_points": self.scan_points,
             "observation_normalization": {
                 "in_graph": True,
                 "mean": normalizer.mean.tolist(),

@@ -14,7 +14,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
+from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, Treatment
 from polypod.extras import package
 from polypod.networks import JointNetwork
 
@@ -105,13 +105,30 @@ def robot_model(network: MLPModel, robot: RobotInterface, metadata: Mapping[str,
             graph.node("Expand", graph.constant("morphology", robot.morphology), wanted, output=column)
         else:
             column = term
-        columns.append(column)
+        columns.append(_add_treatment(graph, robot.treatment.get(term, Treatment()), column, term))
     observation = graph.node("Concat", *columns, output="obs", axis=1)
     _add_network(graph, network, observation, "actions")
     spread = graph.constant("action_spread", robot.spread())
     graph.node("Gemm", "actions", spread, default, output="joint_pos_target")
     outputs = {"joint_pos_target": len(robot.joint_names), "actions": len(robot.joint_of_slot)}
     return graph.model(inputs, outputs, metadata)
+
+
+def _add_treatment(graph: Graph, treatment: Treatment, source: str, term: str) -> str:
+    """What the task does to a term after it is measured; returns the name of the result."""
+
+    def constant(name: str, value: float) -> str:
+        return graph.constant(f"{term}_{name}", np.array(value, dtype=np.float32))
+
+    value = source
+    if treatment.offset != 0.0:
+        value = graph.node("Sub", value, constant("offset", treatment.offset), output=f"{term}_less_offset")
+    if treatment.clip is not None:
+        low, high = (constant(name, limit) for name, limit in zip(("low", "high"), treatment.clip, strict=True))
+        value = graph.node("Clip", value, low, high, output=f"{term}_clipped")
+    if treatment.scale != 1.0:
+        value = graph.node("Mul", value, constant("scale", treatment.scale), output=f"{term}_scaled")
+    return value
 
 
 def _add_network(graph: Graph, network: MLPModel, source: str, target: str) -> None:

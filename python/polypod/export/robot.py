@@ -20,6 +20,7 @@ INPUTS = {
     "velocity_commands": "forward and left velocity, m/s, and yaw rate, rad/s, that the robot is to follow",
     "joint_pos": "joint positions in the robot's own order, rad",
     "joint_vel": "joint velocities in the robot's own order, rad/s",
+    "height_scan": "height of the base link's origin above the ground below each point of `height_scan_points`, m",
     "last_action": "the output `actions` of the control step before; zeros at first",
 }
 """Inputs of a folded graph and what they are, each `[batch, size]`."""
@@ -39,7 +40,27 @@ _NEEDS = {
     "joint_vel_rel": ("joint_vel",),
     "last_action": ("last_action",),
     "morphology": (),
+    "height_scan": ("height_scan",),
 }
+
+
+@dataclasses.dataclass(frozen=True)
+class Treatment:
+    """What the task does to a term after it is measured, in this order."""
+
+    offset: float = 0.0
+    """Taken off."""
+    clip: tuple[float, float] | None = None
+    """Limits."""
+    scale: float = 1.0
+    """Factor of the limited numbers."""
+
+    @classmethod
+    def of(cls, term: Mapping[str, Any]) -> "Treatment":
+        """That of an entry of the task's `[[observations.policy]]`."""
+        clip = term.get("clip")
+        offset = term.get("offset", 0.5) if term["term"] == "height_scan" else 0.0
+        return cls(offset, None if clip is None else (clip[0], clip[1]), term.get("scale", 1.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +81,10 @@ class RobotInterface:
     """Centre of mass of the base in its frame, m: the task observes its velocity."""
     morphology: Array
     """What the term `morphology` says of the robot; empty where it is not observed."""
-    treatment: Mapping[str, tuple[float, list[float] | None]]
-    """(scale, clip) that the task gives each term after it is measured."""
+    treatment: Mapping[str, Treatment]
+    """What the task does to each term after it is measured."""
+    scan_points: Array
+    """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left, along its heading."""
     info: Mapping[str, Any]
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
 
@@ -73,14 +96,10 @@ class RobotInterface:
                     f"the observation term {term!r} cannot be folded into a graph for {self.name}; export without it "
                     "and compute the observation yourself, in the order of the manifest"
                 )
-            if self.treatment.get(term, (1.0, None)) != (1.0, None):
-                raise _core.ConfigError(
-                    f"the task scales or clips the observation term {term!r}, which is not folded; export without "
-                    "folding and compute the observation yourself, as the manifest says"
-                )
         needed = {name for term, _ in self.layout for name in _NEEDS[term]}
         sizes = {"joint_pos": len(self.joint_names), "joint_vel": len(self.joint_names)}
         sizes["last_action"] = len(self.joint_of_slot)
+        sizes["height_scan"] = len(self.scan_points)
         return {name: sizes.get(name, 3) for name in INPUTS if name in needed}
 
     def lever(self) -> Array:
@@ -105,7 +124,9 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
     Raises:
         ConfigError: for an unknown task or robot, and for a task that has changed since the training.
     """
-    sim, treatment = _undisturbed(manifest, robots)
+    sim, task = _undisturbed(manifest, robots)
+    treatment = {entry["term"]: Treatment.of(entry) for entry in task["observations"]["policy"]}
+    scan_points = _scan_points(task.get("sensors", {}).get("height_scanner"))
     layout = tuple(sim.observation_layout)
     trained = tuple((entry["term"], entry["size"]) for entry in manifest["observation_layout"])
     if layout != trained:
@@ -131,6 +152,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
             morphology=observation[sim.env_ids(robot)[0], columns].copy(),
             treatment=treatment,
+            scan_points=scan_points,
             info=infos[robot],
         )
         for robot in sim.robots
@@ -148,18 +170,24 @@ def changes(manifest: Mapping[str, Any], robots: Mapping[str, RobotInterface]) -
     return lines
 
 
-def _undisturbed(
-    manifest: Mapping[str, Any], robots: Sequence[str] | None
-) -> tuple[_core.VecSim, dict[str, tuple[float, list[float] | None]]]:
-    """One env per robot of the policy's task without noise and events, and scale and clip of each term."""
+def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> tuple[_core.VecSim, dict[str, Any]]:
+    """One env per robot of the policy's task without noise and events, and the task."""
     names = list(manifest["robot_sources"] if robots is None else robots)
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides)
     task = tomllib.loads(sim.resolved_config())["task"]
     off = [f"events.{name}.enabled=false" for name in task.get("events", {})]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off])
-    terms = task["observations"]["policy"]
-    return sim, {entry["term"]: (entry.get("scale", 1.0), entry.get("clip")) for entry in terms}
+    return sim, task
+
+
+def _scan_points(scanner: Mapping[str, Any] | None) -> Array:
+    """From back to front and, row by row, from right to left, as the simulator counts them."""
+    if scanner is None:
+        return np.zeros((0, 2), dtype=np.float32)
+    size, resolution = scanner["size"], scanner["resolution"]
+    x, y = (np.arange(int(length / resolution + 1e-9) + 1) * resolution - 0.5 * length for length in size)
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2).astype(np.float32)
 
 
 def _terms(layout: Sequence[tuple[str, int]]) -> str:

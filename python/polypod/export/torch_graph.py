@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from rsl_rl.models import MLPModel
 
-from polypod.export.robot import RobotInterface
+from polypod.export.robot import RobotInterface, Treatment
 from polypod.training import run_dir
 
 
@@ -24,7 +24,7 @@ class RobotPolicy(torch.nn.Module):
         super().__init__()
         self.network = network.as_jit()
         self.inputs = list(robot.inputs())
-        self.terms = [term for term, _ in robot.layout]
+        self.terms = [(term, robot.treatment.get(term, Treatment())) for term, _ in robot.layout]
         self.register_buffer("lever", torch.from_numpy(robot.lever()))
         self.register_buffer("spread", torch.from_numpy(robot.spread()))
         self.register_buffer("default_pose", torch.from_numpy(robot.default_pose))
@@ -40,17 +40,24 @@ class RobotPolicy(torch.nn.Module):
         """The observation, [batch, num_obs]."""
         of = dict(zip(self.inputs, inputs, strict=True))
         columns = []
-        for term in self.terms:
+        for term, treatment in self.terms:
             if term == "base_lin_vel":
-                columns.append(of["base_lin_vel"] + of["base_ang_vel"] @ self.lever)
+                column = of["base_lin_vel"] + of["base_ang_vel"] @ self.lever
             elif term == "joint_pos_rel":
-                columns.append((of["joint_pos"] - self.default_pose).index_select(-1, self.joint_of_slot))
+                column = (of["joint_pos"] - self.default_pose).index_select(-1, self.joint_of_slot)
             elif term == "joint_vel_rel":
-                columns.append(of["joint_vel"].index_select(-1, self.joint_of_slot))
+                column = of["joint_vel"].index_select(-1, self.joint_of_slot)
             elif term == "morphology":
-                columns.append(self.morphology.expand(inputs[0].shape[0], -1))
+                column = self.morphology.expand(inputs[0].shape[0], -1)
             else:
-                columns.append(of[term])
+                column = of[term]
+            if treatment.offset != 0.0:
+                column = column - treatment.offset
+            if treatment.clip is not None:
+                column = column.clamp(*treatment.clip)
+            if treatment.scale != 1.0:
+                column = column * treatment.scale
+            columns.append(column)
         return torch.cat(columns, dim=-1)
 
 

@@ -13,6 +13,7 @@ from polypod.sim2sim.run import (
     Options,
     RobotComparison,
     compare,
+    heights,
 )
 from polypod.sim2sim.twin import Physics, Twin
 
@@ -27,4 +28,5 @@ __all__ = [
     "RobotComparison",
     "Twin",
     "compare",
+    "heights",
 ]

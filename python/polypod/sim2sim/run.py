@@ -27,6 +27,11 @@ MAX_FALL_RATE = 0.05
 MAX_VELOCITY_DIFFERENCE = 0.1
 """Of the velocity errors in the two simulators, m/s."""
 
+DT_ON_TERRAIN = 0.002
+"""MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown off steep faces."""
+MARGIN = 10.0
+"""Level ground beyond that of the task, m: an episode leads some robots off their terrain."""
+
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
 
@@ -42,7 +47,7 @@ class Options:
     command: tuple[float, float, float] | None = None
     """Forward and left velocity, m/s, and yaw rate, rad/s, for all envs. None: drawn as the task draws them."""
     dt: float | None = None
-    """MuJoCo's physics step, s. None: the task's."""
+    """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`."""
     integrator: reference.Integrator = "implicitfast"
     friction: float | None = None
     """Of the ground in MuJoCo. None: the task's static one."""
@@ -196,18 +201,18 @@ class _Episode:
         self.steps = min(options.steps or self.sim.max_episode_length, self.sim.max_episode_length)
         self.seed = options.seed
         task = tomllib.loads(self.sim.resolved_config())["task"]
-        if (
-            task["scene"].get("obstacles")
-            or task["scene"].get("terrain")
-            or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6
-        ):
+        if task["scene"].get("obstacles") or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6:
             raise _core.ConfigError(
-                f"{self.sim.task_name}: MuJoCo is given level ground and gravity of {reference.GRAVITY} m/s^2; "
-                "compare in a task without obstacles and terrain"
+                f"{self.sim.task_name}: MuJoCo is given the task's ground and gravity of {reference.GRAVITY} m/s^2; "
+                "compare in a task without obstacles"
             )
+        self.heights = heights(self.sim)
+        # a pose's height is the world's already
+        self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
         self.task_dt: float = task["sim"]["dt"]
         friction = _combined_friction(task) if options.friction is None else options.friction
-        self.physics = Physics(options.dt or self.task_dt, options.integrator, friction, options.soft_contact)
+        dt = options.dt or (self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN))
+        self.physics = Physics(dt, options.integrator, friction, options.soft_contact)
         if options.command is not None:
             self.commands = Commands.constant(options.command, self.sim.num_envs)
         else:
@@ -232,6 +237,15 @@ class _Episode:
             fewest, most = robot.actuators.delay[joints[0]]
             delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
         return delays
+
+
+def heights(sim: _core.VecSim) -> reference.Heights | None:
+    """The ground of a sim and `MARGIN` beyond it; None for a plane."""
+    terrain = sim.terrain()
+    if terrain is None:
+        return None
+    x, y = terrain["origin"]
+    return reference.Heights(terrain["heights"], (x, y), terrain["cell"]).widened(MARGIN)
 
 
 class _Sums:
@@ -308,6 +322,8 @@ def _run_mujoco(
         physics_dt=episode.task_dt,
         physics=episode.physics,
         delays=episode.delays(robot),
+        heights=episode.heights,
+        places=episode.places[slice(*episode.sim.env_ids(name))],
     )
     twin.reset(*episode.start[name])
     commands = episode.commands_of(name)

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod.accuracy.reference import Ground, Integrator, Reference, mujoco
+from polypod.accuracy.reference import Ground, Heights, Integrator, Reference, mujoco
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
 from polypod.export.runtime import OnnxPolicy
-from polypod.sim2sim.commands import Array
+from polypod.sim2sim.commands import Array, heading_of
 
 FALL_FORCE = 1.0
 """Normal force on a shape of the base from which a robot has fallen, N: the task's own threshold."""
@@ -66,6 +66,8 @@ class Twin:
         physics_dt: float,
         physics: Physics,
         delays: Array,
+        heights: Heights | None = None,
+        places: Array | None = None,
     ) -> None:
         """Compiles the model.
 
@@ -78,14 +80,18 @@ class Twin:
             physics_dt: the physics step that delays are counted in, s.
             physics: how MuJoCo steps.
             delays: [envs, joints], of the targets, in physics steps.
+            heights: of the ground; None: a plane.
+            places: [envs, 3], of the envs' origins on it, m; None: the world's origin.
         """
-        ground = Ground(physics.friction, soft=physics.soft_contact)
+        ground = Ground(physics.friction, soft=physics.soft_contact, heights=heights)
         self.reference = Reference.of(robot, dt=physics.dt, integrator=physics.integrator, ground=ground)
         self.robot, self.interface, self.policy = robot, interface, policy
         self.step_dt, self.physics_dt = step_dt, physics_dt
         self.substeps = round(step_dt / physics.dt)
         self.delays = delays * physics_dt
         self.num_envs = len(delays)
+        self.heights = heights
+        self.places = np.zeros((self.num_envs, 3)) if places is None else places
         self._mj = mujoco()
         model = self.reference.model
         model.actuator_forcelimited[:] = 1
@@ -98,18 +104,20 @@ class Twin:
         self._fresh = True
         self.actions = np.zeros((self.num_envs, len(interface.joint_of_slot)), dtype=np.float32)
         self.qpos = np.zeros((self.num_envs, 7 + robot.num_joints))
-        """In polypod's order of joints."""
+        """In polypod's order of joints; positions about the envs' origins."""
         self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))
 
     def reset(self, qpos: Array, qvel: Array) -> None:
         """Begins in these states, [envs, nq] and [envs, nv]."""
-        for data, q, v in zip(self._data, qpos, qvel, strict=True):
+        for data, place, q, v in zip(self._data, self.places, qpos, qvel, strict=True):
             self._mj.mj_resetData(self.reference.model, data)
             data.qpos[self.reference.q], data.qvel[self.reference.v] = q, v
+            data.qpos[:3] += place
             self._mj.mj_forward(self.reference.model, data)
         self.actions[:] = 0.0
         self._fresh = True
-        self._read()
+        for env in range(self.num_envs):
+            self._read(env)
 
     def step(self, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
         """One control step towards `commands` [envs, 3]; envs that are not `active` are left alone."""
@@ -139,7 +147,18 @@ class Twin:
             "joint_pos": self.qpos[:, 7:],
             "joint_vel": self.qvel[:, 6:],
             "last_action": self.actions.astype(np.float64),
+            "height_scan": self.height_scan(),
         }
+
+    def height_scan(self) -> Array:
+        """[envs, rays], height of the base's origin above the ground at the points where the scanner looks, m."""
+        heading = heading_of(self.qpos)
+        (cos, sin), points = (np.cos(heading)[:, None], np.sin(heading)[:, None]), self.interface.scan_points
+        x, y = cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]
+        at = self.qpos[:, :3] + self.places
+        below = np.stack([at[:, :1] + x, at[:, 1:2] + y], axis=-1)
+        ground = np.zeros_like(x) if self.heights is None else self.heights.at(below)
+        return at[:, 2:] - ground
 
     def base_velocity(self) -> tuple[Array, Array]:
         """Velocity of the base's origin, m/s, and its angular velocity, rad/s, both [envs, 3] in base axes."""
@@ -158,7 +177,7 @@ class Twin:
             model.actuator_forcerange[:] = ranges[env]
             data.ctrl[:] = targets[env]
             self._mj.mj_step(model, data)
-            self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
+            self._read(env)
             fell[env] |= self._touches_with_base(data)
         # nor is a state that is none any more a stand
         fell |= ~np.isfinite(self.qpos).all(axis=1)
@@ -172,9 +191,10 @@ class Twin:
                 return True
         return False
 
-    def _read(self) -> None:
-        for env, data in enumerate(self._data):
-            self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
+    def _read(self, env: int) -> None:
+        data = self._data[env]
+        self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
+        self.qpos[env, :3] -= self.places[env]
 
 
 def _rotation(qpos: Array) -> Array:

@@ -134,9 +134,9 @@ def manifest_of(
     return {
         "format": 1,
         "command": command,
-        "task": sim.task_name,
+        "task": sim.task_name if _is_known(sim.task_name) else config.run.task,
         "experiment": sim.experiment_name,
-        "robot_sources": [_source(robot) for robot in robots or sim.robots],
+        "robot_sources": [source(robot) for robot in robots or sim.robots],
         "overrides": overrides,
         "seed": sim.seed,
         "num_envs": sim.num_envs,
@@ -212,6 +212,10 @@ def _git_state() -> dict[str, Any] | None:
     return None if commit is None or changes is None else {"commit": commit, "dirty": bool(changes)}
 
 
-def _source(robot: str) -> str:
-    """How to find a robot again from any directory: its name, or the absolute path of its config."""
-    return str(Path(robot).resolve()) if robot.endswith(".toml") else robot
+def source(name: str) -> str:
+    """How to find a robot or task again from any directory: its name, or the absolute path of its config."""
+    return str(Path(name).resolve()) if name.endswith(".toml") else name
+
+
+def _is_known(task: str) -> bool:
+    return any(task == entry["name"] for entry in _core.tasks())

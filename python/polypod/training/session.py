@@ -119,7 +119,9 @@ def train(options: Options) -> int:
 def _new_plan(options: Options, device: str) -> _Plan:
     train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
     train_config = train_config.with_run(
-        task=options.task, num_envs=options.num_envs, max_iterations=options.max_iterations
+        task=run_dir.source(options.task or train_config.run.task),
+        num_envs=options.num_envs,
+        max_iterations=options.max_iterations,
     ).with_mixed_precision_resolved(device)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
