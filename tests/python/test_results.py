@@ -176,6 +176,9 @@ def test_smoothing_and_reaching_by_hand():
     curve = runs.Curve(np.arange(1.0, 6.0), np.array([5.0, 3.0, 1.0, 1.0, 7.0]))
     np.testing.assert_allclose(runs.smoothed(curve, 2).values, [5.0, 4.0, 2.0, 1.0, 4.0])
     assert runs.reached(runs.smoothed(curve, 2), 2.0) == 3.0
+    thinned = runs.Curve(np.array([1.0, 2.0, 9.0, 11.0]), np.array([4.0, 2.0, 8.0, 6.0]))
+    np.testing.assert_allclose(runs.smoothed(thinned, 2).values, [4.0, 3.0, 8.0, 6.0])
+    np.testing.assert_allclose(runs.smoothed(thinned, 3).values, [4.0, 3.0, 8.0, 7.0])
     assert math.isnan(runs.reached(curve, 0.5))
     assert runs.final(curve) == 7.0
 

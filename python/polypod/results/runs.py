@@ -171,10 +171,10 @@ def _curves(directory: Path) -> tuple[dict[str, Curve], float]:
 
 
 def smoothed(curve: Curve, window: int) -> Curve:
-    """The mean over each `window` records and those before it that there are."""
+    """The mean over each `window` iterations, of the records that there are of them."""
     sums = np.concatenate([[0.0], np.cumsum(curve.values)])
     ends = np.arange(1, len(curve.values) + 1)
-    starts = np.maximum(ends - window, 0)
+    starts = np.searchsorted(curve.iterations, curve.iterations - window, side="right")
     return Curve(curve.iterations, (sums[ends] - sums[starts]) / (ends - starts))
 
 
