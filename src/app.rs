@@ -493,7 +493,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
             velocity: smallvec![[0.0; 3]; model.feet.len()],
             height: smallvec![0.0; model.feet.len()],
         },
-        (ExternalWrench::default(), model.stance(), StartupBody::default()),
+        (ExternalWrench::default(), model.stance.clone(), StartupBody::default()),
         Body(Box::new(model.nominal.clone())),
     )
 }

@@ -7,7 +7,7 @@ use glam::DMat3;
 
 use crate::components::Stance;
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
-use crate::dynamics::{EffortTable, JointTopology, Numbers, Parameters, Topology};
+use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
 use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
 
 /// A robot could not be made from its URDF and config.
@@ -40,8 +40,8 @@ pub struct MorphologyModel {
     pub nominal: Parameters<f32>,
     /// Canonical slot -> physical joint.
     pub joint_of_slot: [usize; 12],
-    /// Default joint positions, rad, physical order.
-    pub default_position: Numbers<f32>,
+    /// How a robot stands whose body is that of the URDF.
+    pub stance: Stance,
     /// Group of each contact body.
     pub body_groups: Vec<BodyGroup>,
     /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
@@ -50,10 +50,6 @@ pub struct MorphologyModel {
     pub delays: Vec<([u32; 2], Vec<usize>)>,
     /// The most physics steps by which events of the task delay targets on top of that.
     pub max_action_delay: u32,
-    /// Height of the base above the ground in the default pose, the reset's margin included, m.
-    pub spawn_height: f32,
-    /// Radians per unit of action.
-    pub action_scale: f32,
 }
 
 /// All kinds of robots of a simulation, in the order of their env blocks.
@@ -100,13 +96,15 @@ impl MorphologyModel {
         let delays = delays.into_values().collect();
         Ok(Self {
             joint_of_slot: roles.joint_of_slot,
-            default_position: default_position.iter().map(|&q| q as f32).collect(),
+            stance: Stance {
+                default_position: default_position.iter().map(|&q| q as f32).collect(),
+                action_scale: config.action_scale as f32,
+                spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
+            },
             body_groups,
             feet: roles.foot_body,
             delays,
             max_action_delay: 0,
-            spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
-            action_scale: config.action_scale as f32,
             topology,
             align,
             shape_pairs,
@@ -120,15 +118,6 @@ impl MorphologyModel {
     /// The robot's name in configs.
     pub fn name(&self) -> &str {
         &self.config.name
-    }
-
-    /// How a robot of this kind stands whose body is that of the URDF.
-    pub fn stance(&self) -> Stance {
-        Stance {
-            default_position: self.default_position.clone(),
-            action_scale: self.action_scale,
-            spawn_height: self.spawn_height,
-        }
     }
 
     /// Largest delay of any target, physics steps.
@@ -299,14 +288,14 @@ impl MorphologyModel {
             mass: self.model.total_mass(),
             joint_names: self.model.joints.iter().map(|joint| joint.name.clone()).collect(),
             joint_of_slot: self.joint_of_slot,
-            default_pose: self.default_position.to_vec(),
-            action_scale: self.action_scale,
+            default_pose: self.stance.default_position.to_vec(),
+            action_scale: self.stance.action_scale,
             stiffness: p.stiffness.to_vec(),
             damping: p.damping.to_vec(),
             effort_limit,
             lower: p.lower.to_vec(),
             upper: p.upper.to_vec(),
-            base_height: self.spawn_height - self.config.reset.spawn_margin as f32,
+            base_height: self.stance.spawn_height - self.config.reset.spawn_margin as f32,
             feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
             mirror: std::array::from_fn(|slot| self.mirror(slot)),
         }

@@ -126,8 +126,8 @@ fn share_bodies(world: &mut World) {
         for (tag, mut body, mut stance) in world.query::<(&Morphology, &mut Body, &mut Stance)>().iter_mut(world) {
             let kind = morphologies.get(*tag);
             body.0.share(&kind.nominal);
-            if stance.default_position == kind.default_position {
-                stance.default_position = kind.default_position.clone();
+            if stance.default_position == kind.stance.default_position {
+                stance.default_position = kind.stance.default_position.clone();
             }
         }
     });

@@ -37,7 +37,7 @@ pub fn randomise_at_startup(
 ) {
     for ((tag, mut body, mut stance, mut startup), mut rng) in robots.iter_mut().zip(rngs.iter_mut()) {
         let morphology = morphologies.get(*tag);
-        *stance = morphology.stance();
+        stance.clone_from(&morphology.stance);
         let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, stance: &mut stance };
         let material = &task.config.robot_material;
         new.set_material(material.static_friction as f32, material.dynamic_friction as f32);

@@ -222,6 +222,20 @@ fn a_mistake_is_blamed_on_the_file_that_holds_it() {
 }
 
 #[test]
+fn a_mistake_in_an_element_is_blamed_on_the_file_that_changed_it() {
+    let root = Root::new("elements");
+    let base = "extends = \"velocity_rough\"\nname = \"Base\"\n[scene.terrain.sub_terrains.";
+    let file = root.write("configs/tasks/base.toml", &format!("{base}boxes]\nproportion = -1.0"));
+    root.write("configs/tasks/top.toml", "extends = \"base\"\nname = \"Top\"\n[observations.policy]\nheight_scan = { noise = 0.2 }");
+    let error = root.library().task("top", &[]).unwrap_err();
+    assert_error(&error, &file, "scene.terrain.sub_terrains[2].proportion", "not positive", "above 0");
+    let file = root.write("configs/tasks/base.toml", &format!("{base}boxs]\nproportion = 0.5"));
+    let error = root.library().task("top", &[]).unwrap_err();
+    assert_eq!(error.kind, ConfigErrorKind::UnknownKey);
+    assert_error(&error, &file, "scene.terrain.sub_terrains.boxs", "no element `boxs`", "`boxes`");
+}
+
+#[test]
 fn circles_of_extends_are_refused() {
     let root = Root::new("circles");
     root.write("configs/tasks/a.toml", "extends = \"b\"\nname = \"A\"");

@@ -87,6 +87,20 @@ fn overrides_change_what_they_name() {
 }
 
 #[test]
+fn a_table_in_the_place_of_an_array_changes_what_it_names() {
+    let (rough, stairs) = (task("velocity_rough_universal", &[]).config, task("velocity_rough_stairs", &[]).config);
+    let tiles = |config: &TaskConfig| config.scene.terrain.as_ref().unwrap().sub_terrains.clone();
+    let shares: Vec<(String, f64)> = tiles(&stairs).into_iter().map(|tile| (tile.name, tile.proportion)).collect();
+    let of = |name: &str| shares.iter().find(|(other, _)| other == name).unwrap().1;
+    assert_eq!((of("pyramid_stairs"), of("pyramid_stairs_inv"), of("hf_pyramid_slope")), (0.25, 0.4, 0.05));
+    for (above, below) in tiles(&stairs).into_iter().zip(tiles(&rough)) {
+        assert_eq!((above.name, above.shape), (below.name, below.shape));
+    }
+    let set = task("velocity_rough", &["scene.terrain.sub_terrains.boxes.proportion=0.7"]);
+    assert_eq!(tiles(&set.config).iter().find(|tile| tile.name == "boxes").unwrap().proportion, 0.7);
+}
+
+#[test]
 fn play_tasks_are_quiet() {
     let play = task("velocity_flat_play", &[]).config;
     let train = task("velocity_flat", &[]).config;

@@ -141,7 +141,7 @@ fn a_ramp_is_a_plane_of_its_slope() {
         };
         let mut plane = Simulation::new(&options).unwrap();
         let mut qpos = plane.default_qpos().to_vec();
-        let start = place.pose(robot.spawn_height);
+        let start = place.pose(robot.stance.spawn_height);
         let offset = [place.x, 0.0, place.height].map(f64::from);
         for i in 0..3 {
             qpos[i] = f64::from(start.position[i]) - offset[i];

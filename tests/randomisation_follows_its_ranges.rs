@@ -176,7 +176,7 @@ fn columns(sim: &mut Sim) -> Vec<Column> {
     }
     let joints = read(sim, |joints: &JointState| joints.position.clone());
     for joint in [1, 6] {
-        let moved = joints.iter().map(|q| f64::from(q[joint] - model.default_position[joint])).collect();
+        let moved = joints.iter().map(|q| f64::from(q[joint] - model.stance.default_position[joint])).collect();
         all.push(column(format!("joint position {joint}"), reset.joint_position.range, moved));
     }
     let headings = read(sim, |command: &Command| f64::from(command.heading));
@@ -347,13 +347,13 @@ fn a_task_may_draw_bodies_of_any_size_and_stance() {
     let bodies = bodies(&mut sim);
     let size: Vec<f64> = bodies.iter().map(|b| f64::from(b.0.mass[0] / nominal.mass[0]).cbrt()).collect();
     let moved = |slot: usize| stances.iter().map(move |s| f64::from(s.default_position[joint(slot)]));
-    let at_rest = |slot: usize| f64::from(model.default_position[joint(slot)]);
+    let at_rest = |slot: usize| f64::from(model.stance.default_position[joint(slot)]);
     let columns = [
         column("size", [0.8, 1.5], size.clone()),
         column(
             "action scale",
             [0.5, 1.5],
-            stances.iter().map(|s| f64::from(s.action_scale / model.action_scale)).collect(),
+            stances.iter().map(|s| f64::from(s.action_scale / model.stance.action_scale)).collect(),
         ),
         column("default flexion", [0.7, 1.2], moved(8).map(|q| q / at_rest(8)).collect()),
         column("default abduction", [-0.1, 0.2], moved(0).map(|q| q - at_rest(0)).collect()),
@@ -371,7 +371,7 @@ fn a_task_may_draw_bodies_of_any_size_and_stance() {
         share(|b| b.0.damping[0], 4.5);
         share(|b| b.0.effort_limit[0], 4.0);
         // LF and RF are spread alike
-        let outward = |slot: usize| stance.default_position[joint(slot)] - model.default_position[joint(slot)];
+        let outward = |slot: usize| stance.default_position[joint(slot)] - model.stance.default_position[joint(slot)];
         assert!((outward(0) + outward(2)).abs() < 1e-6, "{stance:?}");
     }
     // lengths across and along the base: their ratio does not depend on the size

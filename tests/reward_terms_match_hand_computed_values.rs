@@ -295,7 +295,7 @@ fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], whe
             angular,
             gravity: rotate_back(rotation, [0.0, 0.0, -1.0]),
             joints: wide(&joints.position),
-            default: wide(&robot.default_position),
+            default: wide(&robot.stance.default_position),
             joint_velocity: wide(&joints.velocity),
             torque: wide(&effort.applied),
             acceleration: wide(&effort.acceleration),

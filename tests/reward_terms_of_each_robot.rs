@@ -134,7 +134,7 @@ fn hand(model: &MorphologyModel, walks: bool) -> Hand {
             heading: 0.0,
         },
         joints: JointState {
-            position: model.default_position.iter().map(|q| q + 0.1).collect(),
+            position: model.stance.default_position.iter().map(|q| q + 0.1).collect(),
             velocity: twelve(0.5),
         },
         effort: JointEffort { applied: twelve(-2.0), acceleration: twelve(10.0) },
@@ -191,7 +191,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 feet: &h.feet,
                 height_scan: &[],
                 body: &model.nominal,
-                stance: &model.stance(),
+                stance: &model.stance,
                 terminated: false,
                 step_dt: 0.02,
             };

@@ -96,7 +96,7 @@ fn joints_and_feet_of_the_default_pose() {
         let joints: Vec<&str> = model.joints.iter().map(|joint| joint.name.as_str()).collect();
         assert_eq!(joints, facts.joint_order, "{name}");
         let pose: Vec<f64> = joints.iter().map(|joint| facts.default_pose[*joint]).collect();
-        for ((joint, &ours), &fact) in joints.iter().zip(&robot.default_position).zip(&pose) {
+        for ((joint, &ours), &fact) in joints.iter().zip(&robot.stance.default_position).zip(&pose) {
             assert_near(f64::from(ours), fact, 1e-6, &format!("{name}: default position of {joint}"));
         }
         let links = model.forward_kinematics(&pose);

@@ -33,7 +33,7 @@ impl Body {
             topology.set_pairs(topology.colliders.clone(), &[]);
         }
         let mut state = State::zeros(&topology);
-        for (q, &start) in state.joint_position.iter_mut().zip(&robot.default_position) {
+        for (q, &start) in state.joint_position.iter_mut().zip(&robot.stance.default_position) {
             *q = f64::from(start);
         }
         Self {

@@ -192,9 +192,9 @@ fn a_varied_body_has_the_numbers_of_an_edited_urdf() {
         assert_eq!(plain.topology.colliders.len(), edited.topology.colliders.len());
         assert_eq!(plain.topology.colliders.is_empty(), !self_collisions);
         let mut varied = plain.nominal.clone();
-        let mut stance = plain.stance();
+        let mut stance = plain.stance.clone();
         X.apply(&plain, &mut varied, &mut stance);
-        assert_same_stance(&stance, &edited.stance());
+        assert_same_stance(&stance, &edited.stance);
         let mut numbers = 0;
         varied.zip_with(&edited.nominal, |x, y| {
             numbers += 1;
@@ -203,9 +203,9 @@ fn a_varied_body_has_the_numbers_of_an_edited_urdf() {
         assert!(numbers > 500);
         // the identity changes nothing but by rounding, and nothing by none
         let mut same = plain.nominal.clone();
-        let mut stance = plain.stance();
+        let mut stance = plain.stance.clone();
         BodyScales::NOMINAL.apply(&plain, &mut same, &mut stance);
-        assert_same_stance(&stance, &plain.stance());
+        assert_same_stance(&stance, &plain.stance);
         same.zip_with(&plain.nominal, |x, y| assert!((*x - *y).abs() <= 2e-7 * y.abs(), "{x} is not {y}"));
     }
 }
@@ -237,7 +237,7 @@ fn a_varied_body_moves_and_is_described_as_an_edited_urdf() {
     let varied = |body: &mut Body, stance: &mut Stance| {
         let friction = (body.0.static_friction, body.0.dynamic_friction);
         *body.0 = model.nominal.clone();
-        *stance = model.stance();
+        *stance = model.stance.clone();
         X.apply(&model, &mut body.0, stance);
         (body.0.static_friction, body.0.dynamic_friction) = friction;
     };

@@ -31,7 +31,7 @@ impl Inspect {
             model.joints.len(),
             robot.describe().base_height,
             robot.config.reward_set,
-            robot.action_scale
+            robot.stance.action_scale
         )?;
         writeln!(out, "\nlinks")?;
         for link in &model.links {
@@ -55,7 +55,7 @@ impl Inspect {
                 model.links[joint.parent].name,
                 joint.lower,
                 joint.upper,
-                robot.default_position[j],
+                robot.stance.default_position[j],
                 robot.nominal.stiffness[j],
                 robot.nominal.damping[j],
                 robot.nominal.armature[j],

@@ -11,6 +11,7 @@ use super::error::{ConfigError, ConfigErrorKind};
 use super::overrides;
 use super::parse::{parse_params, segments};
 use super::scene::embed_meshes;
+use super::suggest::did_you_mean;
 
 /// The key that names the config below.
 pub(super) const EXTENDS: &str = "extends";
@@ -28,15 +29,18 @@ pub(super) struct Layer {
 }
 
 impl Layers {
-    /// All layers in one table: tables are merged, everything else is replaced by the layer above.
-    pub(super) fn merged(&self) -> Table {
+    /// All layers in one table, each put on top of those below as [`merge`] does it.
+    ///
+    /// # Errors
+    /// A layer changes an element of an array that is not there; blamed on the layer's file.
+    pub(super) fn merged(&self) -> Result<Table, ConfigError> {
         let mut merged = Table::new();
         for layer in &self.0 {
             IDENTITY.iter().for_each(|key| drop(merged.remove(*key)));
-            merge(&mut merged, layer.table.clone());
+            merge(&mut merged, layer.table.clone()).map_err(|error| error.in_file(layer.document.file.clone()))?;
         }
         merged.remove(EXTENDS);
-        merged
+        Ok(merged)
     }
 
     /// Layers and `overrides` as a checked `T`, and the same as a table with all defaults spelled out.
@@ -48,7 +52,7 @@ impl Layers {
         overrides: &[String],
         validate: impl Fn(&T) -> Result<(), ConfigError>,
     ) -> Result<(T, Table), ConfigError> {
-        let mut config: T = parse_params("", "", &self.merged()).map_err(|error| self.locate(error, &[]))?;
+        let mut config: T = parse_params("", "", &self.merged()?).map_err(|error| self.locate(error, &[]))?;
         let mut resolved = self.table_of(&config)?;
         let mut overridden = Vec::new();
         for text in overrides {
@@ -77,7 +81,8 @@ impl Layers {
         if overridden.iter().any(|path| is_within(&error.element, path)) {
             return error.in_file(OVERRIDE);
         }
-        let depth = |layer: &Layer| known_depth(&layer.table, &error.element);
+        let merged = self.merged().unwrap_or_default();
+        let depth = |layer: &Layer| known_depth(&layer.table, &merged, &error.element);
         // max_by_key returns the last of equals, which is the uppermost layer.
         let culprit = self.0.iter().max_by_key(|layer| depth(layer));
         match culprit {
@@ -90,16 +95,62 @@ impl Layers {
 /// What stands for the file in errors about overrides.
 pub(super) const OVERRIDE: &str = "--set";
 
-/// Puts `above` on top of `below`.
-pub(super) fn merge(below: &mut Table, above: Table) {
+/// Puts `above` on top of `below`: tables are merged; a table in the place of an array changes those of its elements that it
+/// names (see [`element_name`]); everything else is replaced.
+///
+/// # Errors
+/// A name that no element has.
+pub(super) fn merge(below: &mut Table, above: Table) -> Result<(), ConfigError> {
+    merge_at(below, above, "")
+}
+
+/// The same of tables at `path`.
+fn merge_at(below: &mut Table, above: Table, path: &str) -> Result<(), ConfigError> {
     for (key, value) in above {
+        let here = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
         match (below.get_mut(&key), value) {
-            (Some(Value::Table(old)), Value::Table(new)) => merge(old, new),
+            (Some(Value::Table(old)), Value::Table(new)) => merge_at(old, new, &here)?,
+            (Some(Value::Array(old)), Value::Table(new)) => {
+                for (name, change) in new {
+                    let element = format!("{here}.{name}");
+                    let Some(index) = element_index(old, &name) else {
+                        return Err(unknown_element(old, &element, &name));
+                    };
+                    match (&mut old[index], change) {
+                        (Value::Table(old), Value::Table(new)) => merge_at(old, new, &element)?,
+                        (old, new) => *old = new,
+                    }
+                }
+            }
             (_, value) => {
                 below.insert(key, value);
             }
         }
     }
+    Ok(())
+}
+
+/// What an element of an array is called: its `name`, or its `term`.
+fn element_name(item: &Value) -> Option<&str> {
+    ["name", "term"].iter().find_map(|key| item.get(key)?.as_str())
+}
+
+/// The place of an element of an array: a number, or what [`element_name`] gives.
+pub(super) fn element_index(items: &[Value], key: &str) -> Option<usize> {
+    let index = key.parse().ok().or_else(|| items.iter().position(|item| element_name(item) == Some(key)));
+    index.filter(|index| *index < items.len())
+}
+
+/// That an array has no such element.
+pub(super) fn unknown_element(items: &[Value], element: &str, key: &str) -> ConfigError {
+    let known: Vec<String> = items
+        .iter()
+        .enumerate()
+        .map(|(index, item)| element_name(item).map_or_else(|| index.to_string(), str::to_owned))
+        .collect();
+    let remedy = did_you_mean(key, known.iter().map(String::as_str), "elements");
+    ConfigError::invalid("", element, format!("there is no element `{key}`"), remedy)
+        .of_kind(ConfigErrorKind::UnknownKey)
 }
 
 /// The TOML of `document`.
@@ -157,24 +208,37 @@ pub(super) fn string_list<'a>(document: &Document, table: &'a Table, key: &str) 
     strings.collect()
 }
 
-/// How many segments of `path` lead to something in `table`.
-fn known_depth(table: &Table, path: &str) -> usize {
-    let mut at: Option<&Value> = None;
+/// How many segments of `path` lead to something in `table`, a layer of `merged`.
+fn known_depth(table: &Table, merged: &Table, path: &str) -> usize {
+    let (mut at, mut whole): (Option<&Value>, Option<&Value>) = (None, None);
     let mut depth = 0;
-    for segment in segments(path) {
-        let next = match at {
-            None => table.get(segment),
-            Some(Value::Table(inner)) => inner.get(segment),
-            Some(Value::Array(inner)) => segment.parse().ok().and_then(|i: usize| inner.get(i)),
-            Some(_) => None,
+    for (i, segment) in segments(path).enumerate() {
+        let next = match (at, whole) {
+            _ if i == 0 => table.get(segment),
+            // what is an array of elements in the whole may be a table of their names in a layer
+            (Some(Value::Table(inner)), Some(Value::Array(items))) => {
+                element_index(items, segment).and_then(|index| inner.get(element_name(&items[index]).unwrap_or(segment)))
+            }
+            (Some(value), _) => element(value, segment),
+            (None, _) => None,
         };
         if next.is_none() {
             break;
         }
+        whole = if i == 0 { merged.get(segment) } else { whole.and_then(|value| element(value, segment)) };
         at = next;
         depth += 1;
     }
     depth
+}
+
+/// What a table or an array holds under a key.
+fn element<'a>(value: &'a Value, key: &str) -> Option<&'a Value> {
+    match value {
+        Value::Table(inner) => inner.get(key),
+        Value::Array(items) => items.get(element_index(items, key)?),
+        _ => None,
+    }
 }
 
 /// Whether one of two paths lies within the other.
@@ -189,8 +253,22 @@ mod tests {
     #[test]
     fn tables_merge_and_arrays_are_replaced() {
         let mut below: Table = toml::from_str("a = [1, 2]\n[t]\nx = 1\ny = 2").unwrap();
-        merge(&mut below, toml::from_str("a = [3]\n[t]\ny = 3\nz = 4").unwrap());
+        merge(&mut below, toml::from_str("a = [3]\n[t]\ny = 3\nz = 4").unwrap()).unwrap();
         let expected: Table = toml::from_str("a = [3]\n[t]\nx = 1\ny = 3\nz = 4").unwrap();
         assert_eq!(below, expected);
+    }
+
+    #[test]
+    fn a_table_changes_the_elements_that_it_names() {
+        let below: Table = toml::from_str("t = [{ name = 'a', x = 1 }, { term = 'b', x = 1, y = 2 }, 3]").unwrap();
+        let merged = |above: &str| {
+            let mut table = below.clone();
+            merge(&mut table, toml::from_str(above).unwrap()).map(|()| table)
+        };
+        let expected: Table = toml::from_str("t = [{ name = 'a', x = 5 }, { term = 'b', x = 1, y = 7, z = 8 }, 4]").unwrap();
+        assert_eq!(merged("t = { b = { y = 7, z = 8 }, a = { x = 5 }, 2 = 4 }").unwrap(), expected);
+        let error = merged("[t.c]\nx = 1").unwrap_err();
+        assert_eq!((error.element.as_str(), error.problem.as_str()), ("t.c", "there is no element `c`"));
+        assert!(error.remedy.contains("a, b, 2"), "{}", error.remedy);
     }
 }

@@ -194,7 +194,7 @@ impl Library {
             let mut table = Table::new();
             table.insert("name".into(), name.into());
             table.insert("robots".into(), Value::Array(vec![robot.name.clone().into()]));
-            if let Some(Value::String(experiment)) = layers.merged().get("experiment_name") {
+            if let Some(Value::String(experiment)) = layers.merged()?.get("experiment_name") {
                 let experiment = format!("{experiment}_{}", robot.name);
                 table.insert("experiment_name".into(), experiment.into());
             }

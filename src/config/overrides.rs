@@ -3,12 +3,12 @@
 use toml::{Table, Value};
 
 use super::error::{ConfigError, ConfigErrorKind};
-use super::layer::{OVERRIDE, merge};
+use super::layer::{OVERRIDE, element_index, merge, unknown_element};
 use super::suggest::did_you_mean;
 
 /// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
 /// Every table on the way must exist; whether a new last key is a known one is left to the types. Elements of an array are named by
-/// index or by their `term`. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
+/// index, `name` or `term`. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
 ///
 /// # Errors
 /// No `=`, an unknown key, a value that is not TOML.
@@ -91,7 +91,10 @@ fn write(node: &mut Value, key: &str, value: Option<Value>, walked: &mut Vec<Str
         (Value::Table(table), Some(value)) => {
             let mut above = Table::new();
             above.insert(key.to_owned(), value);
-            merge(table, above);
+            merge(table, above).map_err(|error| {
+                let element = dotted(walked, &error.element);
+                ConfigError { element, ..error.in_file(OVERRIDE) }
+            })?;
             walked.push(key.to_owned());
         }
         (Value::Table(table), None) => {
@@ -115,16 +118,9 @@ fn write(node: &mut Value, key: &str, value: Option<Value>, walked: &mut Vec<Str
     Ok(())
 }
 
-/// The index that `key` means: a number, or the `term` of an element.
+/// The index that `key` means.
 fn index_of(items: &[Value], key: &str, walked: &[String]) -> Result<usize, ConfigError> {
-    let term = |item: &Value| Some(item.get("term")?.as_str()?.to_owned());
-    let index = key.parse().ok().or_else(|| items.iter().position(|item| term(item).is_some_and(|name| name == key)));
-    if let Some(index) = index.filter(|index| *index < items.len()) {
-        return Ok(index);
-    }
-    let known: Vec<String> =
-        items.iter().enumerate().map(|(index, item)| term(item).unwrap_or_else(|| index.to_string())).collect();
-    Err(unknown(key, known.iter().map(String::as_str), walked))
+    element_index(items, key).ok_or_else(|| unknown_element(items, &dotted(walked, key), key).in_file(OVERRIDE))
 }
 
 fn unknown<'a>(key: &str, known: impl IntoIterator<Item = &'a str>, walked: &[String]) -> ConfigError {
