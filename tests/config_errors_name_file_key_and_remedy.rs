@@ -270,7 +270,7 @@ fn overrides_that_lead_nowhere_are_refused() {
         (
             "observations.policy.joint_pos_rl.noise=0",
             "observations.policy.joint_pos_rl",
-            "unknown key",
+            "no element `joint_pos_rl`",
             "did you mean `joint_pos_rel`?",
         ),
         ("sim.dt.x=1", "sim.dt.x", "`sim.dt` is a float", "end the key there"),

@@ -13,6 +13,13 @@ from polypod.play.player import Frame, Player, RobotFrame
 from polypod.play.raster import COLORS, COMMAND, FORCE, FORCE_LENGTH, OBSTACLE
 from polypod.training import run_dir
 
+Array = npt.NDArray[np.float64]
+
+FOLLOW = 0.1
+"""Share of its distance by which a camera that follows a robot comes nearer to where it should be, per shown frame."""
+_JUMP = 1.5
+"""A robot that is farther from where it was than this, m, has begun a new episode."""
+_NO_ROBOT = "no robot"
 _HIDDEN = np.array([[[0.0, 0.0, -10.0], [0.0, 0.0, -10.001]]], dtype=np.float32)
 """An arrow below the ground, where there is nothing to show."""
 
@@ -36,7 +43,10 @@ class Viewer:
         self._links: dict[tuple[int, int], Any] = {}
         self._arrows: list[tuple[Any, Any]] = []
         self._shown = player.frame()
+        self._followed: int | None = None
+        self._target = np.zeros(3)
         self._build(self._shown)
+        self._server.on_client_connect(self._welcome)
 
     @property
     def url(self) -> str:
@@ -55,6 +65,7 @@ class Viewer:
                 lines = [[point, point + FORCE_LENGTH * force / robot.weight] for point, force in robot.forces]
                 forces.points = np.array(lines, dtype=np.float32) if lines else _HIDDEN
                 command.points = _command_arrow(robot.position[0], robot.quaternion[0], robot.command)
+            self._move_cameras()
 
     def record(self) -> None:
         """Keeps all frames from now on; a `tick` between two sets their distance in time."""
@@ -77,7 +88,8 @@ class Viewer:
     def controls(self) -> tuple[Any, Any]:
         """Adds a pause box and sliders for a command of one's own; returns the pause box and the box that uses them.
 
-        On terrain, where robots are far apart, a list of them moves the camera to one.
+        A list of the robots moves the camera to one and lets it follow; on terrain, where robots are far apart, it
+        begins with the first.
         """
         gui = self._server.gui
         pause = gui.add_checkbox("pause", initial_value=False)
@@ -93,18 +105,42 @@ class Viewer:
 
         for handle in (own, *sliders):
             handle.on_update(use)
+        robots = [f"{index}: {robot.name}" for index, robot in enumerate(self._shown.robots)]
+        followed = gui.add_dropdown("follow", [_NO_ROBOT, *robots])
+
+        def follow(_: Any) -> None:
+            self.follow(None if followed.value == _NO_ROBOT else robots.index(followed.value))
+
         if self.player.ground is not None:
-            robots = [f"{index}: {robot.name}" for index, robot in enumerate(self._shown.robots)]
-            beside = gui.add_dropdown("look at", robots)
-
-            def look(event: Any) -> None:
-                if event.client is not None:
-                    camera = event.client.camera
-                    camera.position, camera.look_at = _beside(self._shown.robots[robots.index(beside.value)])
-
-            beside.on_update(look)
-
+            followed.value = robots[0]
+            follow(None)
+        followed.on_update(follow)
         return pause, own
+
+    def follow(self, index: int | None) -> None:
+        """Moves all cameras beside a robot of the frame, and with it from now on; None: lets them be."""
+        self._followed = index
+        if index is None:
+            return
+        self._target = self._shown.robots[index].position[0].copy()
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = _beside(self._target)
+
+    def _welcome(self, client: Any) -> None:
+        """A new page begins where the others are."""
+        if self._followed is not None:
+            client.camera.position, client.camera.look_at = _beside(self._target)
+
+    def _move_cameras(self) -> None:
+        """Lets cameras go with the robot that they follow, as they are turned."""
+        if self._followed is None:
+            return
+        ahead = self._shown.robots[self._followed].position[0] - self._target
+        step = ahead if np.linalg.norm(ahead) > _JUMP else FOLLOW * ahead
+        self._target = self._target + step
+        for client in self._server.get_clients().values():
+            # what it looks at moves along
+            client.camera.position = client.camera.position + step
 
     def close(self) -> None:
         """Ends the server."""
@@ -113,12 +149,13 @@ class Viewer:
     def _build(self, frame: Frame) -> None:
         scene = self._server.scene
         scene.set_up_direction("+z")
+        camera = self._server.initial_camera
         if self.player.ground is None:
             scene.add_grid("/ground", infinite_grid=True, cell_size=0.5, section_size=1.0)
+            camera.position, camera.look_at = _in_front(frame.robots)
         else:
             scene.add_glb("/ground", terrain_glb(self.player.ground), cast_shadow=False)
-            camera = self._server.initial_camera
-            camera.position, camera.look_at = _beside(frame.robots[0])
+            camera.position, camera.look_at = _beside(frame.robots[0].position[0])
         for at, place in enumerate(self.player.obstacle_places(frame)):
             for number, obstacle in enumerate(self.player.obstacles):
                 vertices = (obstacle.vertices + place).astype(np.float32)
@@ -168,9 +205,16 @@ def terrain_glb(ground: Ground) -> bytes:
     return data
 
 
-def _beside(robot: RobotFrame) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _beside(at: Array) -> tuple[Array, Array]:
     """Position and target of a camera near a robot, m."""
-    return robot.position[0] + np.array([2.6, 2.2, 1.6]), robot.position[0]
+    return at + np.array([2.6, 2.2, 1.6]), at
+
+
+def _in_front(robots: list[RobotFrame]) -> tuple[Array, Array]:
+    """Position and target of a camera that has a row of robots before it, m."""
+    places = np.stack([robot.position[0] for robot in robots])
+    middle, width = places.mean(axis=0), float(np.linalg.norm(np.ptp(places, axis=0)))
+    return middle + np.array([2.5 + 0.5 * width, 0.0, 1.5 + 0.2 * width]), middle
 
 
 def _command_arrow(
