@@ -27,7 +27,8 @@ fn targets_are_the_default_pose_plus_scaled_actions() {
         for (env, targets) in targets(&mut sim).iter().enumerate().filter(|(env, _)| !ended[*env]) {
             let model = &models[env / 2];
             for (slot, &joint) in model.joint_of_slot.iter().enumerate() {
-                let expected = model.stance.default_position[joint] + model.stance.action_scale * actions[12 * env + slot];
+                let expected =
+                    model.stance.default_position[joint] + model.stance.action_scale * actions[12 * env + slot];
                 let found = targets.history[0][joint];
                 assert!(
                     (found - expected).abs() < 1e-5 * (1.0 + expected.abs()),

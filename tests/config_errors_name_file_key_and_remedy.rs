@@ -226,7 +226,10 @@ fn a_mistake_in_an_element_is_blamed_on_the_file_that_changed_it() {
     let root = Root::new("elements");
     let base = "extends = \"velocity_rough\"\nname = \"Base\"\n[scene.terrain.sub_terrains.";
     let file = root.write("configs/tasks/base.toml", &format!("{base}boxes]\nproportion = -1.0"));
-    root.write("configs/tasks/top.toml", "extends = \"base\"\nname = \"Top\"\n[observations.policy]\nheight_scan = { noise = 0.2 }");
+    root.write(
+        "configs/tasks/top.toml",
+        "extends = \"base\"\nname = \"Top\"\n[observations.policy]\nheight_scan = { noise = 0.2 }",
+    );
     let error = root.library().task("top", &[]).unwrap_err();
     assert_error(&error, &file, "scene.terrain.sub_terrains[2].proportion", "not positive", "above 0");
     let file = root.write("configs/tasks/base.toml", &format!("{base}boxs]\nproportion = 0.5"));

@@ -216,9 +216,8 @@ fn known_depth(table: &Table, merged: &Table, path: &str) -> usize {
         let next = match (at, whole) {
             _ if i == 0 => table.get(segment),
             // what is an array of elements in the whole may be a table of their names in a layer
-            (Some(Value::Table(inner)), Some(Value::Array(items))) => {
-                element_index(items, segment).and_then(|index| inner.get(element_name(&items[index]).unwrap_or(segment)))
-            }
+            (Some(Value::Table(inner)), Some(Value::Array(items))) => element_index(items, segment)
+                .and_then(|index| inner.get(element_name(&items[index]).unwrap_or(segment))),
             (Some(value), _) => element(value, segment),
             (None, _) => None,
         };
@@ -265,7 +264,8 @@ mod tests {
             let mut table = below.clone();
             merge(&mut table, toml::from_str(above).unwrap()).map(|()| table)
         };
-        let expected: Table = toml::from_str("t = [{ name = 'a', x = 5 }, { term = 'b', x = 1, y = 7, z = 8 }, 4]").unwrap();
+        let expected: Table =
+            toml::from_str("t = [{ name = 'a', x = 5 }, { term = 'b', x = 1, y = 7, z = 8 }, 4]").unwrap();
         assert_eq!(merged("t = { b = { y = 7, z = 8 }, a = { x = 5 }, 2 = 4 }").unwrap(), expected);
         let error = merged("[t.c]\nx = 1").unwrap_err();
         assert_eq!((error.element.as_str(), error.problem.as_str()), ("t.c", "there is no element `c`"));
