@@ -22,7 +22,7 @@ endif
 unexport CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR CONDA_PREFIX
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets -type f 2>/dev/null)
+RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets/robots -type f 2>/dev/null)
 
 # The policy that comes along, and how it is filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)

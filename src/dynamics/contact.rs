@@ -236,9 +236,8 @@ fn on_terrain<S: Real>(
     radius: S,
 ) -> (S, [Vec3<S>; 3]) {
     let (z, x, y) = (dot(&level[0], centre), dot(&level[1], centre), dot(&level[2], centre));
-    let (height, n) = terrain.below(position[0] + x, position[1] + y);
-    let gap = (position[2] + z - height).mul_add(n[2], -radius);
-    // the x axis, laid onto the surface; slopes are bounded, so that it is never the normal
+    let (gap, n) = terrain.gap(&[position[0] + x, position[1] + y, position[2] + z], radius);
+    // the x axis, laid onto the surface; the normal points up a little at least, so that it is never along x
     let along = [n[0].neg_mul_add(n[0], S::one()), -(n[0] * n[1]), -(n[0] * n[2])];
     let tangent = scale(&along, S::one() / along[0].sqrt());
     let (normal, tangent) = (to_base(level, &n), to_base(level, &tangent));

@@ -5,6 +5,8 @@ use super::math::Vec3;
 
 /// The steepest slope that a contact feels, rise over run: in a grid a wall is a slope within one cell.
 const STEEPEST: f32 = 10.0;
+/// Ground that is this far below the plane of a cell beyond one of its sides falls away there, m.
+const FALLS_AWAY: f64 = 1e-3;
 /// Edge length of the squares of which the largest height is known, m.
 const BLOCK: f32 = 0.5;
 /// Cells along each side of the squares in which heights are kept together, about as many as a page of memory holds.
@@ -185,6 +187,8 @@ impl HeightGrid {
             let along_y = if first { d - c } else { b - a };
             found.height[k] = a + along_x * u[k] + along_y * v[k];
             (found.along_x[k], found.along_y[k]) = (along_x, along_y);
+            (found.place[0][k], found.place[1][k]) = (u[k], v[k]);
+            (found.near[0][k], found.near[1][k], found.far[0][k], found.far[1][k]) = (a, b, c, d);
         }
     }
 
@@ -242,12 +246,19 @@ struct Samples<const N: usize> {
     height: [f32; N],
     along_x: [f32; N],
     along_y: [f32; N],
+    /// Where in its cell each place is, 0 to 1 along x and y.
+    place: [[f32; N]; 2],
+    /// Heights of the cell's corners at its smaller x, by y.
+    near: [[f32; N]; 2],
+    /// Those at its larger x.
+    far: [[f32; N]; 2],
 }
 
 impl<const N: usize> Samples<N> {
     #[inline(always)]
     fn zeros() -> Self {
-        Self { height: [0.0; N], along_x: [0.0; N], along_y: [0.0; N] }
+        let zeros = [0.0; N];
+        Self { height: zeros, along_x: zeros, along_y: zeros, place: [zeros; 2], near: [zeros; 2], far: [zeros; 2] }
     }
 }
 
@@ -273,26 +284,87 @@ fn whole(x: f32) -> u32 {
     (x + WHOLE).to_bits() - WHOLE.to_bits()
 }
 
+/// Numbers of a group as lanes.
+#[inline(always)]
+fn lanes<S: Real>(group: &[f32; GROUP]) -> S {
+    let mut lanes = S::zero();
+    for lane in 0..S::LANES {
+        lanes.set_lane(lane, f64::from(group[lane]));
+    }
+    lanes
+}
+
 impl<S: Real> Terrain<'_, S> {
-    /// Height and unit normal below places of the envs, lane by lane.
+    /// What is found below places of the envs.
     #[inline(always)]
-    pub(super) fn below(&self, x: S, y: S) -> (S, Vec3<S>) {
+    fn sample(&self, x: S, y: S) -> Samples<GROUP> {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
         let (mut places, mut found) = ([[0.0; GROUP]; 2], Samples::zeros());
         for lane in 0..S::LANES {
             (places[0][lane], places[1][lane]) = (x.lane(lane) as f32, y.lane(lane) as f32);
         }
         self.grid.sample_group(&places[0], &places[1], S::LANES, &mut found);
-        let mut height = S::zero();
+        found
+    }
+
+    /// Gap of spheres (points, where the radius is zero) above the ground, m, and the unit normal of the contact, lane by lane:
+    /// `place` are the centres about the envs' origins.
+    ///
+    /// It is the plane of the ground below the centre that counts; but where the ground falls away from it before it comes
+    /// nearest, on the edge of a step, a sphere touches the edge, and the normal turns as the foot leaves it.
+    #[inline(always)]
+    pub(super) fn gap(&self, place: &Vec3<S>, radius: S) -> (S, Vec3<S>) {
+        let found = self.sample(place[0], place[1]);
         let mut slope = [S::zero(); 2];
         for lane in 0..S::LANES {
-            height.set_lane(lane, f64::from(found.height[lane]));
             slope[0].set_lane(lane, f64::from(self.grid.slope(found.along_x[lane])));
             slope[1].set_lane(lane, f64::from(self.grid.slope(found.along_y[lane])));
         }
-        let one = S::one();
+        let (zero, one) = (S::zero(), S::one());
         let up = one / slope[0].mul_add(slope[0], slope[1].mul_add(slope[1], one)).sqrt();
-        (height, [-(slope[0] * up), -(slope[1] * up), up])
+        let normal = [-(slope[0] * up), -(slope[1] * up), up];
+        let above = place[2] - lanes::<S>(&found.height);
+        let distance = above * up;
+        // where the plane comes nearest, in cells
+        let inverse = S::splat(1.0 / f64::from(self.grid.cell));
+        let (u, v) = (lanes::<S>(&found.place[0]), lanes::<S>(&found.place[1]));
+        let along = distance * inverse;
+        let at = [normal[0].neg_mul_add(along, u), normal[1].neg_mul_add(along, v)];
+        let within = [at[0].clamp(zero, one), at[1].clamp(zero, one)];
+        let off = (within[0] - at[0]).abs().max((within[1] - at[1]).abs());
+        let beyond = S::and(zero.lt(off), S::and(zero.lt(distance), zero.lt(radius)));
+        if !S::any(beyond) {
+            return (distance - radius, normal);
+        }
+        let foot = [
+            normal[0].neg_mul_add(distance, place[0]),
+            normal[1].neg_mul_add(distance, place[1]),
+            normal[2].neg_mul_add(distance, place[2]),
+        ];
+        let ground = lanes::<S>(&self.sample(foot[0], foot[1]).height);
+        let edge = S::and(beyond, (ground + S::splat(FALLS_AWAY)).lt(foot[2]));
+        if !S::any(edge) {
+            return (distance - radius, normal);
+        }
+        // the point of the cell that is nearest to there, on one of its sides
+        let first = within[1].lt(within[0]);
+        let (a, b) = (lanes::<S>(&found.near[0]), lanes::<S>(&found.near[1]));
+        let (c, d) = (lanes::<S>(&found.far[0]), lanes::<S>(&found.far[1]));
+        let (along_x, along_y) = (S::select(first, c - a, d - b), S::select(first, d - c, b - a));
+        let height = along_x.mul_add(within[0], along_y.mul_add(within[1], a));
+        let cell = S::splat(f64::from(self.grid.cell));
+        let from = [(u - within[0]) * cell, (v - within[1]) * cell, place[2] - height];
+        let squared = from[0].mul_add(from[0], from[1].mul_add(from[1], from[2] * from[2]));
+        let length = squared.max(S::splat(1e-12)).sqrt();
+        let inverse = one / length;
+        // an edge beside the centre is that of a wall, whose plane is no steeper either
+        let rounds = S::and(edge, (length * S::splat(1.0 / f64::from(STEEPEST))).lt(from[2]));
+        let turned = [
+            S::select(rounds, from[0] * inverse, normal[0]),
+            S::select(rounds, from[1] * inverse, normal[1]),
+            S::select(rounds, from[2] * inverse, normal[2]),
+        ];
+        (S::select(rounds, length, distance) - radius, turned)
     }
 
     /// No height within `reach` of places of the envs is larger than this, m, lane by lane.
@@ -310,5 +382,66 @@ impl<S: Real> Terrain<'_, S> {
             bound.set_lane(lane, f64::from(found[lane]));
         }
         bound
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CELL: f32 = 0.025;
+
+    /// Gap and normal of a sphere of 2 cm over a surface that depends on x alone.
+    fn over(profile: impl Fn(f32) -> f32, centre: [f64; 2]) -> (f64, Vec3<f64>) {
+        let mut grid = HeightGrid::level([0.0, 0.0], CELL, [41, 9], 0.0);
+        for i in 0..41 {
+            (0..9).for_each(|j| grid.set_height(i, j, profile(i as f32 * CELL)));
+        }
+        let terrain = Terrain { grid: &grid, origin: &[0.0; 2] };
+        terrain.gap(&[centre[0], 0.113, centre[1]], 0.02)
+    }
+
+    fn step(x: f32) -> f32 {
+        if x < 0.51 { 0.15 } else { 0.0 }
+    }
+
+    #[test]
+    fn a_foot_rolls_over_the_edge_of_a_step() {
+        for place in 0..25 {
+            for height in 0..20 {
+                let (x, z) = (0.49 + 0.001 * f64::from(place), 0.1605 + 0.001 * f64::from(height));
+                let (gap, normal) = over(step, [x, z]);
+                // the tread before the edge at 0.5 m, and the edge beyond
+                let from = [(x - 0.5).max(0.0), z - 0.15];
+                let exact = from[0].hypot(from[1]);
+                let what = format!("{x} m, {z} m: {gap} and {normal:?}");
+                if from[1] < 0.11 * exact {
+                    continue;
+                }
+                assert!((gap - (exact - 0.02)).abs() < 2e-6, "{what}, not {}", exact - 0.02);
+                assert!((normal[0] - from[0] / exact).abs() < 1e-4 && normal[1].abs() < 1e-6, "{what}");
+                assert!((normal[2] - from[1] / exact).abs() < 1e-4, "{what}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_wall_pushes_out_what_is_inside() {
+        let (gap, normal) = over(step, [0.51, 0.02]);
+        assert!(gap < -0.02 && normal[0] > 0.9, "{gap}, {normal:?}");
+    }
+
+    #[test]
+    fn a_slope_is_one_plane_on_all_its_cells() {
+        for rise in [0.1f32, 0.4, 1.5] {
+            let slope = f64::from(rise);
+            let up = 1.0 / (1.0 + slope * slope).sqrt();
+            for k in 0..200 {
+                let x = 0.2 + 0.003 * f64::from(k);
+                let (gap, normal) = over(|x| rise * x, [x, slope * x + 0.021 / up]);
+                assert!((gap - 0.001).abs() < 2e-6, "{x}: {gap}");
+                assert!((normal[2] - up).abs() < 1e-5 && (normal[0] + slope * up).abs() < 1e-5, "{x}: {normal:?}");
+            }
+        }
     }
 }
