@@ -29,7 +29,7 @@ MAX_VELOCITY_DIFFERENCE = 0.1
 
 DT_ON_TERRAIN = 0.002
 """MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown off steep faces."""
-MARGIN = 10.0
+MARGIN = 30.0
 """Level ground beyond that of the task, m: an episode leads some robots off their terrain."""
 
 Progress = Callable[[str, int, int], None]
