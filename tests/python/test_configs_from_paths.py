@@ -9,6 +9,19 @@ ROOT = Path(__file__).parents[2]
 QUICK = ("--num-envs", "16", "--max-iterations", "1", "--logger", "none", "--set", "sim.episode_length_s=0.4")
 
 
+def trained_and_evaluated(cli, folder, *arguments):
+    """What an evaluation in another directory says of a training in `folder`."""
+    done = cli("train", *QUICK, *arguments)
+    assert done.returncode == 0, done.stderr
+    (checkpoint,) = folder.glob("logs/rsl_rl/*/*/model_1.pt")
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir()
+    relative = Path("..") / checkpoint.relative_to(folder)
+    done = cli("eval", "--checkpoint", str(relative), "--json", "out.json", cwd=elsewhere)
+    assert done.returncode == 0, done.stderr
+    return json.loads((elsewhere / "out.json").read_text())
+
+
 def test_train_and_evaluate_a_robot_of_ones_own(cli, tmp_path):
     robot = tmp_path / "mine"
     robot.mkdir()
@@ -17,23 +30,9 @@ def test_train_and_evaluate_a_robot_of_ones_own(cli, tmp_path):
     config = config.replace("assets/robots/unitree_go2/robot.urdf", "robot.urdf")
     (robot / "my_dog.toml").write_text(config)
     (robot / "robot.urdf").write_text((ROOT / "assets/robots/unitree_go2/robot.urdf").read_text())
-    done = cli("train", *QUICK, "--robots", "mine/my_dog.toml")
-    assert done.returncode == 0, done.stderr
-    (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_1.pt")
-    (tmp_path / "elsewhere").mkdir()
-    relative = Path("..") / checkpoint.relative_to(tmp_path)
-    done = cli("eval", "--checkpoint", str(relative), "--json", "out.json", cwd=tmp_path / "elsewhere")
-    assert done.returncode == 0, done.stderr
-    assert list(json.loads((tmp_path / "elsewhere" / "out.json").read_text())["robots"]) == ["my_dog"]
+    assert list(trained_and_evaluated(cli, tmp_path, "--robots", "mine/my_dog.toml")["robots"]) == ["my_dog"]
 
 
 def test_train_and_evaluate_on_a_task_of_ones_own(cli, tmp_path):
     (tmp_path / "mine.toml").write_text('extends = "velocity_flat"\nname = "My-Task-v0"\nrobots = ["spot"]\n')
-    done = cli("train", *QUICK, "--task", "mine.toml")
-    assert done.returncode == 0, done.stderr
-    (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_1.pt")
-    (tmp_path / "elsewhere").mkdir()
-    relative = Path("..") / checkpoint.relative_to(tmp_path)
-    done = cli("eval", "--checkpoint", str(relative), "--json", "out.json", cwd=tmp_path / "elsewhere")
-    assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "elsewhere" / "out.json").read_text())["task"] == "My-Task-v0"
+    assert trained_and_evaluated(cli, tmp_path, "--task", "mine.toml")["task"] == "My-Task-v0"

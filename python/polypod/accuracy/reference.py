@@ -130,10 +130,6 @@ class Reference:
         spec.option.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
         spec.option.gravity = gravity
         self.model = spec.compile()
-        if ground is not None and ground.heights is not None:
-            lowest, rise = _levels(ground.heights)
-            # rows of a height field run along x, one after the other along y
-            self.model.hfield_data[:] = ((ground.heights.heights.T - lowest) / rise).ravel()
         self.data = mj.MjData(self.model)
         self.root = root.name
         self.actuators = actuators
@@ -250,20 +246,17 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
 
 
 def _height_field(mj: Any, spec: Any, heights: Heights) -> Any:
-    """A geom whose heights are filled in once the model is compiled."""
     half = 0.5 * heights.cell * (np.array(heights.heights.shape) - 1)
-    lowest, rise = _levels(heights)
+    lowest = float(heights.heights.min())
+    # more than nothing, as MuJoCo wants it
+    rise = max(float(heights.heights.max()) - lowest, 1e-3)
     columns, rows = heights.heights.shape
-    spec.add_hfield(name="ground", nrow=rows, ncol=columns, size=[*half, rise, 1.0], userdata=np.zeros(rows * columns))
+    # rows of a height field run along x, one after the other along y
+    data = ((heights.heights.T - lowest) / rise).ravel()
+    spec.add_hfield(name="ground", nrow=rows, ncol=columns, size=[*half, rise, 1.0], userdata=data)
     return spec.worldbody.add_geom(
         type=mj.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[*(half + heights.origin), lowest]
     )
-
-
-def _levels(heights: Heights) -> tuple[float, float]:
-    """The lowest height, and how far the highest is above it, m; more than nothing, as MuJoCo wants it."""
-    lowest, highest = float(heights.heights.min()), float(heights.heights.max())
-    return lowest, max(highest - lowest, 1e-3)
 
 
 def _turn_z_to(normal: Array) -> Array:
