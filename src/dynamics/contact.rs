@@ -67,8 +67,11 @@ impl Default for ContactSettings {
     }
 }
 
-/// A candidate takes part in a physics step when it is nearer to the ground than this, m.
+/// Candidates further from the ground than this are not looked at, m.
 const CONTACT_MARGIN: f64 = 0.02;
+/// A candidate takes part in a physics step when it is nearer to the ground than this, m, and what it comes nearer by in the
+/// step at its present speed.
+const CONTACT_REACH: f64 = 0.004;
 /// A joint bound takes part when the joint could come nearer to it than this in two physics steps, rad or m.
 const BOUND_MARGIN: f64 = 0.05;
 /// ... or, since a contact may throw a joint against its stop within one step, than its velocity limit leads in a step,
@@ -156,7 +159,8 @@ pub fn build_contacts<S: Real>(
     state: &State<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { base_rotation, links, factor, contact: rows, .. } = work;
+    let Workspace { base_rotation, links, factor, velocity_base, contact: rows, .. } = work;
+    let [_, _, _, x, y, z] = *velocity_base;
     let margin = S::splat(CONTACT_MARGIN);
     // composite by now: the whole robot's
     rows.clear(links[0].inertia.mass);
@@ -190,6 +194,12 @@ pub fn build_contacts<S: Real>(
         }
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
         for c in candidates {
+            // whichever way its rim points
+            let reach = parameters.contact_radius[c] + parameters.contact_rim[c];
+            let lowest = origin_height + dot(&up, &parameters.contact_position[c]) - reach;
+            if !S::any(lowest.lt(highest)) {
+                continue;
+            }
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
             let surface;
             let mut axes_here = &frame;
@@ -201,11 +211,17 @@ pub fn build_contacts<S: Real>(
                 (gap, surface) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
                 axes_here = &surface;
             }
-            let near = gap.lt(margin);
-            if !S::any(near) {
+            if !S::any(gap.lt(margin)) {
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
+            // the links' velocities leave out that of the base's origin
+            let velocity = add(&at.velocity.at(&centre), &[x, y, z]);
+            let closing = -dot(&axes_here[0], &velocity);
+            let near = gap.lt(closing.max(S::zero()).mul_add(dt, S::splat(CONTACT_REACH)).min(margin));
+            if !S::any(near) {
+                continue;
+            }
             rows.build_ground(topology, factor, links, axes_here, c, &centre, radius);
             if terrain.is_some() {
                 rows.ground_frames.push(*axes_here);

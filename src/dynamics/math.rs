@@ -165,6 +165,12 @@ impl<S: Real> Spatial<S> {
         [self.ang[0], self.ang[1], self.ang[2], self.lin[0], self.lin[1], self.lin[2]]
     }
 
+    /// Velocity of the point of a body that is at `point`, where `self` is the body's motion about the origin.
+    #[inline(always)]
+    pub fn at(&self, point: &Vec3<S>) -> Vec3<S> {
+        add(&self.lin, &cross(&self.ang, point))
+    }
+
     /// Power of a force on a motion, or component along an axis.
     #[inline(always)]
     pub fn dot(&self, other: &Self) -> S {

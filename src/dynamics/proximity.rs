@@ -57,10 +57,11 @@ const TINY: f64 = 1e-10;
 /// Halvings in the search for a segment's point nearest to a box: they leave 1/256 of it.
 const HALVINGS: usize = 9;
 
-/// Distance of two capsules, of the first the part `from..to` of its axis, whose ends are -1 and 1 (the nearest points of
-/// two segments: Ericson, Real-Time Collision Detection, 2005, section 5.1.9, with parallel segments taken at the middle of that part).
+/// Where two capsules come nearest: places on their axes, whose ends are -1 and 1, on that of the first between `from` and `to`
+/// (the nearest points of two segments: Ericson, Real-Time Collision Detection, 2005, section 5.1.9, with parallel segments taken at
+/// the middle of that part).
 #[inline(always)]
-pub fn capsules<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Capsule<S>) -> Proximity<S> {
+pub fn nearest_on_capsules<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Capsule<S>) -> [S; 2] {
     let (one, tiny) = (S::one(), S::splat(TINY));
     let between = sub(&a.centre, &b.centre);
     let (aa, bb, ab) = (dot(&a.half, &a.half), dot(&b.half, &b.half), dot(&a.half, &b.half));
@@ -71,10 +72,13 @@ pub fn capsules<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Capsule<S>) -
     let crosses = (tiny * (aa * bb).max(tiny)).lt(determinant);
     let s = S::select(crosses, ab.mul_add(bc, -(bb * ac)) / determinant.max(tiny * tiny), middle).clamp(from, to);
     let t = (ab.mul_add(s, bc) / bb.max(tiny)).clamp(-one, one);
-    let s = (ab.mul_add(t, -ac) / aa.max(tiny)).clamp(from, to);
-    let on_a = add_scaled(&a.centre, &a.half, s);
-    let on_b = add_scaled(&b.centre, &b.half, t);
-    rounded(&on_a, &on_b, a.radius, b.radius)
+    [(ab.mul_add(t, -ac) / aa.max(tiny)).clamp(from, to), t]
+}
+
+/// Distance of two capsules at the places `s` and `t` of their axes.
+#[inline(always)]
+pub fn capsules<S: Real>(a: &Capsule<S>, s: S, b: &Capsule<S>, t: S) -> Proximity<S> {
+    rounded(&add_scaled(&a.centre, &a.half, s), &add_scaled(&b.centre, &b.half, t), a.radius, b.radius)
 }
 
 /// The point of a box about the origin that is nearest to `p`.
@@ -118,18 +122,29 @@ pub fn may_touch_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, margin: S) -> 
     apart.lt(reach)
 }
 
-/// Distance of a capsule (first) and a box about the origin, along its axes, with half edge lengths `box_half`; of the
-/// capsule the part `from..to` of its axis, whose ends are -1 and 1. The nearest point of the axis is found by halving
-/// the range in which the distance still falls; then comes that point's signed distance.
+/// Half of how the squared distance of a point of a capsule's axis from a box changes along the axis.
 #[inline(always)]
-pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], box_half: &Vec3<S>) -> Proximity<S> {
-    let (zero, one) = (S::zero(), S::one());
-    let Capsule { centre, half, radius } = a;
-    let mut t = S::splat(0.5 * (from + to));
-    let mut quarter = 0.25 * (to - from);
+fn slope_to_box<S: Real>(a: &Capsule<S>, t: S, box_half: &Vec3<S>) -> S {
+    let p = add_scaled(&a.centre, &a.half, t);
+    dot(&sub(&p, &clamped(&p, box_half)), &a.half)
+}
+
+/// Where on a capsule's axis, whose ends are -1 and 1, it comes nearest to a box about the origin with half edge lengths `box_half`
+/// along its axes: on either half of the axis with `halves`, else on all of it, and the two are the same.
+///
+/// Found by halving the range in which the distance still falls. Along a line the distance to a box falls and then rises: one half
+/// of the axis is nearest in the middle, and only the other is searched.
+#[inline(always)]
+pub fn nearest_to_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, halves: bool) -> [S; 2] {
+    let zero = S::zero();
+    let (mut t, mut quarter, mut first) = (zero, 0.5, zero);
+    if halves {
+        first = slope_to_box(a, zero, box_half);
+        quarter = 0.25;
+        t = S::select(first.lt(zero), S::splat(0.5), S::splat(-0.5));
+    }
     for halving in 0..HALVINGS {
-        let p = add_scaled(centre, half, t);
-        let slope = dot(&sub(&p, &clamped(&p, box_half)), half);
+        let slope = slope_to_box(a, t, box_half);
         let step = S::splat(quarter);
         let down = S::select(zero.lt(slope), -step, zero);
         t = t + S::select(slope.lt(zero), step, down);
@@ -138,6 +153,15 @@ pub fn capsule_and_box<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], box_half: 
             quarter *= 0.5;
         }
     }
+    if halves { [S::select(first.lt(zero), zero, t), S::select(first.lt(zero), t, zero)] } else { [t; 2] }
+}
+
+/// Distance of the point `t` of a capsule's axis (first), whose ends are -1 and 1, with the capsule's radius about it, and a box
+/// about the origin with half edge lengths `box_half` along its axes.
+#[inline(always)]
+pub fn capsule_and_box<S: Real>(a: &Capsule<S>, t: S, box_half: &Vec3<S>) -> Proximity<S> {
+    let (zero, one) = (S::zero(), S::one());
+    let Capsule { centre, half, radius } = a;
     let p = add_scaled(centre, half, t);
     let c = clamped(&p, box_half);
     let out = sub(&p, &c);
@@ -171,11 +195,16 @@ mod tests {
         assert!((a - b).abs() < 1e-6, "{a} is not {b}");
     }
 
+    fn of_capsules(a: &Capsule<f64>, b: &Capsule<f64>) -> Proximity<f64> {
+        let [s, t] = nearest_on_capsules(a, [-1.0, 1.0], b);
+        capsules(a, s, b, t)
+    }
+
     #[test]
     fn crossed_capsules() {
         let a = Capsule { centre: [0.0, 0.0, 1.0], half: [1.0, 0.0, 0.0], radius: 0.25 };
         let b = Capsule { centre: [0.5, 0.0, 0.0], half: [0.0, 2.0, 0.0], radius: 0.5 };
-        let p = capsules(&a, [-1.0, 1.0], &b);
+        let p = of_capsules(&a, &b);
         near(p.gap, 0.25);
         near(p.normal[2], 1.0);
         near(p.point[0], 0.5);
@@ -204,8 +233,39 @@ mod tests {
                 let d = sub(&p, &add_scaled(&b.centre, &b.half, t));
                 best = best.min(dot(&d, &d).sqrt());
             }
-            let found = capsules(&a, [-1.0, 1.0], &b).gap + 0.2;
+            let found = of_capsules(&a, &b).gap + 0.2;
             assert!(found <= best + 1e-6 && found > best - 0.01, "{found} against {best}: {a:?} {b:?}");
+        }
+    }
+
+    fn at_nearest(a: &Capsule<f64>, box_half: &Vec3<f64>) -> Proximity<f64> {
+        capsule_and_box(a, nearest_to_box(a, box_half, false)[0], box_half)
+    }
+
+    #[test]
+    fn halves_of_a_capsule_against_a_box_by_search() {
+        let mut x = 1u64;
+        let mut random = || {
+            x = x.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (x >> 33) as f64 / f64::from(1u32 << 31) * 2.0 - 1.0
+        };
+        let box_half = [0.5, 0.3, 0.2];
+        for _ in 0..500 {
+            let capsule = Capsule {
+                centre: std::array::from_fn(|_| random()),
+                half: std::array::from_fn(|_| random()),
+                radius: 0.1,
+            };
+            let distance = |t: f64| {
+                let p = add_scaled(&capsule.centre, &capsule.half, t);
+                let out = sub(&p, &clamped(&p, &box_half));
+                dot(&out, &out).sqrt()
+            };
+            for (t, from) in nearest_to_box(&capsule, &box_half, true).into_iter().zip([-1.0, 0.0]) {
+                assert!((from..=from + 1.0).contains(&t), "{t} is not in the half from {from}");
+                let best = (0..=1000).map(|i| distance(from + f64::from(i) / 1000.0)).fold(f64::INFINITY, f64::min);
+                assert!(distance(t) < best + 0.01, "{} at {t} against {best}: {capsule:?}", distance(t));
+            }
         }
     }
 
@@ -213,15 +273,15 @@ mod tests {
     fn capsule_on_a_box() {
         let b = [1.0, 0.5, 0.25];
         let above = Capsule { centre: [0.2, 0.0, 0.5], half: [0.0, 0.0, 0.1], radius: 0.05 };
-        let p = capsule_and_box(&above, [-1.0, 1.0], &b);
+        let p = at_nearest(&above, &b);
         near(p.gap, 0.1);
         near(p.normal[2], 1.0);
         let through = Capsule { centre: [0.2, 0.0, 0.2], half: [0.1, 0.0, 0.0], radius: 0.05 };
-        let p = capsule_and_box(&through, [-1.0, 1.0], &b);
+        let p = at_nearest(&through, &b);
         near(p.gap, -0.1);
         near(p.normal[2], 1.0);
         let beside = Capsule { centre: [1.5, 1.0, 0.0], half: [0.0, 0.0, 2.0], radius: 0.1 };
-        let p = capsule_and_box(&beside, [-1.0, 1.0], &b);
+        let p = at_nearest(&beside, &b);
         near(p.gap, 0.5f64.sqrt() - 0.1);
     }
 }

@@ -30,6 +30,8 @@ pub(super) struct ContactRows<S> {
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     pub(super) coupling: [S; 3],
     pub(super) inverse: [S; 3],
+    /// Velocity along each tangent by a unit impulse along it.
+    pub(super) across: [S; 2],
     /// While the point sticks, what a change of the normal impulse takes from the impulses along the tangents, and what a
     /// velocity along tangent 1 adds to that along tangent 2.
     pub(super) sticking: [S; 3],
@@ -293,6 +295,7 @@ impl<S: Real> ContactWork<S> {
         let radius = difference.mul_add(difference, product[5] * product[5]).sqrt();
         row.coupling = [product[3], product[4], product[5]];
         row.diagonal = product[0] + softness;
+        row.across = [product[1], product[2]];
         row.inverse = [one / row.diagonal, one / product[1].max(least), one / product[2].max(least)];
         let [c01, c02, c12] = row.coupling;
         let pass1 = c01 * row.inverse[1];
@@ -333,6 +336,7 @@ impl<S: Real> ContactRows<S> {
             rows: SparseRows::zero(),
             coupling: [z; 3],
             inverse: [z; 3],
+            across: [z; 2],
             sticking: [z; 3],
             diagonal: z,
             softness: z,

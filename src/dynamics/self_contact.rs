@@ -7,12 +7,15 @@ use super::articulation::{ColliderTopology, Parameters, Topology};
 use super::contact::{ContactSettings, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
-use super::proximity::{Capsule, Proximity, capsule_and_box, capsules, may_touch_box};
+use super::proximity::{
+    Capsule, Proximity, capsule_and_box, capsules, may_touch_box, nearest_on_capsules, nearest_to_box,
+};
 use super::rows::NEVER;
 use super::state::{State, Workspace};
 
-/// A pair takes part in a physics step when its links are nearer to each other than this, m, or could come so in the step.
-const PAIR_MARGIN: f64 = 0.01;
+/// A pair takes part in a physics step when its links are nearer to each other than this, m, and what they come nearer by in the
+/// step at their present speed.
+const PAIR_MARGIN: f64 = 0.001;
 /// Boxes that are further apart by this are so in spite of all rounding, m.
 const ROUNDING: f64 = 1e-4;
 
@@ -122,9 +125,14 @@ pub fn build_pairs<S: Real>(
             if !S::any(shapes.may_touch(margin + S::splat(ROUNDING))) {
                 continue;
             }
-            for (i, span) in (pair.first_impulse..).zip(pair.spans) {
-                let found = shapes.proximity(*span);
-                let near = found.gap.lt(margin);
+            let places = shapes.nearest(pair.spans);
+            for (i, place) in (pair.first_impulse..).zip(&places[..pair.spans.len()]) {
+                let found = shapes.proximity(place);
+                // how fast the two come nearer at that point
+                let first = links[topology.colliders[a].link].velocity.at(&found.point);
+                let second = links[topology.colliders[b].link].velocity.at(&found.point);
+                let closing = dot(&found.normal, &sub(&second, &first)).max(S::zero());
+                let near = found.gap.lt(closing.mul_add(dt, S::splat(PAIR_MARGIN)));
                 if !S::any(near) {
                     continue;
                 }
@@ -140,7 +148,8 @@ pub fn build_pairs<S: Real>(
 pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) -> S {
     let pair = &topology.pairs[pair];
     let shapes = PairShapes::new(topology, &work.colliders, pair.colliders);
-    pair.spans.iter().map(|span| shapes.proximity(*span).gap).fold(S::splat(f64::MAX), S::min)
+    let places = shapes.nearest(pair.spans);
+    places[..pair.spans.len()].iter().map(|place| shapes.proximity(place).gap).fold(S::splat(f64::MAX), S::min)
 }
 
 /// Puts the colliders where the workspace's kinematics has their links, and finds how fast any of their points moves
@@ -156,9 +165,14 @@ pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>,
         let radius = parameters.collider_radius[c];
         let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
         let centre = add(&at.position, &mul_vec(&at.rotation, centre));
-        let speed = length(&add(&at.velocity.lin, &cross(&at.velocity.ang, &centre)));
+        let point = at.velocity.at(&centre);
+        // (x + y)^2 <= 2 x^2 + 2 y^2 saves roots
+        let two = S::splat(2.0);
+        let lengths = two * radius.mul_add(radius, dot(half, half));
+        let turning = dot(&at.velocity.ang, &at.velocity.ang);
+        let speed = (two * lengths.mul_add(turning, dot(&point, &point))).sqrt();
         let placed = &mut colliders[c];
-        placed.speed = (length(half) + radius).mul_add(length(&at.velocity.ang), speed);
+        placed.speed = speed;
         // a box is turned when it meets a capsule
         if let Some(rotation) = box_rotation {
             placed.rotation = mul_mat(&at.rotation, &[splat(&rotation[0]), splat(&rotation[1]), splat(&rotation[2])]);
@@ -209,14 +223,28 @@ impl<'a, S: Real> PairShapes<'a, S> {
         }
     }
 
+    /// Where each of the first capsule's parts comes nearest: places on the axis of the first, and of the second if it is a capsule.
+    #[inline(always)]
+    fn nearest(&self, spans: &[[f64; 2]]) -> [[S; 2]; 2] {
+        match self {
+            Self::Capsules([a, b]) => {
+                let first = nearest_on_capsules(a, spans[0], b);
+                [first, if let [_, second] = spans { nearest_on_capsules(a, *second, b) } else { first }]
+            }
+            Self::CapsuleAndBox(capsule, solid) => {
+                nearest_to_box(capsule, &solid.capsule.half, spans.len() == 2).map(|t| [t; 2])
+            }
+        }
+    }
+
     /// In base axes.
     #[inline(always)]
-    fn proximity(&self, span: [f64; 2]) -> Proximity<S> {
+    fn proximity(&self, [s, t]: &[S; 2]) -> Proximity<S> {
         match self {
-            Self::Capsules([a, b]) => capsules(a, span, b),
+            Self::Capsules([a, b]) => capsules(a, *s, b, *t),
             Self::CapsuleAndBox(capsule, solid) => {
                 let Capsule { centre, half, .. } = &solid.capsule;
-                capsule_and_box(capsule, span, half).from_frame(centre, &solid.rotation)
+                capsule_and_box(capsule, *s, half).from_frame(centre, &solid.rotation)
             }
         }
     }
@@ -232,11 +260,6 @@ fn frame<S: Real>(normal: &Vec3<S>) -> [Vec3<S>; 3] {
     let t = add_scaled(&along, normal, -dot(&along, normal));
     let t = scale(&t, one / dot(&t, &t).sqrt());
     [*normal, t, cross(normal, &t)]
-}
-
-#[inline(always)]
-fn length<S: Real>(v: &Vec3<S>) -> S {
-    dot(v, v).sqrt()
 }
 
 #[cfg(test)]

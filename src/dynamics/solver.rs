@@ -12,7 +12,8 @@ const PUSH_SWEEPS: usize = 4;
 /// Further rounds over the joint limits alone after either.
 const LAST_ROUNDS: usize = 8;
 /// Sweeps come in turns, as many as it takes until contacts are settled, but no more than this: where a light leg is jammed
-/// between a joint limit and the ground, sweep after sweep hands it little of what the base weighs.
+/// between a joint limit and the ground, sweep after sweep hands it little of what the base weighs. Turns after the first have
+/// half as many sweeps.
 const MOST_TURNS: usize = 8;
 /// A contact is settled when another sweep would change its velocity by less than this, m/s: less would spend on every footfall
 /// what only jams need.
@@ -32,10 +33,11 @@ pub fn solve<S: Real>(
 ) {
     warm_start(topology, work);
     let mut active = S::zero().lt(S::one());
-    for _ in 0..MOST_TURNS {
-        for _ in 0..settings.iterations {
+    for turn in 0..MOST_TURNS {
+        let sweeps = if turn == 0 { settings.iterations } else { settings.iterations.div_ceil(2) };
+        for _ in 0..sweeps {
             sweep_bounds(topology, active, work);
-            sweep_contacts(topology, parameters, active, work);
+            sweep_contacts(topology, parameters, active, turn > 0, work);
         }
         // contacts come after dry friction, or feet would creep; limits have the last word: a contact that gives way is soft
         // ground, a limit that does is a broken leg
@@ -160,12 +162,13 @@ fn push<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     std::mem::swap(&mut work.joints, &mut work.moved_joints);
 }
 
-/// One sweep over the contacts, normals and friction, in the lanes that are `active`.
+/// One sweep over the contacts, normals and friction, in the lanes that are `active`, which are `jammed` after the first turn.
 #[inline(always)]
 fn sweep_contacts<S: Real>(
     topology: &Topology,
     parameters: &Parameters<S>,
     active: S::Mask,
+    jammed: bool,
     work: &mut ContactWork<S>,
 ) {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
@@ -174,7 +177,11 @@ fn sweep_contacts<S: Real>(
         if !row.awake {
             continue;
         }
-        visit_contact(topology, &friction, active, row, further, y_base, y_joint);
+        if jammed {
+            visit_jammed(topology, parameters.dynamic_friction, active, row, further, y_base, y_joint);
+        } else {
+            visit_contact(topology, &friction, active, row, further, y_base, y_joint);
+        }
     }
 }
 
@@ -220,6 +227,58 @@ fn visit_contact<S: Real>(
     ];
     row.impulse = new;
     row.rows.apply(topology, further, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
+}
+
+/// The same where a sweep's normal impulse and its friction undo each other, so that sweeps go back and forth between two states:
+/// the point is pushed up, friction that grows with it lifts it further, so that next it is not pushed at all.
+///
+/// Friction that is at its bound follows the normal impulse at once, and any other normal impulse goes half of its way. Sticking
+/// is bounded as sliding is, since between two bounds it goes back and forth too.
+#[inline(always)]
+fn visit_jammed<S: Real>(
+    topology: &Topology,
+    friction: S,
+    active: S::Mask,
+    row: &mut ContactRows<S>,
+    further: &[JointRows<S>],
+    y_base: &mut [S; 6],
+    y_joint: &mut [[S; BLOCK]],
+) {
+    let (z, one) = (S::zero(), S::one());
+    let old = row.impulse;
+    let w = row.rows.velocities(topology, further, y_base, y_joint);
+    let (square, bound) = (old[1].mul_add(old[1], old[2] * old[2]), friction * old[0]);
+    let bound = bound * bound;
+    let at_bound = S::and((bound * S::splat(0.98)).lt(square), square.lt(bound * S::splat(1.02)));
+    let slid = S::and(z.lt(old[0]), at_bound);
+    let per_normal = one / old[0].max(S::splat(1e-9));
+    let follow = [S::select(slid, old[1] * per_normal, z), S::select(slid, old[2] * per_normal, z)];
+    let [c01, c02, c12] = row.coupling;
+    let diagonal = c01.mul_add(follow[0], c02.mul_add(follow[1], row.diagonal));
+    // friction may drive the point into the ground faster than the normal impulse lifts it
+    let diagonal = diagonal.max(row.diagonal * S::splat(0.2));
+    let missing = row.softness.mul_add(old[0], w[0] - row.target);
+    let step = S::select(slid, one, S::splat(0.5));
+    let normal = (old[0] - step * missing / diagonal).max(z);
+    let dn = normal - old[0];
+    let followed = [follow[0].mul_add(dn, old[1]), follow[1].mul_add(dn, old[2])];
+    let w1 = follow[1].mul_add(c12, follow[0].mul_add(row.across[0], c01)).mul_add(dn, w[1]);
+    let w2 = follow[0].mul_add(c12, follow[1].mul_add(row.across[1], c02)).mul_add(dn, w[2]);
+    let t1 = w1.neg_mul_add(row.inverse[1], followed[0]);
+    let t2 = c12.mul_add(t1 - followed[0], w2).neg_mul_add(row.inverse[2], followed[1]);
+    let hold = friction * normal;
+    let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
+    let (s1, s2) = (w1.neg_mul_add(row.slide, followed[0]), w2.neg_mul_add(row.slide, followed[1]));
+    let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
+    let shrink = (hold / length).min(one);
+    let new = [
+        S::select(active, normal, old[0]),
+        S::select(active, S::select(slides, s1 * shrink, t1), old[1]),
+        S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
+    ];
+    row.impulse = new;
+    let change = [new[0] - old[0], new[1] - old[1], new[2] - old[2]];
+    row.rows.apply(topology, further, &change, y_base, y_joint);
 }
 
 /// One sweep over the contacts' normals, for the motion that pushes penetrations out.
