@@ -70,7 +70,7 @@ impl Default for ContactSettings {
 /// Candidates further from the ground than this are not looked at, m.
 const CONTACT_MARGIN: f64 = 0.02;
 /// A candidate takes part in a physics step when it is nearer to the ground than this, m, and what it comes nearer by in the
-/// step at its present speed.
+/// step, at its present speed or without constraints.
 const CONTACT_REACH: f64 = 0.004;
 /// A joint bound takes part when the joint could come nearer to it than this in two physics steps, rad or m.
 const BOUND_MARGIN: f64 = 0.05;
@@ -148,7 +148,8 @@ pub fn candidate_gaps<S: Real>(
     gaps.collect()
 }
 
-/// Finds the contacts near the ground and builds their rows.
+/// Finds the contacts near the ground and builds their rows. Without constraints the base would have the velocity `free_base`, about
+/// its own origin and axes.
 #[inline(always)]
 pub fn build_contacts<S: Real>(
     topology: &Topology,
@@ -157,11 +158,13 @@ pub fn build_contacts<S: Real>(
     terrain: Option<&Terrain<S>>,
     dt: S,
     state: &State<S>,
+    free_base: &Spatial<S>,
     work: &mut Workspace<S>,
 ) {
     let Workspace { base_rotation, links, factor, velocity_base, contact: rows, .. } = work;
-    let [_, _, _, x, y, z] = *velocity_base;
     let margin = S::splat(CONTACT_MARGIN);
+    // the links' velocities have all of the base's but this
+    let base = Spatial { ang: [S::zero(); 3], lin: [velocity_base[3], velocity_base[4], velocity_base[5]] };
     // composite by now: the whole robot's
     rows.clear(links[0].inertia.mass);
     let Some(plane) = &settings.ground else {
@@ -215,10 +218,11 @@ pub fn build_contacts<S: Real>(
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
-            // the links' velocities leave out that of the base's origin
-            let velocity = add(&at.velocity.at(&centre), &[x, y, z]);
-            let closing = -dot(&axes_here[0], &velocity);
-            let near = gap.lt(closing.max(S::zero()).mul_add(dt, S::splat(CONTACT_REACH)).min(margin));
+            // limits may hold what would be free, and then the present speed tells more
+            let now = dot(&axes_here[0], &at.velocity.plus(&base).at(&centre));
+            let free = dot(&axes_here[0], &at.free_velocity.plus(free_base).at(&centre));
+            let opening = now.min(free).min(S::zero());
+            let near = gap.lt(opening.neg_mul_add(dt, S::splat(CONTACT_REACH)).min(margin));
             if !S::any(near) {
                 continue;
             }

@@ -1,6 +1,7 @@
 //! Forward kinematics, composite inertias and bias forces, all in base axes about the base origin.
 
 use super::articulation::{Axis, JointMotion, Parameters, Topology};
+use super::blocks::BLOCK;
 use super::lanes::Real;
 use super::math::{
     Mat3, Spatial, SpatialInertia, Sym3, Vec3, add, add_scaled, cross, cross_add, mul_sym, mul_vec, rotate_sym, scale,
@@ -51,6 +52,20 @@ fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
                 }
             }
             (out, mul_vec(r, &u))
+        }
+    }
+}
+
+/// Sets the links' free velocities to those that joint velocities, `[blocks]`, give them against the base.
+#[inline(always)]
+pub(super) fn free_links<S: Real>(topology: &Topology, velocity: &[[S; BLOCK]], links: &mut [LinkState<S>]) {
+    links[0].free_velocity = Spatial::zero();
+    for (block, velocity) in topology.blocks().iter().zip(velocity) {
+        for place in 0..block.len {
+            let j = block.joints[place];
+            let (before, rest) = links.split_at_mut(j + 1);
+            let (parent, link) = (&before[topology.joints[j].parent], &mut rest[0]);
+            link.free_velocity = parent.free_velocity.plus_scaled(&link.axis, velocity[place]);
         }
     }
 }

@@ -159,6 +159,12 @@ impl<S: Real> Spatial<S> {
         Self { ang: [S::zero(); 3], lin: [S::zero(); 3] }
     }
 
+    /// From its six components, angular first.
+    #[inline(always)]
+    pub fn from_array([ax, ay, az, lx, ly, lz]: [S; 6]) -> Self {
+        Self { ang: [ax, ay, az], lin: [lx, ly, lz] }
+    }
+
     /// The six components, angular first.
     #[inline(always)]
     pub fn to_array(self) -> [S; 6] {
@@ -182,6 +188,12 @@ impl<S: Real> Spatial<S> {
     #[inline(always)]
     pub fn plus(&self, other: &Self) -> Self {
         Self { ang: add(&self.ang, &other.ang), lin: add(&self.lin, &other.lin) }
+    }
+
+    /// `self - other`.
+    #[inline(always)]
+    pub fn minus(&self, other: &Self) -> Self {
+        Self { ang: sub(&self.ang, &other.ang), lin: sub(&self.lin, &other.lin) }
     }
 
     /// `self + other s`.

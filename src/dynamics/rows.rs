@@ -44,6 +44,8 @@ pub(super) struct ContactRows<S> {
     /// Least allowed separation speed, m/s.
     pub(super) target: S,
     pub(super) impulse: [S; 3],
+    /// How the last visit of a jammed contact changed the first of these.
+    pub(super) last_change: S,
     /// The same for the motion that pushes penetrations out.
     pub(super) push: S,
     pub(super) push_impulse: S,
@@ -313,7 +315,7 @@ impl<S: Real> ContactWork<S> {
         let row = &mut self.contacts[self.num_contacts];
         row.target = S::select(near, target.min(z).max(bounce), never);
         row.push = S::select(near, target, never);
-        row.push_impulse = z;
+        (row.push_impulse, row.last_change) = (z, z);
         row.awake = true;
         for d in 0..3 {
             row.impulse[d] = S::select(near, warm_start[d], z);
@@ -343,6 +345,7 @@ impl<S: Real> ContactRows<S> {
             slide: z,
             target: z,
             impulse: [z; 3],
+            last_change: z,
             push: z,
             push_impulse: z,
             awake: true,

@@ -6,7 +6,7 @@
 use super::articulation::{ColliderTopology, Parameters, Topology};
 use super::contact::{ContactSettings, separation};
 use super::lanes::Real;
-use super::math::{Mat3, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
+use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
 use super::proximity::{
     Capsule, Proximity, capsule_and_box, capsules, may_touch_box, nearest_on_capsules, nearest_to_box,
 };
@@ -14,8 +14,8 @@ use super::rows::NEVER;
 use super::state::{State, Workspace};
 
 /// A pair takes part in a physics step when its links are nearer to each other than this, m, and what they come nearer by in the
-/// step at their present speed.
-const PAIR_MARGIN: f64 = 0.001;
+/// step, at their present speed or without constraints.
+const PAIR_MARGIN: f64 = 0.002;
 /// Boxes that are further apart by this are so in spite of all rounding, m.
 const ROUNDING: f64 = 1e-4;
 
@@ -28,7 +28,7 @@ pub struct PlacedCollider<S> {
     pub rotation: Mat3<S>,
     /// Half edge lengths of the box along the base's axes that holds the collider, m.
     pub extent: Vec3<S>,
-    /// How fast any of its points moves against the base's frame at most, m/s.
+    /// At least the speed of any of its points, m/s.
     pub speed: S,
 }
 
@@ -128,11 +128,11 @@ pub fn build_pairs<S: Real>(
             let places = shapes.nearest(pair.spans);
             for (i, place) in (pair.first_impulse..).zip(&places[..pair.spans.len()]) {
                 let found = shapes.proximity(place);
-                // how fast the two come nearer at that point
-                let first = links[topology.colliders[a].link].velocity.at(&found.point);
-                let second = links[topology.colliders[b].link].velocity.at(&found.point);
-                let closing = dot(&found.normal, &sub(&second, &first)).max(S::zero());
-                let near = found.gap.lt(closing.mul_add(dt, S::splat(PAIR_MARGIN)));
+                let (first, second) = (&links[topology.colliders[a].link], &links[topology.colliders[b].link]);
+                let now = sub(&first.velocity.at(&found.point), &second.velocity.at(&found.point));
+                let free = sub(&first.free_velocity.at(&found.point), &second.free_velocity.at(&found.point));
+                let opening = dot(&found.normal, &now).min(dot(&found.normal, &free)).min(S::zero());
+                let near = found.gap.lt(opening.neg_mul_add(dt, S::splat(PAIR_MARGIN)));
                 if !S::any(near) {
                     continue;
                 }
@@ -152,8 +152,16 @@ pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) 
     places[..pair.spans.len()].iter().map(|place| shapes.proximity(place).gap).fold(S::splat(f64::MAX), S::min)
 }
 
-/// Puts the colliders where the workspace's kinematics has their links, and finds how fast any of their points moves
-/// against the base's frame.
+/// At least the square of the largest speed of a body's points within the root of `squared_reach / 2` of `centre`.
+#[inline(always)]
+fn squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_reach: S) -> S {
+    // (x + y)^2 <= 2 x^2 + 2 y^2 saves roots
+    let point = velocity.at(centre);
+    S::splat(2.0) * squared_reach.mul_add(dot(&velocity.ang, &velocity.ang), dot(&point, &point))
+}
+
+/// Puts the colliders where the workspace's kinematics has their links, and finds how fast any of their points moves, now or
+/// freely.
 #[inline(always)]
 pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
     let Workspace { links, colliders, collider_boxes, .. } = work;
@@ -165,14 +173,10 @@ pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>,
         let radius = parameters.collider_radius[c];
         let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
         let centre = add(&at.position, &mul_vec(&at.rotation, centre));
-        let point = at.velocity.at(&centre);
-        // (x + y)^2 <= 2 x^2 + 2 y^2 saves roots
-        let two = S::splat(2.0);
-        let lengths = two * radius.mul_add(radius, dot(half, half));
-        let turning = dot(&at.velocity.ang, &at.velocity.ang);
-        let speed = (two * lengths.mul_add(turning, dot(&point, &point))).sqrt();
         let placed = &mut colliders[c];
-        placed.speed = speed;
+        let lengths = S::splat(2.0) * radius.mul_add(radius, dot(half, half));
+        let now = squared_speed(&at.velocity.minus(&links[0].velocity), &centre, lengths);
+        placed.speed = now.max(squared_speed(&at.free_velocity, &centre, lengths)).sqrt();
         // a box is turned when it meets a capsule
         if let Some(rotation) = box_rotation {
             placed.rotation = mul_mat(&at.rotation, &[splat(&rotation[0]), splat(&rotation[1]), splat(&rotation[2])]);

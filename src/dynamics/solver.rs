@@ -14,7 +14,7 @@ const LAST_ROUNDS: usize = 8;
 /// Sweeps come in turns, as many as it takes until contacts are settled, but no more than this: where a light leg is jammed
 /// between a joint limit and the ground, sweep after sweep hands it little of what the base weighs. Turns after the first have
 /// half as many sweeps.
-const MOST_TURNS: usize = 8;
+const MOST_TURNS: usize = 15;
 /// A contact is settled when another sweep would change its velocity by less than this, m/s: less would spend on every footfall
 /// what only jams need.
 const SETTLED: f64 = 0.3;
@@ -178,7 +178,7 @@ fn sweep_contacts<S: Real>(
             continue;
         }
         if jammed {
-            visit_jammed(topology, parameters.dynamic_friction, active, row, further, y_base, y_joint);
+            visit_jammed(topology, &friction, active, row, further, y_base, y_joint);
         } else {
             visit_contact(topology, &friction, active, row, further, y_base, y_joint);
         }
@@ -229,15 +229,16 @@ fn visit_contact<S: Real>(
     row.rows.apply(topology, further, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
-/// The same where a sweep's normal impulse and its friction undo each other, so that sweeps go back and forth between two states:
-/// the point is pushed up, friction that grows with it lifts it further, so that next it is not pushed at all.
+/// The same where contacts have not settled: a normal impulse and its friction may undo each other, so that sweeps go back and
+/// forth between two states. The point is pushed up, friction that grows with it lifts it further, and next it is not pushed at
+/// all.
 ///
-/// Friction that is at its bound follows the normal impulse at once, and any other normal impulse goes half of its way. Sticking
-/// is bounded as sliding is, since between two bounds it goes back and forth too.
+/// Friction that is at its bound follows the normal impulse at once. A normal impulse that turns back goes half of its way, and the
+/// point then sticks no better than it slides, since between two bounds it would go back and forth too.
 #[inline(always)]
 fn visit_jammed<S: Real>(
     topology: &Topology,
-    friction: S,
+    friction: &[S; 2],
     active: S::Mask,
     row: &mut ContactRows<S>,
     further: &[JointRows<S>],
@@ -247,7 +248,7 @@ fn visit_jammed<S: Real>(
     let (z, one) = (S::zero(), S::one());
     let old = row.impulse;
     let w = row.rows.velocities(topology, further, y_base, y_joint);
-    let (square, bound) = (old[1].mul_add(old[1], old[2] * old[2]), friction * old[0]);
+    let (square, bound) = (old[1].mul_add(old[1], old[2] * old[2]), friction[1] * old[0]);
     let bound = bound * bound;
     let at_bound = S::and((bound * S::splat(0.98)).lt(square), square.lt(bound * S::splat(1.02)));
     let slid = S::and(z.lt(old[0]), at_bound);
@@ -258,19 +259,21 @@ fn visit_jammed<S: Real>(
     // friction may drive the point into the ground faster than the normal impulse lifts it
     let diagonal = diagonal.max(row.diagonal * S::splat(0.2));
     let missing = row.softness.mul_add(old[0], w[0] - row.target);
-    let step = S::select(slid, one, S::splat(0.5));
-    let normal = (old[0] - step * missing / diagonal).max(z);
-    let dn = normal - old[0];
+    let change = (old[0] - missing / diagonal).max(z) - old[0];
+    let turned = (change * row.last_change).lt(z);
+    let dn = S::select(turned, change * S::splat(0.5), change);
+    let normal = old[0] + dn;
+    row.last_change = S::select(active, dn, row.last_change);
     let followed = [follow[0].mul_add(dn, old[1]), follow[1].mul_add(dn, old[2])];
     let w1 = follow[1].mul_add(c12, follow[0].mul_add(row.across[0], c01)).mul_add(dn, w[1]);
     let w2 = follow[0].mul_add(c12, follow[1].mul_add(row.across[1], c02)).mul_add(dn, w[2]);
     let t1 = w1.neg_mul_add(row.inverse[1], followed[0]);
     let t2 = c12.mul_add(t1 - followed[0], w2).neg_mul_add(row.inverse[2], followed[1]);
-    let hold = friction * normal;
+    let hold = S::select(turned, friction[1], friction[0]) * normal;
     let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
     let (s1, s2) = (w1.neg_mul_add(row.slide, followed[0]), w2.neg_mul_add(row.slide, followed[1]));
     let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
-    let shrink = (hold / length).min(one);
+    let shrink = (friction[1] * normal / length).min(one);
     let new = [
         S::select(active, normal, old[0]),
         S::select(active, S::select(slides, s1 * shrink, t1), old[1]),

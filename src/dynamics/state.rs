@@ -130,6 +130,8 @@ pub struct LinkState<S> {
     pub position: Vec3<S>,
     /// Spatial velocity.
     pub velocity: Spatial<S>,
+    /// What it would be against the base after the step if there were no constraints.
+    pub free_velocity: Spatial<S>,
     /// Motion axis of the joint that moves it.
     pub axis: Spatial<S>,
     /// Velocity-product acceleration.
@@ -181,6 +183,7 @@ impl<S: Real> Workspace<S> {
             rotation: identity,
             position: [z; 3],
             velocity: Spatial::zero(),
+            free_velocity: Spatial::zero(),
             axis: Spatial::zero(),
             acceleration: Spatial::zero(),
             inertia: SpatialInertia::zero(),

@@ -8,6 +8,7 @@ use super::lanes::{Kernel, Real};
 use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
+use super::rows::ContactWork;
 use super::self_contact;
 use super::solver;
 use super::state::{Drive, Report, State, Workspace};
@@ -189,19 +190,26 @@ fn physics_step<S: Real>(
         let Workspace { factor, contact, .. } = &mut *work;
         factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
     }
-    contact::build_contacts(topology, parameters, &settings.contact, terrain, dt, state, work);
-    self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, work);
+    // as constraints leave it alone, aside until they have seen the one before it
+    let ContactWork { base, joints, moved_base, moved_joints, .. } = &mut work.contact;
     for r in 0..6 {
-        work.contact.base[r] = work.contact.base[r] + impulse[r];
+        moved_base[r] = base[r] + impulse[r];
     }
-    for (y, rhs) in work.contact.joints.as_flattened_mut().iter_mut().zip(work.rhs_joint.as_flattened_mut()) {
-        *y = *y + *rhs;
-        *rhs = *y;
+    let joints = joints.as_flattened().iter().zip(moved_joints.as_flattened_mut());
+    for ((y, moved), rhs) in joints.zip(work.rhs_joint.as_flattened_mut()) {
+        *moved = *y + *rhs;
+        *rhs = *moved;
     }
-    let mut free_base = work.contact.base;
+    let mut free_base = *moved_base;
     work.factor.from_sparse(topology, &mut free_base, &mut work.rhs_joint);
+    // `rhs_joint` now holds the free joint velocities
+    kinematics::free_links(topology, &work.rhs_joint, &mut work.links);
+    let free_base = Spatial::from_array(free_base);
+    contact::build_contacts(topology, parameters, &settings.contact, terrain, dt, state, &free_base, work);
+    self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, work);
+    work.contact.base = work.contact.moved_base;
+    work.contact.joints.copy_from_slice(&work.contact.moved_joints);
     {
-        // `rhs_joint` now holds the free joint velocities
         let free = std::mem::take(&mut work.rhs_joint);
         contact::build_bounds(topology, parameters, &settings.contact, dt, state, &free, work);
         work.rhs_joint = free;
