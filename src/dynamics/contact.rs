@@ -218,11 +218,9 @@ pub fn build_contacts<S: Real>(
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
-            // limits may hold what would be free, and then the present speed tells more
             let now = dot(&axes_here[0], &at.velocity.plus(&base).at(&centre));
             let free = dot(&axes_here[0], &at.free_velocity.plus(free_base).at(&centre));
-            let opening = now.min(free).min(S::zero());
-            let near = gap.lt(opening.neg_mul_add(dt, S::splat(CONTACT_REACH)).min(margin));
+            let near = gap.lt(reach_in_step(CONTACT_REACH, now, free, dt).min(margin));
             if !S::any(near) {
                 continue;
             }
@@ -268,6 +266,13 @@ fn on_terrain<S: Real>(
 #[inline(always)]
 fn to_base<S: Real>(level: &[Vec3<S>; 3], v: &Vec3<S>) -> Vec3<S> {
     add_scaled(&add_scaled(&scale(&level[0], v[2]), &level[1], v[0]), &level[2], v[1])
+}
+
+/// How far apart two things may be that can touch in a step, m: `least`, and what they come nearer by. `now` and `free` are the speeds
+/// at which they part at present and without constraints; limits may hold what would be free, and then the former tells more.
+#[inline(always)]
+pub(super) fn reach_in_step<S: Real>(least: f64, now: S, free: S, dt: S) -> S {
+    now.min(free).min(S::zero()).neg_mul_add(dt, S::splat(least))
 }
 
 /// Least allowed separation speed at a gap: one that is open may close, a penetration is pushed out.

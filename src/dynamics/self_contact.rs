@@ -4,7 +4,7 @@
 //! two colliders. What is left out is further apart than the margin in every lane.
 
 use super::articulation::{ColliderTopology, Parameters, Topology};
-use super::contact::{ContactSettings, separation};
+use super::contact::{ContactSettings, reach_in_step, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
 use super::proximity::{
@@ -28,7 +28,7 @@ pub struct PlacedCollider<S> {
     pub rotation: Mat3<S>,
     /// Half edge lengths of the box along the base's axes that holds the collider, m.
     pub extent: Vec3<S>,
-    /// At least the speed of any of its points, m/s.
+    /// At least the speed of any of its points against the base, now or freely, m/s.
     pub speed: S,
 }
 
@@ -131,8 +131,8 @@ pub fn build_pairs<S: Real>(
                 let (first, second) = (&links[topology.colliders[a].link], &links[topology.colliders[b].link]);
                 let now = sub(&first.velocity.at(&found.point), &second.velocity.at(&found.point));
                 let free = sub(&first.free_velocity.at(&found.point), &second.free_velocity.at(&found.point));
-                let opening = dot(&found.normal, &now).min(dot(&found.normal, &free)).min(S::zero());
-                let near = found.gap.lt(opening.neg_mul_add(dt, S::splat(PAIR_MARGIN)));
+                let (now, free) = (dot(&found.normal, &now), dot(&found.normal, &free));
+                let near = found.gap.lt(reach_in_step(PAIR_MARGIN, now, free, dt));
                 if !S::any(near) {
                     continue;
                 }

@@ -215,10 +215,8 @@ fn visit_contact<S: Real>(
     if S::any(slides) {
         // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
         let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
-        let (s1, s2) = (w1.neg_mul_add(row.slide, old[1]), w2.neg_mul_add(row.slide, old[2]));
-        let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
-        let shrink = (friction[1] * normal / length).min(S::one());
-        tangential = [S::select(slides, s1 * shrink, t1), S::select(slides, s2 * shrink, t2)];
+        let [s1, s2] = sliding(row.slide, [w1, w2], [old[1], old[2]], friction[1] * normal);
+        tangential = [S::select(slides, s1, t1), S::select(slides, s2, t2)];
     }
     let new = [
         normal,
@@ -229,7 +227,17 @@ fn visit_contact<S: Real>(
     row.rows.apply(topology, further, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
-/// The same where contacts have not settled: a normal impulse and its friction may undo each other, so that sweeps go back and
+/// Impulses along the tangents of a point that slides at velocities `w`: against them, within a disc of radius `bound`. `mass` is that
+/// of a sliding step.
+#[inline(always)]
+fn sliding<S: Real>(mass: S, w: [S; 2], impulse: [S; 2], bound: S) -> [S; 2] {
+    let (s1, s2) = (w[0].neg_mul_add(mass, impulse[0]), w[1].neg_mul_add(mass, impulse[1]));
+    let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
+    let shrink = (bound / length).min(S::one());
+    [s1 * shrink, s2 * shrink]
+}
+
+/// [`visit_contact`] where contacts have not settled: a normal impulse and its friction may undo each other, so that sweeps go back and
 /// forth between two states. The point is pushed up, friction that grows with it lifts it further, and next it is not pushed at
 /// all.
 ///
@@ -271,13 +279,11 @@ fn visit_jammed<S: Real>(
     let t2 = c12.mul_add(t1 - followed[0], w2).neg_mul_add(row.inverse[2], followed[1]);
     let hold = S::select(turned, friction[1], friction[0]) * normal;
     let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
-    let (s1, s2) = (w1.neg_mul_add(row.slide, followed[0]), w2.neg_mul_add(row.slide, followed[1]));
-    let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
-    let shrink = (friction[1] * normal / length).min(one);
+    let [s1, s2] = sliding(row.slide, [w1, w2], followed, friction[1] * normal);
     let new = [
         S::select(active, normal, old[0]),
-        S::select(active, S::select(slides, s1 * shrink, t1), old[1]),
-        S::select(active, S::select(slides, s2 * shrink, t2), old[2]),
+        S::select(active, S::select(slides, s1, t1), old[1]),
+        S::select(active, S::select(slides, s2, t2), old[2]),
     ];
     row.impulse = new;
     let change = [new[0] - old[0], new[1] - old[1], new[2] - old[2]];
