@@ -8,6 +8,7 @@ mod avian;
 pub mod batch;
 pub mod components;
 pub mod config;
+mod crew;
 pub mod draft;
 pub mod dump;
 pub mod dynamics;

@@ -6,8 +6,8 @@
 use std::sync::{Mutex, PoisonError};
 
 use bevy_ecs::prelude::*;
-use bevy_tasks::{TaskPool, TaskPoolBuilder};
 
+use crate::crew::Crew;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::{Entry, Kernel};
 
@@ -86,7 +86,7 @@ split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1
 /// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
 #[derive(Resource)]
 pub struct Workers {
-    pool: Option<TaskPool>,
+    crew: Option<Crew>,
     threads: usize,
     entry: Entry,
 }
@@ -100,9 +100,8 @@ impl Workers {
     /// `threads` of them, at least one.
     pub fn new(threads: usize, simd: Simd) -> Self {
         let threads = threads.max(1);
-        let pool = (threads > 1)
-            .then(|| TaskPoolBuilder::new().num_threads(threads - 1).thread_name("polypod".to_string()).build());
-        Self { pool, threads, entry: simd.entry() }
+        let crew = (threads > 1).then(|| Crew::new(threads - 1));
+        Self { crew, threads, entry: simd.entry() }
     }
 
     /// The way into code compiled for the instruction set.
@@ -128,29 +127,22 @@ impl Workers {
 
     /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
     pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
-        match &self.pool {
-            Some(pool) if len > MIN_CHUNK => {
-                pool.scope(|scope| {
-                    let f = &f;
-                    let mut rest = Some(rows);
-                    let mut start = 0;
-                    while let Some(rows) = rest.take() {
-                        let n = self.share(len - start, MIN_CHUNK);
-                        let first = start;
-                        start += n;
-                        let part = if start < len {
-                            let (part, more) = rows.split_rows(n);
-                            rest = Some(more);
-                            part
-                        } else {
-                            rows
-                        };
-                        scope.spawn(async move { f(first, n, part) });
-                    }
-                });
+        let Some(crew) = self.crew.as_ref().filter(|_| len > MIN_CHUNK) else {
+            return f(0, len, rows);
+        };
+        let (mut rest, mut start) = (Some(rows), 0);
+        let chunks = std::iter::from_fn(|| {
+            let rows = rest.take()?;
+            let (first, n) = (start, self.share(len - start, MIN_CHUNK));
+            start += n;
+            if start == len {
+                return Some((first, n, rows));
             }
-            _ => f(0, len, rows),
-        }
+            let (part, more) = rows.split_rows(n);
+            rest = Some(more);
+            Some((first, n, part))
+        });
+        crew.for_each(chunks, |(first, n, part)| f(first, n, part));
     }
 
     /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
@@ -164,16 +156,9 @@ impl Workers {
     }
 
     /// Runs `f(task)` on every task, in parallel.
-    pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, f: impl Fn(T) + Sync) {
-        match &self.pool {
-            Some(pool) => {
-                pool.scope(|scope| {
-                    let f = &f;
-                    for task in tasks {
-                        scope.spawn(async move { f(task) });
-                    }
-                });
-            }
+    pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T> + Send, f: impl Fn(T) + Sync) {
+        match &self.crew {
+            Some(crew) => crew.for_each(tasks, f),
             None => tasks.for_each(f),
         }
     }

@@ -1,4 +1,4 @@
-//! SIMD lanes: the one place that knows instruction sets, and the only file of the crate with `unsafe` code.
+//! SIMD lanes: the one place that knows instruction sets, and but for `crew.rs` the only file of the crate with `unsafe` code.
 //!
 //! The kernels of [`dynamics`](super) are written once, over the [`Real`] trait. A value of a `Real` type holds
 //! [`Real::LANES`] independent numbers, one per robot of a pack; no operation mixes lanes, and each operation is one

@@ -1,0 +1,212 @@
+//! Threads of a Bevy task pool that stay awake from one job to the next.
+//!
+//! A control step is a dozen jobs, each over in less time than a sleeping thread takes to wake. So the pool's threads are woken once:
+//! they help with jobs for as long as these follow each other closely, and go back to sleep after that.
+//!
+//! Besides [`lanes`](crate::dynamics::lanes) the only file of the crate with `unsafe` code: a job borrows from its caller, which the threads
+//! cannot know.
+
+#![allow(unsafe_code)]
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, TryLockError};
+use std::time::{Duration, Instant};
+
+use bevy_tasks::{TaskPool, TaskPoolBuilder};
+
+/// How long a thread waits awake for the next job: longer than what lies between two jobs of a control step, and little beside one.
+const PATIENCE: Duration = Duration::from_micros(200);
+/// Looks at what a thread waits for before it lets others have the core between two.
+const LOOKS: usize = 2000;
+
+/// The caller's thread and helpers, which work on one job at a time.
+pub(crate) struct Crew {
+    pool: TaskPool,
+    shared: Arc<Shared>,
+    /// Whether a job is being worked on.
+    busy: AtomicBool,
+}
+
+type Job<'a> = dyn Fn() + Sync + 'a;
+
+#[derive(Default)]
+struct Shared {
+    /// Jobs so far.
+    jobs: AtomicUsize,
+    /// The present one.
+    job: RwLock<Option<&'static Job<'static>>>,
+    /// Helpers that look at it or work on it.
+    inside: AtomicUsize,
+    /// Helpers that are awake, or on the way.
+    awake: AtomicUsize,
+    /// What a helper panicked with.
+    panic: Mutex<Option<Box<dyn Any + Send>>>,
+}
+
+/// Waits a moment; longer moments after many.
+struct Wait {
+    looks: usize,
+}
+
+impl Wait {
+    fn new() -> Self {
+        Self { looks: 0 }
+    }
+
+    fn moment(&mut self) {
+        if self.looks < LOOKS {
+            self.looks += 1;
+            std::hint::spin_loop();
+        } else {
+            std::thread::yield_now();
+        }
+    }
+
+    fn is_long(&self) -> bool {
+        self.looks == LOOKS
+    }
+}
+
+/// A lock that is held for less time than it takes to fall asleep.
+fn lock_awake<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    let mut wait = Wait::new();
+    loop {
+        match mutex.try_lock() {
+            Ok(guard) => return guard,
+            Err(TryLockError::Poisoned(poisoned)) => return poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => wait.moment(),
+        }
+    }
+}
+
+impl Crew {
+    /// The caller's thread and so many helpers.
+    pub(crate) fn new(helpers: usize) -> Self {
+        let pool = TaskPoolBuilder::new().num_threads(helpers).thread_name("polypod".to_string()).build();
+        Self { pool, shared: Arc::default(), busy: AtomicBool::new(false) }
+    }
+
+    /// Runs `f(task)` on every task. Threads take one task after the other.
+    pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T> + Send, f: impl Fn(T) + Sync) {
+        let tasks = Mutex::new(tasks);
+        self.run(&|| {
+            loop {
+                // the lock must not outlive the statement
+                let task = lock_awake(&tasks).next();
+                let Some(task) = task else {
+                    return;
+                };
+                f(task);
+            }
+        });
+    }
+
+    /// Has all threads that are free call `job`, the caller's in any case; returns when all have returned.
+    ///
+    /// A job within a job is the caller's alone.
+    fn run(&self, job: &Job) {
+        if self.busy.swap(true, Ordering::Acquire) {
+            return job();
+        }
+        let shared = &self.shared;
+        while shared.awake.load(Ordering::Relaxed) < self.pool.thread_num() {
+            shared.awake.fetch_add(1, Ordering::Relaxed);
+            let shared = shared.clone();
+            self.pool.spawn(async move { shared.help() }).detach();
+        }
+        // SAFETY: the reference leaves `shared.job` below, whether or not a thread panics. Whoever has read it there before has counted
+        // itself to `inside` before that, and is waited for.
+        let job_for_helpers = unsafe { std::mem::transmute::<&Job<'_>, &'static Job<'static>>(job) };
+        *shared.job.write().unwrap_or_else(PoisonError::into_inner) = Some(job_for_helpers);
+        shared.jobs.fetch_add(1, Ordering::Release);
+        let mine = catch_unwind(AssertUnwindSafe(job));
+        *shared.job.write().unwrap_or_else(PoisonError::into_inner) = None;
+        let mut wait = Wait::new();
+        while shared.inside.load(Ordering::Acquire) > 0 {
+            wait.moment();
+        }
+        let theirs = lock_awake(&shared.panic).take();
+        self.busy.store(false, Ordering::Release);
+        if let Some(panic) = mine.err().or(theirs) {
+            resume_unwind(panic);
+        }
+    }
+}
+
+impl Shared {
+    /// Works on every job that comes, until none has for a while.
+    fn help(&self) {
+        let mut seen = 0;
+        let (mut wait, mut last) = (Wait::new(), None);
+        loop {
+            let jobs = self.jobs.load(Ordering::Acquire);
+            if jobs != seen {
+                seen = jobs;
+                self.inside.fetch_add(1, Ordering::AcqRel);
+                let job = *self.job.read().unwrap_or_else(PoisonError::into_inner);
+                if let Some(job) = job
+                    && let Err(panic) = catch_unwind(AssertUnwindSafe(job))
+                {
+                    *lock_awake(&self.panic) = Some(panic);
+                }
+                self.inside.fetch_sub(1, Ordering::Release);
+                (wait, last) = (Wait::new(), None);
+            } else if wait.is_long() && last.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                break;
+            } else {
+                wait.moment();
+            }
+        }
+        self.awake.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_task_is_done_once_before_the_job_ends() {
+        let crew = Crew::new(3);
+        let mut counts = vec![0u32; 1000];
+        for round in 0..2000 {
+            let n = 1 + round % 40;
+            crew.for_each(counts[..n].iter_mut(), |x| *x += 1);
+            if round % 500 == 0 {
+                // long enough for the helpers to fall asleep
+                std::thread::sleep(2 * PATIENCE);
+            }
+        }
+        let expected: Vec<u32> = (0..1000).map(|i| if i < 40 { 50 * (40 - i) } else { 0 }).collect();
+        assert_eq!(counts, expected);
+    }
+
+    #[test]
+    fn a_job_within_a_job_is_done() {
+        let (crew, sum) = (Crew::new(2), AtomicUsize::new(0));
+        crew.for_each(0..10, |i| crew.for_each(0..i, |_| _ = sum.fetch_add(1, Ordering::Relaxed)));
+        assert_eq!(sum.into_inner(), 45);
+    }
+
+    #[test]
+    fn a_panic_reaches_the_caller_after_all_have_returned() {
+        let crew = Crew::new(2);
+        for bad in [0, 7, 99] {
+            let done = AtomicUsize::new(0);
+            let result = catch_unwind(AssertUnwindSafe(|| {
+                crew.for_each(0..100, |i| {
+                    assert_ne!(i, bad, "as it should");
+                    done.fetch_add(1, Ordering::Relaxed);
+                });
+            }));
+            assert!(result.is_err());
+            assert!(done.into_inner() <= 99);
+        }
+        // and the crew still works
+        let sum = AtomicUsize::new(0);
+        crew.for_each(1..=100, |i| _ = sum.fetch_add(i, Ordering::Relaxed));
+        assert_eq!(sum.into_inner(), 5050);
+    }
+}
