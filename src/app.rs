@@ -486,7 +486,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
-        ConstraintImpulses { contacts: smallvec![], limits: zeros },
+        ConstraintImpulses { contacts: smallvec![], bounds: zeros },
         ContactForces { net: smallvec![[0.0; 3]; bodies], normal: smallvec![0.0; bodies * decimation] },
         Feet {
             position: smallvec![[0.0; 3]; model.feet.len()],

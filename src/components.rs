@@ -275,8 +275,8 @@ pub struct ContactImpulse {
 pub struct ConstraintImpulses {
     /// Contacts that press, by their number.
     pub contacts: SmallVec<[ContactImpulse; 6]>,
-    /// Joint limits, physical order, N m s.
-    pub limits: PerJoint,
+    /// Joint limits and dry friction, physical order, N m s.
+    pub bounds: PerJoint,
 }
 
 /// Contact forces of the last control step.

@@ -201,8 +201,8 @@ impl Dump {
         let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?);
         let theirs = sizes(state.before.joints.position.len(), &state.body);
         let num_impulses = sim.morphologies()[0].topology.num_impulses();
-        let limits = &state.before.impulses.limits;
-        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0, limits];
+        let bounds = &state.before.impulses.bounds;
+        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0, bounds];
         if ours != theirs
             || state.targets.history.is_empty()
             || state.before.impulses.contacts.iter().any(|c| c.contact as usize >= num_impulses)
@@ -294,14 +294,14 @@ fn bits(motion: &Motion) -> Vec<u32> {
         velocity: BaseVelocity { linear, angular },
         joints,
         effort,
-        impulses: ConstraintImpulses { contacts, limits },
+        impulses: ConstraintImpulses { contacts, bounds },
     } = motion;
     let (base, joint) = ([&position[..], rotation, linear, angular], [&joints.position, &joints.velocity]);
     let efforts = [&effort.applied, &effort.acceleration];
     let lists = base.into_iter().chain(joint.into_iter().chain(efforts).map(|list| &list[..]));
     let mut numbers: Vec<f32> = lists.flatten().copied().collect();
     if numbers.iter().all(|x| !x.is_nan()) {
-        numbers.extend(contacts.iter().flat_map(|c| c.impulse).chain(limits.iter().copied()));
+        numbers.extend(contacts.iter().flat_map(|c| c.impulse).chain(bounds.iter().copied()));
     }
     numbers.into_iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
 }

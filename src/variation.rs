@@ -212,15 +212,12 @@ fn complement(&[xx, yy, zz, xy, xz, yz]: &Sym3<f64>, share: f64) -> Sym3<f64> {
 }
 
 fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: &mut Parameters<f64>) {
-    p.contact_reach.fill(0.0);
     for (i, contact) in topology.contacts.iter().enumerate() {
-        let at = mul_vec(&maps[contact.link].0, &p.contact_position[i]);
-        p.contact_position[i] = at;
+        p.contact_position[i] = mul_vec(&maps[contact.link].0, &p.contact_position[i]);
         p.contact_radius[i] *= size;
         p.contact_rim[i] *= size;
-        let reach = dot(&at, &at).sqrt() + p.contact_radius[i] + p.contact_rim[i];
-        p.contact_reach[contact.link] = p.contact_reach[contact.link].max(reach);
     }
+    p.box_contacts(topology);
     for (i, collider) in topology.colliders.iter().enumerate() {
         let map = &maps[collider.link].0;
         p.collider_centre[i] = mul_vec(map, &p.collider_centre[i]);

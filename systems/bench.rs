@@ -59,7 +59,7 @@ impl<L: Lanes> Bench<L> {
                     }
                 }
             }
-            put(&mut state.limit_impulse, &rows.impulses[row].limits, lane);
+            put(&mut state.bound_impulse, &rows.impulses[row].bounds, lane);
             for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
                 put(targets, from, lane);
             }
@@ -75,7 +75,7 @@ impl<L: Lanes> Bench<L> {
         let numbers = state_numbers(&self.state, &self.report.joint_effort);
         // of all lanes at once, and only then one by one
         let broken = L::vectorize(BrokenAnywhere { limits, numbers });
-        let breaks = |&lane: &usize| limits.violation(numbers, |x| x.lane(lane) as f32).is_some();
+        let breaks = |&lane: &usize| limits.violation(numbers, |x| x.lane_f32(lane)).is_some();
         if broken { (0..count).find(breaks) } else { None }
     }
 
@@ -94,7 +94,7 @@ impl<L: Lanes> Bench<L> {
                     contacts.push(ContactImpulse { contact, impulse });
                 }
             }
-            get(&state.limit_impulse, &mut rows.impulses[lane].limits, lane);
+            get(&state.bound_impulse, &mut rows.impulses[lane].bounds, lane);
             get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
             get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
             get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);

@@ -396,13 +396,13 @@ impl<L: Lanes> Engine for Packs<L> {
 
 pub(super) fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
     for (x, &y) in to.iter_mut().zip(from) {
-        x.set_lane(lane, f64::from(y));
+        x.set_lane_f32(lane, y);
     }
 }
 
 pub(super) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
     for (y, x) in from.iter().zip(to) {
-        *x = y.lane(lane) as f32;
+        *x = y.lane_f32(lane);
     }
 }
 

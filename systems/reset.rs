@@ -181,7 +181,7 @@ pub(super) fn reset_envs(
             efforts[i].applied.fill(0.0);
             efforts[i].acceleration.fill(0.0);
             impulses[i].contacts.clear();
-            impulses[i].limits.fill(0.0);
+            impulses[i].bounds.fill(0.0);
             feet[i].velocity.fill([0.0; 3]);
             feet[i].position.fill([0.0; 3]);
             feet[i].height.fill(0.0);

@@ -480,8 +480,10 @@ parameters! {
     contact_radius: Numbers<S>, list;
     /// Rim radius of a contact candidate, m, `[contacts]`.
     contact_rim: Numbers<S>, list;
-    /// Radius about the link's origin that holds all its contact candidates, m, `[links]`.
-    contact_reach: Numbers<S>, list;
+    /// Centre of the box along a link's axes that holds all its contact candidates, in its frame, m, `[links]`.
+    contact_centre: Numbers<Vec3<S>>, arrays;
+    /// Half edge lengths of that box, m, `[links]`.
+    contact_half: Numbers<Vec3<S>>, arrays;
     /// Centre of a collider in its link's frame, m, `[colliders]`.
     collider_centre: Numbers<Vec3<S>>, arrays;
     /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a box, m, `[colliders]`.
@@ -523,7 +525,8 @@ impl<S: Real> Parameters<S> {
             contact_position: vec![[z; 3]; contacts].into(),
             contact_radius: vec![z; contacts].into(),
             contact_rim: vec![z; contacts].into(),
-            contact_reach: vec![z; links].into(),
+            contact_centre: vec![[z; 3]; links].into(),
+            contact_half: vec![[z; 3]; links].into(),
             collider_centre: vec![[z; 3]; topology.colliders.len()].into(),
             collider_half: vec![[z; 3]; topology.colliders.len()].into(),
             collider_radius: vec![z; topology.colliders.len()].into(),
@@ -544,5 +547,29 @@ impl<S: Real> Parameters<S> {
     /// Total mass, kg.
     pub fn total_mass(&self) -> S {
         self.mass.iter().fold(S::zero(), |a, &m| a + m)
+    }
+}
+
+impl Parameters<f64> {
+    /// Fits the boxes that hold the links' contact candidates to these.
+    pub fn box_contacts(&mut self, topology: &Topology) {
+        for link in 0..topology.num_links() {
+            let (mut lower, mut upper) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+            for contact in topology.contacts_of(link) {
+                for axis in 0..3 {
+                    let rim = match topology.contacts[contact].kind {
+                        ContactKind::Point => 0.0,
+                        ContactKind::Rim { across: [a, b], .. } => a[axis].hypot(b[axis]),
+                    };
+                    let reach = rim.mul_add(self.contact_rim[contact], self.contact_radius[contact]);
+                    let at = self.contact_position[contact][axis];
+                    (lower[axis], upper[axis]) = (lower[axis].min(at - reach), upper[axis].max(at + reach));
+                }
+            }
+            let full = lower[0] <= upper[0];
+            let of = |f: fn(f64, f64) -> f64| [0, 1, 2].map(|k| if full { 0.5 * f(upper[k], lower[k]) } else { 0.0 });
+            self.contact_centre[link] = of(|high, low| high + low);
+            self.contact_half[link] = of(|high, low| high - low);
+        }
     }
 }

@@ -185,17 +185,20 @@ pub fn build_contacts<S: Real>(
             continue;
         }
         let origin_height = ground + dot(&frame[0], &at.position);
+        let up = mul_vec_transposed(&at.rotation, &frame[0]);
+        let (centre, half) = (&parameters.contact_centre[link], &parameters.contact_half[link]);
         let mut highest = margin;
         if let Some(terrain) = terrain {
-            let (x, y) = (dot(&frame[1], &at.position), dot(&frame[2], &at.position));
-            let reach = parameters.contact_reach[link] + margin;
+            let centre = add(&at.position, &mul_vec(&at.rotation, centre));
+            let (x, y) = (dot(&frame[1], &centre), dot(&frame[2], &centre));
+            let reach = dot(half, half).sqrt() + margin;
             let bound = terrain.bound(state.position[0] + x, state.position[1] + y, reach);
             highest = margin + bound - S::splat(plane.offset);
         }
-        if !S::any((origin_height - parameters.contact_reach[link]).lt(highest)) {
+        let below = half[0].mul_add(up[0].abs(), half[1].mul_add(up[1].abs(), half[2] * up[2].abs()));
+        if !S::any((origin_height + dot(&up, centre) - below).lt(highest)) {
             continue;
         }
-        let up = mul_vec_transposed(&at.rotation, &frame[0]);
         for c in candidates {
             // whichever way its rim points
             let reach = parameters.contact_radius[c] + parameters.contact_rim[c];
@@ -356,7 +359,9 @@ fn bound<S: Real>(
     let near = S::or(S::or((q - reach).lt(lower), upper.lt(q + reach)), (fastest * S::splat(SPEED_MARGIN)).lt(speed));
     row.rubs = S::any(z.lt(parameters.joint_friction[j]));
     row.max_friction = parameters.joint_friction[j] * dt;
-    (row.friction_impulse, row.push_impulse) = (z, z);
+    // of both together as much as friction can
+    let before = state.bound_impulse[j];
+    (row.friction_impulse, row.push_impulse) = (before.clamp(-row.max_friction, row.max_friction), z);
     (row.lowest, row.highest, row.limit_impulse) = (never, -never, z);
     row.limits = S::any(near);
     if row.limits {
@@ -368,7 +373,7 @@ fn bound<S: Real>(
         *violation = violation.max(S::select(near, up.max(down), z));
         row.lowest = S::select(near, lowest, never);
         row.highest = S::select(near, highest, -never);
-        row.limit_impulse = S::select(near, state.limit_impulse[j], z);
+        row.limit_impulse = S::select(near, before - row.friction_impulse, z);
     }
 }
 
@@ -393,7 +398,7 @@ pub fn report<S: Real>(
     for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
         for (row, &j) in block.joints.iter().zip(&shape.joints[..shape.len]) {
             // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
-            state.limit_impulse[j] = row.limit_impulse + z;
+            state.bound_impulse[j] = row.impulse() + z;
         }
     }
     for &contact in &state.pressing {

@@ -55,6 +55,10 @@ pub trait Real:
     fn lane(&self, lane: usize) -> f64;
     /// Writes one lane.
     fn set_lane(&mut self, lane: usize, value: f64);
+    /// Reads one lane in single precision.
+    fn lane_f32(&self, lane: usize) -> f32;
+    /// Writes one lane in single precision.
+    fn set_lane_f32(&mut self, lane: usize, value: f32);
     /// Sine and cosine of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
 
@@ -173,6 +177,14 @@ macro_rules! impl_scalar {
                 *self = value as $t;
             }
             #[inline(always)]
+            fn lane_f32(&self, _: usize) -> f32 {
+                *self as f32
+            }
+            #[inline(always)]
+            fn set_lane_f32(&mut self, _: usize, value: f32) {
+                *self = value.into();
+            }
+            #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {
                 $sin_cos(self)
             }
@@ -275,6 +287,14 @@ impl Real for Portable {
     #[inline(always)]
     fn set_lane(&mut self, lane: usize, value: f64) {
         self.0[lane] = value as f32;
+    }
+    #[inline(always)]
+    fn lane_f32(&self, lane: usize) -> f32 {
+        self.0[lane]
+    }
+    #[inline(always)]
+    fn set_lane_f32(&mut self, lane: usize, value: f32) {
+        self.0[lane] = value;
     }
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
@@ -413,14 +433,22 @@ macro_rules! native_lanes {
             }
             #[inline(always)]
             fn lane(&self, lane: usize) -> f64 {
-                // SAFETY: the registers are so many consecutive f32
-                f64::from(unsafe { &*std::ptr::from_ref(self).cast::<[f32; $registers * $width]>() }[lane])
+                f64::from(self.lane_f32(lane))
             }
             #[inline(always)]
             fn set_lane(&mut self, lane: usize, value: f64) {
+                self.set_lane_f32(lane, value as f32);
+            }
+            #[inline(always)]
+            fn lane_f32(&self, lane: usize) -> f32 {
+                // SAFETY: the registers are so many consecutive f32
+                (unsafe { &*std::ptr::from_ref(self).cast::<[f32; $registers * $width]>() })[lane]
+            }
+            #[inline(always)]
+            fn set_lane_f32(&mut self, lane: usize, value: f32) {
                 // SAFETY: the registers are so many consecutive f32
                 let lanes = unsafe { &mut *std::ptr::from_mut(self).cast::<[f32; $registers * $width]>() };
-                lanes[lane] = value as f32;
+                lanes[lane] = value;
             }
             #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {

@@ -99,7 +99,7 @@ impl<S: Real> BoundRow<S> {
 pub(super) struct BoundBlock<S> {
     /// Whether any lane is near a limit of any joint.
     pub(super) limits: bool,
-    /// Whether that is so or any joint has dry friction in any lane: else the block takes no part.
+    /// Whether that is so or any joint has dry friction, in any lane that is still swept over: else the block takes no part.
     pub(super) active: bool,
     pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.

@@ -28,8 +28,6 @@ pub struct PlacedCollider<S> {
     pub rotation: Mat3<S>,
     /// Half edge lengths of the box along the base's axes that holds the collider, m.
     pub extent: Vec3<S>,
-    /// At least the speed of any of its points against the base, now or freely, m/s.
-    pub speed: S,
 }
 
 impl<S: Real> PlacedCollider<S> {
@@ -37,7 +35,7 @@ impl<S: Real> PlacedCollider<S> {
     pub fn zero() -> Self {
         let z = S::zero();
         let capsule = Capsule { centre: [z; 3], half: [z; 3], radius: z };
-        Self { capsule, rotation: [[z; 3]; 3], extent: [z; 3], speed: z }
+        Self { capsule, rotation: [[z; 3]; 3], extent: [z; 3] }
     }
 }
 
@@ -48,7 +46,7 @@ pub struct ColliderBox<S> {
     pub lower: Vec3<S>,
     /// Upper corner, m.
     pub upper: Vec3<S>,
-    /// Speed of the fastest collider, m/s.
+    /// At least the speed of any point of them against the base, now or freely, m/s.
     pub speed: S,
 }
 
@@ -67,7 +65,6 @@ impl<S: Real> ColliderBox<S> {
             self.lower[i] = self.lower[i].min(centre[i] - extent[i]);
             self.upper[i] = self.upper[i].max(centre[i] + extent[i]);
         }
-        self.speed = self.speed.max(collider.speed);
     }
 
     /// Largest distance of the two along an axis, m.
@@ -111,13 +108,12 @@ pub fn build_pairs<S: Real>(
     for group in &topology.pair_groups {
         let [a, b] = group.links;
         let (a, b) = (&collider_boxes[a], &collider_boxes[b]);
-        let margin = (a.speed + b.speed).mul_add(dt, S::splat(PAIR_MARGIN + ROUNDING));
-        if !S::any(a.distance(b).lt(margin)) {
+        let margin = (a.speed + b.speed).mul_add(dt, S::splat(PAIR_MARGIN));
+        if !S::any(a.distance(b).lt(margin + S::splat(ROUNDING))) {
             continue;
         }
         for pair in &topology.pairs[group.pairs.clone()] {
             let [a, b] = pair.colliders;
-            let margin = (colliders[a].speed + colliders[b].speed).mul_add(dt, S::splat(PAIR_MARGIN));
             if !S::any(box_distance(&colliders[a], &colliders[b]).lt(margin + S::splat(ROUNDING))) {
                 continue;
             }
@@ -152,16 +148,15 @@ pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) 
     places[..pair.spans.len()].iter().map(|place| shapes.proximity(place).gap).fold(S::splat(f64::MAX), S::min)
 }
 
-/// At least the square of the largest speed of a body's points within the root of `squared_reach / 2` of `centre`.
+/// At least half the square of the largest speed of a body's points within the root of `squared_reach` of `centre`.
 #[inline(always)]
-fn squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_reach: S) -> S {
+fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_reach: S) -> S {
     // (x + y)^2 <= 2 x^2 + 2 y^2 saves roots
     let point = velocity.at(centre);
-    S::splat(2.0) * squared_reach.mul_add(dot(&velocity.ang, &velocity.ang), dot(&point, &point))
+    squared_reach.mul_add(dot(&velocity.ang, &velocity.ang), dot(&point, &point))
 }
 
-/// Puts the colliders where the workspace's kinematics has their links, and finds how fast any of their points moves, now or
-/// freely.
+/// Puts the colliders where the workspace's kinematics has their links, and finds how fast any point of a link's moves, now or freely.
 #[inline(always)]
 pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
     let Workspace { links, colliders, collider_boxes, .. } = work;
@@ -174,9 +169,6 @@ pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>,
         let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
         let centre = add(&at.position, &mul_vec(&at.rotation, centre));
         let placed = &mut colliders[c];
-        let lengths = S::splat(2.0) * radius.mul_add(radius, dot(half, half));
-        let now = squared_speed(&at.velocity.minus(&links[0].velocity), &centre, lengths);
-        placed.speed = now.max(squared_speed(&at.free_velocity, &centre, lengths)).sqrt();
         // a box is turned when it meets a capsule
         if let Some(rotation) = box_rotation {
             placed.rotation = mul_mat(&at.rotation, &[splat(&rotation[0]), splat(&rotation[1]), splat(&rotation[2])]);
@@ -191,6 +183,15 @@ pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>,
             placed.extent = [half[0].abs() + radius, half[1].abs() + radius, half[2].abs() + radius];
         }
         collider_boxes[*link].hold(&colliders[c]);
+    }
+    let half = S::splat(0.5);
+    // the base is where the others are seen from
+    for (at, link) in links.iter().zip(collider_boxes).skip(1) {
+        let (centre, edges) = (scale(&add(&link.lower, &link.upper), half), sub(&link.upper, &link.lower));
+        let squared_reach = dot(&edges, &edges) * S::splat(0.25);
+        let now = half_squared_speed(&at.velocity.minus(&links[0].velocity), &centre, squared_reach);
+        let free = half_squared_speed(&at.free_velocity, &centre, squared_reach);
+        link.speed = (S::splat(2.0) * now.max(free)).sqrt();
     }
 }
 

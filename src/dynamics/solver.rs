@@ -7,14 +7,21 @@ use super::lanes::Real;
 use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER};
 use super::sparse_rows::JointRows;
 
-/// Sweeps that push penetrations out.
+/// Sweeps that push penetrations out, at most.
 const PUSH_SWEEPS: usize = 4;
+/// They end where one changes no velocity by more than this, m/s or rad/s.
+const PUSHED: f64 = 0.001;
 /// Further rounds over the joint limits alone after either.
 const LAST_ROUNDS: usize = 8;
 /// Sweeps come in turns, as many as it takes until contacts are settled, but no more than this: where a light leg is jammed
 /// between a joint limit and the ground, sweep after sweep hands it little of what the base weighs. Turns after the first have
 /// half as many sweeps.
 const MOST_TURNS: usize = 15;
+/// The first turn ends early where a sweep changes little: by less than what such a change of the whole robot's speed would be, m/s
+/// (in kinetic energy; a leg that weighs a hundredth may change ten times as much).
+const CALM: f64 = 0.0005;
+/// Sweeps of the first turn after which this is looked at.
+const STRETCH: usize = 2;
 /// A contact is settled when another sweep would change its velocity by less than this, m/s: less would spend on every footfall
 /// what only jams need.
 const SETTLED: f64 = 0.3;
@@ -33,11 +40,13 @@ pub fn solve<S: Real>(
 ) {
     warm_start(topology, work);
     let mut active = S::zero().lt(S::one());
+    first_turn(topology, parameters, settings, active, work);
     for turn in 0..MOST_TURNS {
-        let sweeps = if turn == 0 { settings.iterations } else { settings.iterations.div_ceil(2) };
-        for _ in 0..sweeps {
-            sweep_bounds(topology, active, work);
-            sweep_contacts(topology, parameters, active, turn > 0, work);
+        if turn > 0 {
+            for _ in 0..settings.iterations.div_ceil(2) {
+                sweep_bounds(topology, active, work);
+                sweep_contacts(topology, parameters, active, true, work);
+            }
         }
         // contacts come after dry friction, or feet would creep; limits have the last word: a contact that gives way is soft
         // ground, a limit that does is a broken leg
@@ -50,15 +59,69 @@ pub fn solve<S: Real>(
         if !S::any(active) {
             break;
         }
-        // a contact that takes part in none of these lanes has no impulse in them, now or later
-        for row in &mut work.contacts[..work.num_contacts] {
-            row.awake = S::any(S::and(active, S::splat(NEVER).lt(row.push)));
-        }
+        wake(active, work);
     }
     if work.pushes() {
         work.moved_base = work.base;
         work.moved_joints.copy_from_slice(&work.joints);
         push(topology, work);
+    }
+}
+
+/// Sweeps until they change little, or as many as are asked for.
+#[inline(always)]
+fn first_turn<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    settings: &ContactSettings,
+    all: S::Mask,
+    work: &mut ContactWork<S>,
+) {
+    let mut active = all;
+    for sweep in 1..=settings.iterations {
+        let looks = sweep % STRETCH == 0 && sweep < settings.iterations;
+        if looks {
+            // where the moved velocity will be
+            work.moved_base = work.base;
+            work.moved_joints.copy_from_slice(&work.joints);
+        }
+        sweep_bounds(topology, active, work);
+        sweep_contacts(topology, parameters, active, false, work);
+        if looks {
+            active = S::and(active, stirred(work));
+            if !S::any(active) {
+                break;
+            }
+            wake(active, work);
+        }
+    }
+}
+
+/// The lanes in which the velocity differs from the one kept aside by more than `CALM`.
+#[inline(always)]
+fn stirred<S: Real>(work: &ContactWork<S>) -> S::Mask {
+    let mut energy = S::zero();
+    let now = work.joints.as_flattened().iter().chain(&work.base);
+    for (&now, &before) in now.zip(work.moved_joints.as_flattened().iter().chain(&work.moved_base)) {
+        let change = now - before;
+        energy = change.mul_add(change, energy);
+    }
+    S::splat(CALM * CALM).lt(energy * work.compliance)
+}
+
+/// Wakes the contacts and bounds that take part in one of these lanes: others have no impulse in them, now or later.
+#[inline(always)]
+fn wake<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
+    for row in &mut work.contacts[..work.num_contacts] {
+        row.awake = S::any(S::and(active, S::splat(NEVER).lt(row.push)));
+    }
+    for block in &mut work.bounds {
+        block.active = false;
+        for row in &block.joints {
+            let bounded = S::or(S::splat(NEVER).lt(row.lowest), row.highest.lt(S::splat(-NEVER)));
+            let takes_part = S::and(active, S::or(bounded, S::zero().lt(row.max_friction)));
+            block.active |= (row.limits | row.rubs) && S::any(takes_part);
+        }
     }
 }
 
@@ -92,11 +155,11 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
         energy = (row.softness * normal).mul_add(normal, energy);
     }
     for (block, further) in bounds.iter().zip(bound_further.chunks_exact(*stride)) {
-        if block.limits {
-            let joints = &block.joints;
-            let impulse = [joints[0].limit_impulse, joints[1].limit_impulse, joints[2].limit_impulse];
+        if block.active {
+            let [first, second, third] = &block.joints;
+            let impulse = [first.impulse(), second.impulse(), third.impulse()];
             block.rows.apply(topology, further, &impulse, moved_base, moved_joints);
-            for row in joints {
+            for row in &block.joints {
                 let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
                 targets = target.mul_add(row.limit_impulse, targets);
             }
@@ -123,6 +186,7 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     for block in &mut work.bounds {
         for row in &mut block.joints {
             row.limit_impulse = row.limit_impulse * share;
+            row.friction_impulse = row.friction_impulse * share;
         }
     }
 }
@@ -149,12 +213,16 @@ fn push<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     std::mem::swap(&mut work.joints, &mut work.moved_joints);
     // what its neighbours' lanes need must change nothing in a lane that has nothing to push out
     let pushes = S::zero().lt(work.violation);
+    let mut active = pushes;
     for _ in 0..PUSH_SWEEPS {
-        push_contacts(topology, pushes, work);
-        push_limits(topology, pushes, work);
+        let most = push_contacts(topology, active, work).max(push_limits(topology, active, work));
+        active = S::and(active, S::splat(PUSHED).lt(most));
+        if !S::any(active) {
+            break;
+        }
     }
     for _ in 0..LAST_ROUNDS {
-        if !push_limits(topology, pushes, work) {
+        if !S::any(S::zero().lt(push_limits(topology, pushes, work))) {
             break;
         }
     }
@@ -290,19 +358,23 @@ fn visit_jammed<S: Real>(
     row.rows.apply(topology, further, &change, y_base, y_joint);
 }
 
-/// One sweep over the contacts' normals, for the motion that pushes penetrations out.
+/// One sweep over the contacts' normals, for the motion that pushes penetrations out, in the lanes that are `active`; by how much it
+/// changed a velocity at most.
 #[inline(always)]
-fn push_contacts<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) {
+fn push_contacts<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> S {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
+    let mut most = S::zero();
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
         let w = row.rows.first_velocity(topology, further, y_base, y_joint);
-        let target = S::select(pushes, row.push, S::splat(NEVER));
-        let missing = row.softness.mul_add(row.push_impulse, w - target);
+        let missing = row.softness.mul_add(row.push_impulse, w - row.push);
         let push = missing.neg_mul_add(row.inverse[0], row.push_impulse).max(S::zero());
+        let push = S::select(active, push, row.push_impulse);
         let change = push - row.push_impulse;
+        most = most.max((change * row.diagonal).abs());
         row.push_impulse = push;
         row.rows.apply_first(topology, further, change, y_base, y_joint);
     }
+    most
 }
 
 /// One sweep over the joints' limits and dry friction, in the lanes that are `active`.
@@ -374,9 +446,10 @@ fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contac
     S::any(S::zero().lt(most))
 }
 
-/// One sweep over the joints' limits that moves joints back that are past one; whether it changed anything.
+/// One sweep over the joints' limits that moves joints back that are past one, in the lanes that are `active`; by how much it changed a
+/// velocity at most.
 #[inline(always)]
-fn push_limits<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut ContactWork<S>) -> bool {
+fn push_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> S {
     let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
     let mut most = S::zero();
     for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
@@ -384,14 +457,14 @@ fn push_limits<S: Real>(topology: &Topology, pushes: S::Mask, work: &mut Contact
             let mut w = block.rows.velocities(topology, further, base, joints);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
-                change[i] = block.joints[i].push(w[i], pushes);
-                most = most.max(change[i].abs());
+                change[i] = block.joints[i].push(w[i], active);
+                most = most.max((change[i] * block.joints[i].diagonal).abs());
                 block.pass_on(i, change[i], &mut w);
             }
             block.rows.apply(topology, further, &change, base, joints);
         }
     }
-    S::any(S::zero().lt(most))
+    most
 }
 
 impl<S: Real> BoundBlock<S> {
@@ -408,6 +481,12 @@ impl<S: Real> BoundBlock<S> {
 }
 
 impl<S: Real> BoundRow<S> {
+    /// That of the limit and of dry friction together.
+    #[inline(always)]
+    pub(super) fn impulse(&self) -> S {
+        self.limit_impulse + self.friction_impulse
+    }
+
     /// The impulse of dry friction that would bring a velocity to zero.
     #[inline(always)]
     fn stopping(&self, w: S) -> S {
@@ -435,10 +514,9 @@ impl<S: Real> BoundRow<S> {
 
     /// The same for the motion that pushes joints back.
     #[inline(always)]
-    fn push(&mut self, w: S, pushes: S::Mask) -> S {
-        let never = S::splat(NEVER);
-        let (lowest, highest) = (S::select(pushes, self.lowest, never), S::select(pushes, self.highest, -never));
-        let limit = self.bounding(w, self.push_impulse, lowest, highest);
+    fn push(&mut self, w: S, active: S::Mask) -> S {
+        let limit = self.bounding(w, self.push_impulse, self.lowest, self.highest);
+        let limit = S::select(active, limit, self.push_impulse);
         let change = limit - self.push_impulse;
         self.push_impulse = limit;
         change

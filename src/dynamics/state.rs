@@ -28,8 +28,8 @@ pub struct State<S> {
     pub impulse: Vec<[S; 3]>,
     /// Which of them are not zero in every lane: all others must be.
     pub pressing: Vec<u32>,
-    /// Impulses of the joint limits in the last physics step, N m s, `[joints]`; they warm-start the next one.
-    pub limit_impulse: Vec<S>,
+    /// Impulses of the joints' limits and dry friction in the last physics step, N m s, `[joints]`; they warm-start the next one.
+    pub bound_impulse: Vec<S>,
 }
 
 /// What the actuators are asked for during one control step.
@@ -77,7 +77,7 @@ impl<S: Real> State<S> {
             joint_velocity: vec![z; topology.num_joints()],
             impulse: vec![[z; 3]; topology.num_impulses()],
             pressing: Vec::new(),
-            limit_impulse: vec![z; topology.num_joints()],
+            bound_impulse: vec![z; topology.num_joints()],
         }
     }
 }

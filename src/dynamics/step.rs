@@ -88,7 +88,7 @@ fn select_targets<S: Real>(
 fn table_limit<S: Real>(table: &EffortTable, position: S) -> S {
     let mut limit = S::zero();
     for lane in 0..S::LANES {
-        limit.set_lane(lane, f64::from(table.limit_at(position.lane(lane) as f32)));
+        limit.set_lane_f32(lane, table.limit_at(position.lane_f32(lane)));
     }
     limit
 }

@@ -289,7 +289,7 @@ fn whole(x: f32) -> u32 {
 fn lanes<S: Real>(group: &[f32; GROUP]) -> S {
     let mut lanes = S::zero();
     for lane in 0..S::LANES {
-        lanes.set_lane(lane, f64::from(group[lane]));
+        lanes.set_lane_f32(lane, group[lane]);
     }
     lanes
 }
@@ -301,7 +301,7 @@ impl<S: Real> Terrain<'_, S> {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
         let (mut places, mut found) = ([[0.0; GROUP]; 2], Samples::zeros());
         for lane in 0..S::LANES {
-            (places[0][lane], places[1][lane]) = (x.lane(lane) as f32, y.lane(lane) as f32);
+            (places[0][lane], places[1][lane]) = (x.lane_f32(lane), y.lane_f32(lane));
         }
         self.grid.sample_group(&places[0], &places[1], S::LANES, &mut found);
         found
@@ -317,8 +317,8 @@ impl<S: Real> Terrain<'_, S> {
         let found = self.sample(place[0], place[1]);
         let mut slope = [S::zero(); 2];
         for lane in 0..S::LANES {
-            slope[0].set_lane(lane, f64::from(self.grid.slope(found.along_x[lane])));
-            slope[1].set_lane(lane, f64::from(self.grid.slope(found.along_y[lane])));
+            slope[0].set_lane_f32(lane, self.grid.slope(found.along_x[lane]));
+            slope[1].set_lane_f32(lane, self.grid.slope(found.along_y[lane]));
         }
         let (zero, one) = (S::zero(), S::one());
         let up = one / slope[0].mul_add(slope[0], slope[1].mul_add(slope[1], one)).sqrt();
@@ -373,13 +373,13 @@ impl<S: Real> Terrain<'_, S> {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
         let mut places = [[0.0; GROUP]; 3];
         for lane in 0..S::LANES {
-            (places[0][lane], places[1][lane]) = (x.lane(lane) as f32, y.lane(lane) as f32);
-            places[2][lane] = reach.lane(lane) as f32;
+            (places[0][lane], places[1][lane]) = (x.lane_f32(lane), y.lane_f32(lane));
+            places[2][lane] = reach.lane_f32(lane);
         }
         let found = self.grid.bound_group(&places[0], &places[1], &places[2], S::LANES);
         let mut bound = S::zero();
         for lane in 0..S::LANES {
-            bound.set_lane(lane, f64::from(found[lane]));
+            bound.set_lane_f32(lane, found[lane]);
         }
         bound
     }

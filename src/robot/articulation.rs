@@ -105,10 +105,8 @@ impl Articulation {
             p.contact_position[i] = c.position.to_array();
             p.contact_radius[i] = c.radius;
             p.contact_rim[i] = c.rim;
-            let reach = c.position.length() + c.radius + c.rim;
-            let link = c.topology.link;
-            p.contact_reach[link] = p.contact_reach[link].max(reach);
         }
+        p.box_contacts(&topology);
         for (s, site) in sites.iter().enumerate() {
             p.site_position[s] = (align[site.link] * site.position).to_array();
         }

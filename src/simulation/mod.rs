@@ -289,7 +289,7 @@ impl Simulation {
             self.packs.read_state(env, &mut state);
             state.impulse.fill([0.0; 3]);
             state.pressing.clear();
-            state.limit_impulse.fill(0.0);
+            state.bound_impulse.fill(0.0);
             if let Some(qpos) = qpos {
                 if floating {
                     state.position = qpos.vector(row);

@@ -142,7 +142,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
         get(&from.joint_velocity, &mut state.joint_velocity, lane);
         get(from.impulse.as_flattened(), state.impulse.as_flattened_mut(), lane);
         state.pressing.clone_from(&from.pressing);
-        get(&from.limit_impulse, &mut state.limit_impulse, lane);
+        get(&from.bound_impulse, &mut state.bound_impulse, lane);
     }
 
     fn write_state(&mut self, env: usize, state: &State<f64>) {
@@ -159,7 +159,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
             put(&mut to.joint_position, &state.joint_position, lane);
             put(&mut to.joint_velocity, &state.joint_velocity, lane);
             put(to.impulse.as_flattened_mut(), state.impulse.as_flattened(), lane);
-            put(&mut to.limit_impulse, &state.limit_impulse, lane);
+            put(&mut to.bound_impulse, &state.bound_impulse, lane);
         }
     }
 
@@ -180,17 +180,21 @@ impl<L: Lanes> Packs for LanePacks<L> {
     }
 
     fn write_joints(&mut self, envs: &EnvIds, field: JointField, rows: &Rows) {
+        if let EnvIds::All(_) = envs {
+            // pack after pack, the idle lanes as the last env
+            for (p, pack) in self.packs.iter_mut().enumerate() {
+                let (first, last) = (p * L::LANES, pack.count - 1);
+                for (joint, x) in pack.joints_mut(field).iter_mut().enumerate() {
+                    for lane in 0..L::LANES {
+                        x.set_lane(lane, rows.get(first + lane.min(last), joint));
+                    }
+                }
+            }
+            return;
+        }
         for row in 0..envs.len() {
             let (pack, lanes) = self.at_mut(envs.get(row));
-            let to: &mut [L] = match field {
-                JointField::Target => &mut pack.drive.targets[0],
-                JointField::Effort => &mut pack.drive.feedforward,
-                JointField::Stiffness => &mut pack.stiffness,
-                JointField::Damping => &mut pack.damping,
-                JointField::EffortLimit => &mut pack.parameters.effort_limit,
-                JointField::Armature => &mut pack.parameters.armature,
-            };
-            for (joint, x) in to.iter_mut().enumerate() {
+            for (joint, x) in pack.joints_mut(field).iter_mut().enumerate() {
                 let value = rows.get(row, joint);
                 lanes.clone().for_each(|lane| x.set_lane(lane, value));
             }
@@ -230,6 +234,17 @@ impl<L: Lanes> Packs for LanePacks<L> {
 }
 
 impl<L: Lanes> Pack<L> {
+    fn joints_mut(&mut self, field: JointField) -> &mut [L] {
+        match field {
+            JointField::Target => &mut self.drive.targets[0],
+            JointField::Effort => &mut self.drive.feedforward,
+            JointField::Stiffness => &mut self.stiffness,
+            JointField::Damping => &mut self.damping,
+            JointField::EffortLimit => &mut self.parameters.effort_limit,
+            JointField::Armature => &mut self.parameters.armature,
+        }
+    }
+
     fn step(
         &mut self,
         topology: &Topology,

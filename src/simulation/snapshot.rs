@@ -40,7 +40,7 @@ struct Env {
     joint_position: Vec<f64>,
     joint_velocity: Vec<f64>,
     impulse: Vec<[f64; 3]>,
-    limit_impulse: Vec<f64>,
+    bound_impulse: Vec<f64>,
     parameters: Parameters<f64>,
     effort: Vec<f64>,
     force: Vec<[f64; 3]>,
@@ -94,7 +94,7 @@ impl Simulation {
                     joint_position: state.joint_position.clone(),
                     joint_velocity: state.joint_velocity.clone(),
                     impulse: state.impulse.clone(),
-                    limit_impulse: state.limit_impulse.clone(),
+                    bound_impulse: state.bound_impulse.clone(),
                     parameters,
                     effort,
                     force,
@@ -142,7 +142,7 @@ impl Simulation {
                 joint_velocity: from.joint_velocity,
                 impulse: from.impulse,
                 pressing: Vec::new(),
-                limit_impulse: from.limit_impulse,
+                bound_impulse: from.bound_impulse,
             };
             state.find_pressing();
             self.packs.write_state(env, &state);

@@ -1,12 +1,13 @@
 """Physics alone: `polypod.Simulation` and `mujoco.rollout` on the same robot and the same targets.
 
 Both have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
-settings of solver and contacts, which are its fastest. Targets are drawn every 20 ms about the default pose, so that
-the robots tread on the spot.
+settings of solver and contacts, which are its fastest. Targets, drawn before anything is timed, change every 20 ms about
+the default pose, so that the robots tread on the spot.
 """
 
+import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,19 +21,19 @@ from polypod.extras import package
 DT = 0.005
 """Physics step, s."""
 HOLD = 4
-"""Physics steps between two draws of the targets."""
+"""Physics steps between two changes of the targets."""
 SPREAD = 0.15
 """Half width of the targets about the default pose, rad."""
 FRICTION = 0.8
 SETTLE = 25
-"""Draws before anything is timed."""
+"""Changes of the targets before anything is timed."""
+DRAWS = 32
+"""Targets that follow each other; then they begin again."""
 
 
-def _targets(robot: robots.Robot, num_envs: int, rng: np.random.Generator) -> Callable[[], robots.Array]:
-    def draw() -> robots.Array:
-        return robot.default_position + rng.uniform(-SPREAD, SPREAD, (num_envs, robot.num_joints))
-
-    return draw
+def _targets(robot: robots.Robot, num_envs: int, seed: int) -> Iterator[robots.Array]:
+    spread = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (DRAWS, num_envs, robot.num_joints))
+    return itertools.cycle(robot.default_position + spread)
 
 
 def polypod(name: str, num_envs: int, threads: int, seed: int, engine: str = "articulated") -> Sample:
@@ -41,10 +42,10 @@ def polypod(name: str, num_envs: int, threads: int, seed: int, engine: str = "ar
     sim = _core.Simulation(
         name, num_envs, dt=DT, threads=threads, friction=FRICTION, engine=engine, self_collision=False
     )
-    draw = _targets(robot, num_envs, np.random.default_rng(seed))
+    targets = _targets(robot, num_envs, seed)
 
     def sample() -> int:
-        sim.step(targets=draw(), n=HOLD)
+        sim.step(targets=next(targets), n=HOLD)
         return num_envs * HOLD
 
     for _ in range(SETTLE):
@@ -75,13 +76,13 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
     reference.set_state(np.concatenate([[0.0, 0.0, robot.base_height, 1.0, 0.0, 0.0, 0.0], robot.default_position]))
     mj.mj_getState(model, reference.data, start, full)
     state = np.tile(start, (num_envs, 1))
-    draw = _targets(robot, num_envs, np.random.default_rng(seed))
     runner = mj_rollout.Rollout(nthread=threads)
     order = _actuator_order(model, robot.joint_names)
+    targets = _targets(robot, num_envs, seed)
     out = np.zeros((num_envs, HOLD, size))
 
     def sample() -> int:
-        control = np.repeat(draw()[:, None, order], HOLD, axis=1)
+        control = np.repeat(next(targets)[:, None, order], HOLD, axis=1)
         runner.rollout(model, data, state, control, nstep=HOLD, state=out, skip_checks=False)
         np.copyto(state, out[:, -1])
         return num_envs * HOLD
