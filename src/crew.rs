@@ -11,7 +11,7 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, TryLockError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use bevy_tasks::{TaskPool, TaskPoolBuilder};
@@ -31,16 +31,22 @@ pub(crate) struct Crew {
 
 type Job<'a> = dyn Fn() + Sync + 'a;
 
+/// A cache line of its own (two, which some processors fetch together): one thread's writes do not slow what others look at.
 #[derive(Default)]
+#[repr(align(128))]
+struct Apart<T>(T);
+
 struct Shared {
     /// Jobs so far.
-    jobs: AtomicUsize,
-    /// The present one.
-    job: RwLock<Option<&'static Job<'static>>>,
+    jobs: Apart<AtomicUsize>,
+    /// Helpers that the present one has work for, the first so many.
+    wanted: AtomicUsize,
+    /// It itself.
+    job: Apart<RwLock<Option<&'static Job<'static>>>>,
     /// Helpers that look at it or work on it.
-    inside: AtomicUsize,
-    /// Helpers that are awake, or on the way.
-    awake: AtomicUsize,
+    inside: Apart<AtomicUsize>,
+    /// Which helpers are awake, or on the way.
+    awake: Apart<Vec<AtomicBool>>,
     /// What a helper panicked with.
     panic: Mutex<Option<Box<dyn Any + Send>>>,
 }
@@ -69,65 +75,62 @@ impl Wait {
     }
 }
 
-/// A lock that is held for less time than it takes to fall asleep.
-fn lock_awake<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    let mut wait = Wait::new();
-    loop {
-        match mutex.try_lock() {
-            Ok(guard) => return guard,
-            Err(TryLockError::Poisoned(poisoned)) => return poisoned.into_inner(),
-            Err(TryLockError::WouldBlock) => wait.moment(),
-        }
-    }
-}
-
 impl Crew {
     /// The caller's thread and so many helpers.
     pub(crate) fn new(helpers: usize) -> Self {
         let pool = TaskPoolBuilder::new().num_threads(helpers).thread_name("polypod".to_string()).build();
-        Self { pool, shared: Arc::default(), busy: AtomicBool::new(false) }
+        let shared = Shared {
+            jobs: Apart::default(),
+            wanted: AtomicUsize::new(0),
+            job: Apart::default(),
+            inside: Apart::default(),
+            awake: Apart((0..helpers).map(|_| AtomicBool::new(false)).collect()),
+            panic: Mutex::default(),
+        };
+        Self { pool, shared: Arc::new(shared), busy: AtomicBool::new(false) }
     }
 
-    /// Runs `f(task)` on every task. Threads take one task after the other.
-    pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T> + Send, f: impl Fn(T) + Sync) {
-        let tasks = Mutex::new(tasks);
-        self.run(&|| {
-            loop {
-                // the lock must not outlive the statement
-                let task = lock_awake(&tasks).next();
-                let Some(task) = task else {
-                    return;
-                };
-                f(task);
+    /// Runs `f(task)` on every task, on at most `threads` threads. Threads take one task after the other.
+    pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, threads: usize, f: impl Fn(T) + Sync) {
+        let tasks: Vec<Mutex<Option<T>>> = tasks.map(|task| Mutex::new(Some(task))).collect();
+        let next = Apart(AtomicUsize::new(0));
+        let job = || {
+            while let Some(task) = tasks.get(next.0.fetch_add(1, Ordering::Relaxed)) {
+                let task = task.lock().unwrap_or_else(PoisonError::into_inner).take();
+                task.into_iter().for_each(&f);
             }
-        });
+        };
+        self.run(tasks.len().min(threads).saturating_sub(1), &job);
     }
 
-    /// Has all threads that are free call `job`, the caller's in any case; returns when all have returned.
+    /// Has up to `helpers` threads beside the caller's call `job`; returns when all have returned.
     ///
     /// A job within a job is the caller's alone.
-    fn run(&self, job: &Job) {
-        if self.busy.swap(true, Ordering::Acquire) {
+    fn run(&self, helpers: usize, job: &Job) {
+        if helpers == 0 || self.busy.swap(true, Ordering::Acquire) {
             return job();
         }
         let shared = &self.shared;
-        while shared.awake.load(Ordering::Relaxed) < self.pool.thread_num() {
-            shared.awake.fetch_add(1, Ordering::Relaxed);
-            let shared = shared.clone();
-            self.pool.spawn(async move { shared.help() }).detach();
-        }
         // SAFETY: the reference leaves `shared.job` below, whether or not a thread panics. Whoever has read it there before has counted
         // itself to `inside` before that, and is waited for.
         let job_for_helpers = unsafe { std::mem::transmute::<&Job<'_>, &'static Job<'static>>(job) };
-        *shared.job.write().unwrap_or_else(PoisonError::into_inner) = Some(job_for_helpers);
-        shared.jobs.fetch_add(1, Ordering::Release);
+        *shared.job.0.write().unwrap_or_else(PoisonError::into_inner) = Some(job_for_helpers);
+        shared.wanted.store(helpers, Ordering::Relaxed);
+        shared.jobs.0.fetch_add(1, Ordering::Release);
+        for (helper, awake) in shared.awake.0.iter().enumerate().take(helpers) {
+            if !awake.load(Ordering::Relaxed) {
+                awake.store(true, Ordering::Relaxed);
+                let shared = shared.clone();
+                self.pool.spawn(async move { shared.help(helper) }).detach();
+            }
+        }
         let mine = catch_unwind(AssertUnwindSafe(job));
-        *shared.job.write().unwrap_or_else(PoisonError::into_inner) = None;
+        *shared.job.0.write().unwrap_or_else(PoisonError::into_inner) = None;
         let mut wait = Wait::new();
-        while shared.inside.load(Ordering::Acquire) > 0 {
+        while shared.inside.0.load(Ordering::Acquire) > 0 {
             wait.moment();
         }
-        let theirs = lock_awake(&shared.panic).take();
+        let theirs = shared.panic.lock().unwrap_or_else(PoisonError::into_inner).take();
         self.busy.store(false, Ordering::Release);
         if let Some(panic) = mine.err().or(theirs) {
             resume_unwind(panic);
@@ -136,22 +139,17 @@ impl Crew {
 }
 
 impl Shared {
-    /// Works on every job that comes, until none has for a while.
-    fn help(&self) {
+    /// Works on every job that has work for this helper, until none has come for a while.
+    fn help(&self, helper: usize) {
         let mut seen = 0;
         let (mut wait, mut last) = (Wait::new(), None);
         loop {
-            let jobs = self.jobs.load(Ordering::Acquire);
+            let jobs = self.jobs.0.load(Ordering::Acquire);
             if jobs != seen {
                 seen = jobs;
-                self.inside.fetch_add(1, Ordering::AcqRel);
-                let job = *self.job.read().unwrap_or_else(PoisonError::into_inner);
-                if let Some(job) = job
-                    && let Err(panic) = catch_unwind(AssertUnwindSafe(job))
-                {
-                    *lock_awake(&self.panic) = Some(panic);
+                if helper < self.wanted.load(Ordering::Relaxed) {
+                    self.work();
                 }
-                self.inside.fetch_sub(1, Ordering::Release);
                 (wait, last) = (Wait::new(), None);
             } else if wait.is_long() && last.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
                 break;
@@ -159,7 +157,19 @@ impl Shared {
                 wait.moment();
             }
         }
-        self.awake.fetch_sub(1, Ordering::Relaxed);
+        self.awake.0[helper].store(false, Ordering::Relaxed);
+    }
+
+    /// Works on the present job, if there still is one.
+    fn work(&self) {
+        self.inside.0.fetch_add(1, Ordering::AcqRel);
+        let job = *self.job.0.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(job) = job
+            && let Err(panic) = catch_unwind(AssertUnwindSafe(job))
+        {
+            *self.panic.lock().unwrap_or_else(PoisonError::into_inner) = Some(panic);
+        }
+        self.inside.0.fetch_sub(1, Ordering::Release);
     }
 }
 
@@ -173,7 +183,7 @@ mod tests {
         let mut counts = vec![0u32; 1000];
         for round in 0..2000 {
             let n = 1 + round % 40;
-            crew.for_each(counts[..n].iter_mut(), |x| *x += 1);
+            crew.for_each(counts[..n].iter_mut(), 1 + round % 7, |x| *x += 1);
             if round % 500 == 0 {
                 // long enough for the helpers to fall asleep
                 std::thread::sleep(2 * PATIENCE);
@@ -186,7 +196,7 @@ mod tests {
     #[test]
     fn a_job_within_a_job_is_done() {
         let (crew, sum) = (Crew::new(2), AtomicUsize::new(0));
-        crew.for_each(0..10, |i| crew.for_each(0..i, |_| _ = sum.fetch_add(1, Ordering::Relaxed)));
+        crew.for_each(0..10, 3, |i| crew.for_each(0..i, 3, |_| _ = sum.fetch_add(1, Ordering::Relaxed)));
         assert_eq!(sum.into_inner(), 45);
     }
 
@@ -196,7 +206,7 @@ mod tests {
         for bad in [0, 7, 99] {
             let done = AtomicUsize::new(0);
             let result = catch_unwind(AssertUnwindSafe(|| {
-                crew.for_each(0..100, |i| {
+                crew.for_each(0..100, 3, |i| {
                     assert_ne!(i, bad, "as it should");
                     done.fetch_add(1, Ordering::Relaxed);
                 });
@@ -206,7 +216,7 @@ mod tests {
         }
         // and the crew still works
         let sum = AtomicUsize::new(0);
-        crew.for_each(1..=100, |i| _ = sum.fetch_add(i, Ordering::Relaxed));
+        crew.for_each(1..=100, 3, |i| _ = sum.fetch_add(i, Ordering::Relaxed));
         assert_eq!(sum.into_inner(), 5050);
     }
 }

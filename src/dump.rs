@@ -20,7 +20,7 @@ use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Motion, Registry, 
 /// First field of every dump.
 const MAGIC: &str = "polypod broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 
 /// A dump could not be written, read or replayed.
 #[derive(Debug, thiserror::Error)]

@@ -93,6 +93,8 @@ pub struct Workers {
 
 /// Rows that one task takes at least; below it, starting a task costs more than it saves.
 const MIN_CHUNK: usize = 64;
+/// Rows per thread that make another worth its while: each costs the others some time when they take their tasks.
+const ROWS_PER_THREAD: usize = 256;
 /// Chunks per thread, so that a thread that falls behind does not hold up the rest.
 const CHUNKS_PER_THREAD: usize = 4;
 
@@ -122,18 +124,19 @@ impl Workers {
     /// How many of `left` pieces of work the next task takes: the first tasks are large and the last ones small, so that the
     /// threads end together and few tasks are started. At least `min`, as long as there are so many.
     pub fn share(&self, left: usize, min: usize) -> usize {
-        (left / (2 * self.threads)).max(min).min(left)
+        share(left, min, self.threads)
     }
 
     /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
     pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
+        let threads = self.threads.min(len.div_ceil(ROWS_PER_THREAD).max(2));
         let Some(crew) = self.crew.as_ref().filter(|_| len > MIN_CHUNK) else {
             return f(0, len, rows);
         };
         let (mut rest, mut start) = (Some(rows), 0);
         let chunks = std::iter::from_fn(|| {
             let rows = rest.take()?;
-            let (first, n) = (start, self.share(len - start, MIN_CHUNK));
+            let (first, n) = (start, share(len - start, MIN_CHUNK, threads));
             start += n;
             if start == len {
                 return Some((first, n, rows));
@@ -142,7 +145,7 @@ impl Workers {
             rest = Some(more);
             Some((first, n, part))
         });
-        crew.for_each(chunks, |(first, n, part)| f(first, n, part));
+        crew.for_each(chunks, threads, |(first, n, part)| f(first, n, part));
     }
 
     /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
@@ -156,12 +159,17 @@ impl Workers {
     }
 
     /// Runs `f(task)` on every task, in parallel.
-    pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T> + Send, f: impl Fn(T) + Sync) {
+    pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, f: impl Fn(T) + Sync) {
         match &self.crew {
-            Some(crew) => crew.for_each(tasks, f),
+            Some(crew) => crew.for_each(tasks, self.threads, f),
             None => tasks.for_each(f),
         }
     }
+}
+
+/// See [`Workers::share`].
+fn share(left: usize, min: usize, threads: usize) -> usize {
+    (left / (2 * threads)).max(min).min(left)
 }
 
 /// Scratch memory of the threads. What a task does must not depend on which piece it gets.

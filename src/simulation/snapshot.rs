@@ -10,7 +10,7 @@ use crate::config::fnv1a;
 use crate::dynamics::{Parameters, State, StepSettings};
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 /// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 
