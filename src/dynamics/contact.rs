@@ -186,17 +186,18 @@ pub fn build_contacts<S: Real>(
         }
         let origin_height = ground + dot(&frame[0], &at.position);
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
-        let (centre, half) = (&parameters.contact_centre[link], &parameters.contact_half[link]);
+        let [cx, cy, cz, hx, hy, hz] = parameters.contact_box[link];
+        let (centre, half) = ([cx, cy, cz], [hx, hy, hz]);
         let mut highest = margin;
         if let Some(terrain) = terrain {
-            let centre = add(&at.position, &mul_vec(&at.rotation, centre));
+            let centre = add(&at.position, &mul_vec(&at.rotation, &centre));
             let (x, y) = (dot(&frame[1], &centre), dot(&frame[2], &centre));
-            let reach = dot(half, half).sqrt() + margin;
+            let reach = dot(&half, &half).sqrt() + margin;
             let bound = terrain.bound(state.position[0] + x, state.position[1] + y, reach);
             highest = margin + bound - S::splat(plane.offset);
         }
         let below = half[0].mul_add(up[0].abs(), half[1].mul_add(up[1].abs(), half[2] * up[2].abs()));
-        if !S::any((origin_height + dot(&up, centre) - below).lt(highest)) {
+        if !S::any((origin_height + dot(&up, &centre) - below).lt(highest)) {
             continue;
         }
         for c in candidates {

@@ -1,8 +1,8 @@
 """Physics alone: `polypod.Simulation` and `mujoco.rollout` on the same robot and the same targets.
 
 Both have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
-settings of solver and contacts, which are its fastest. Targets, drawn before anything is timed, change every 20 ms about
-the default pose, so that the robots tread on the spot.
+settings of solver and contacts, which are its fastest. Targets, drawn before anything is timed, change every 20 ms
+about the default pose, so that the robots tread on the spot.
 """
 
 import itertools
