@@ -47,7 +47,7 @@ impl AvianRobots {
     ) -> Result<Self, EngineError> {
         let settings = avian::Settings {
             dt: config.sim.dt,
-            substeps: config.physics.solver_iterations as usize,
+            substeps: config.physics.avian_substeps as usize,
             gravity: ground.gravity,
             ground: ground.layout.is_none().then(|| Plane::level(ground.height)),
         };

@@ -256,7 +256,8 @@ impl Bench {
         parameters.static_friction = sample.friction as f32;
         parameters.dynamic_friction = sample.friction as f32;
         let work = Workspace::new(&articulation.topology);
-        let settings = ContactSettings { ground: Some(sample.plane), ..ContactSettings::default() };
+        // a box on eight corners that share its load; robots are content with fewer
+        let settings = ContactSettings { iterations: 8, ground: Some(sample.plane), ..ContactSettings::default() };
         Self { articulation, parameters, work, settings }
     }
 

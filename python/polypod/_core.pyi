@@ -300,7 +300,8 @@ class Simulation:
         armature: npt.ArrayLike | None = None,
         self_collision: bool | None = None,
         ground_normal: Sequence[float] = (0.0, 0.0, 1.0),
-        solver_iterations: int = 8,
+        solver_iterations: int = 4,
+        avian_substeps: int = 8,
         threads: int | None = None,
         simd: str | None = None,
         dtype: str | type[np.floating] = "float32",
@@ -325,7 +326,8 @@ class Simulation:
             self_collision: whether a robot's links collide with one another, but for those joined by a joint or
                 touching in the default pose. None: as the robot's config says, no for a URDF.
             ground_normal: normal of the ground plane, of any length.
-            solver_iterations: sweeps of the contact solver per physics step.
+            solver_iterations: sweeps of the articulated engine's contact solver per physics step.
+            avian_substeps: substeps of the engine "avian" per physics step.
             threads: None: all cores.
             simd: instruction set: "avx512", "avx2", "neon" or "portable". None: the fastest one, or what `POLYPOD_SIMD`
                 says. Of no effect in float64.

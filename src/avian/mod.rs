@@ -62,6 +62,9 @@ pub(crate) enum JointField {
     Armature,
 }
 
+/// Substeps of a physics step that are usual.
+pub(crate) const SUBSTEPS: usize = 8;
+
 /// What all envs share.
 #[derive(Clone, Copy)]
 pub(crate) struct Settings {

@@ -11,6 +11,8 @@ use super::parse::params_beside;
 use super::scene::SceneConfig;
 use super::suggest::did_you_mean;
 use super::values;
+use crate::avian::SUBSTEPS;
+use crate::dynamics::SWEEPS;
 
 /// What the robots are to do, where, and how they are rewarded. SI units; world z up, base x forward, y left.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -107,9 +109,12 @@ fn env_spacing() -> f64 {
 pub struct PhysicsConfig {
     /// Which engine. Default: articulated.
     pub engine: EngineKind,
-    /// Sweeps of the solver over the contacts of one physics step. Default: 8.
+    /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.
     #[serde(deserialize_with = "values::at_least_one")]
     pub solver_iterations: u32,
+    /// Substeps of one physics step of the engine `avian`. Default: 8.
+    #[serde(deserialize_with = "values::at_least_one")]
+    pub avian_substeps: u32,
     /// Fastest speed at which overlapping shapes are pushed apart, m/s. Default: 1.
     #[serde(deserialize_with = "values::positive")]
     pub max_depenetration_velocity: f64,
@@ -125,7 +130,8 @@ impl Default for PhysicsConfig {
     fn default() -> Self {
         Self {
             engine: EngineKind::Articulated,
-            solver_iterations: 8,
+            solver_iterations: SWEEPS as u32,
+            avian_substeps: SUBSTEPS as u32,
             max_depenetration_velocity: 1.0,
             depenetration_rate: 0.2,
             mirror_links: false,

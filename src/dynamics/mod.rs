@@ -23,7 +23,7 @@ pub use articulation::{
     Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, PairTopology,
     Parameters, Topology,
 };
-pub use contact::{ContactSettings, Plane};
+pub use contact::{ContactSettings, Plane, SWEEPS};
 pub use lanes::{Lanes, Real, Simd};
 pub use numbers::Numbers;
 pub use state::{Drive, Report, State, Workspace};

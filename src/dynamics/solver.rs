@@ -2,7 +2,7 @@
 
 use super::articulation::{Parameters, Topology};
 use super::blocks::BLOCK;
-use super::contact::ContactSettings;
+use super::contact::{ContactSettings, SWEEPS};
 use super::lanes::Real;
 use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER};
 use super::sparse_rows::JointRows;
@@ -15,15 +15,15 @@ const PUSHED: f64 = 0.001;
 const LAST_ROUNDS: usize = 8;
 /// Sweeps come in turns, as many as it takes until contacts are settled, but no more than this: where a light leg is jammed
 /// between a joint limit and the ground, sweep after sweep hands it little of what the base weighs. Turns after the first have
-/// half as many sweeps.
+/// no more than [`TURN`] sweeps.
 const MOST_TURNS: usize = 15;
 /// The first turn ends early where a sweep changes little: by less than what such a change of the whole robot's speed would be, m/s
 /// (in kinetic energy; a leg that weighs a hundredth may change ten times as much).
 const CALM: f64 = 0.0005;
 /// Sweeps of the first turn after which this is looked at.
 const STRETCH: usize = 2;
-/// Who asks for more sweeps than this wants them all: a load that many points share is settled by many small changes.
-const USUAL: usize = 8;
+/// Sweeps of a turn after the first, at most.
+const TURN: usize = 4;
 /// A contact is settled when another sweep would change its velocity by less than this, m/s: less would spend on every footfall
 /// what only jams need.
 const SETTLED: f64 = 0.3;
@@ -45,7 +45,7 @@ pub fn solve<S: Real>(
     first_turn(topology, parameters, settings, active, work);
     for turn in 0..MOST_TURNS {
         if turn > 0 {
-            for _ in 0..settings.iterations.div_ceil(2) {
+            for _ in 0..settings.iterations.min(TURN) {
                 sweep_bounds(topology, active, work);
                 sweep_contacts(topology, parameters, active, true, work);
             }
@@ -81,7 +81,8 @@ fn first_turn<S: Real>(
 ) {
     let mut active = all;
     for sweep in 1..=settings.iterations {
-        let looks = settings.iterations <= USUAL && sweep % STRETCH == 0 && sweep < settings.iterations;
+        // who asks for more wants them all: a load that many points share is settled by many small changes
+        let looks = settings.iterations <= SWEEPS && sweep % STRETCH == 0 && sweep < settings.iterations;
         if looks {
             // where the moved velocity will be
             work.moved_base = work.base;
@@ -243,16 +244,19 @@ fn sweep_contacts<S: Real>(
 ) {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
     let friction = [parameters.static_friction, parameters.dynamic_friction];
+    // a copy, which stays in registers from one visit to the next
+    let mut base = *y_base;
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
         if !row.awake {
             continue;
         }
         if jammed {
-            visit_jammed(topology, &friction, active, row, further, y_base, y_joint);
+            visit_jammed(topology, &friction, active, row, further, &mut base, y_joint);
         } else {
-            visit_contact(topology, &friction, active, row, further, y_base, y_joint);
+            visit_contact(topology, &friction, active, row, further, &mut base, y_joint);
         }
     }
+    *y_base = base;
 }
 
 /// Brings the velocity of one contact to its target and its impulse into the friction cone.
@@ -280,14 +284,11 @@ fn visit_contact<S: Real>(
     let t2 = dn.neg_mul_add(pass2, w[1].mul_add(cross, w[2].neg_mul_add(row.inverse[2], old[2])));
     let hold = friction[0] * normal;
     let presses = z.lt(normal);
-    let slides = S::and(S::and(active, presses), (hold * hold).lt(t1.mul_add(t1, t2 * t2)));
-    let mut tangential = [t1, t2];
-    if S::any(slides) {
-        // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
-        let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
-        let [s1, s2] = sliding(row.slide, [w1, w2], [old[1], old[2]], friction[1] * normal);
-        tangential = [S::select(slides, s1, t1), S::select(slides, s2, t2)];
-    }
+    let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
+    // else slides, against the velocity: the same mass in all directions, then onto the dynamic one's disc
+    let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
+    let [s1, s2] = sliding(row.slide, [w1, w2], [old[1], old[2]], friction[1] * normal);
+    let tangential = [S::select(slides, s1, t1), S::select(slides, s2, t2)];
     let new = [
         normal,
         S::select(active, S::select(presses, tangential[0], z), old[1]),
@@ -302,8 +303,9 @@ fn visit_contact<S: Real>(
 #[inline(always)]
 fn sliding<S: Real>(mass: S, w: [S; 2], impulse: [S; 2], bound: S) -> [S; 2] {
     let (s1, s2) = (w[0].neg_mul_add(mass, impulse[0]), w[1].neg_mul_add(mass, impulse[1]));
-    let length = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20))).sqrt();
-    let shrink = (bound / length).min(S::one());
+    let square = s1.mul_add(s1, s2.mul_add(s2, S::splat(1e-20)));
+    // neither the root nor the quotient waits for the other
+    let shrink = (bound / square * square.sqrt()).min(S::one());
     [s1 * shrink, s2 * shrink]
 }
 
@@ -382,12 +384,14 @@ fn push_contacts<S: Real>(topology: &Topology, active: S::Mask, work: &mut Conta
 /// One sweep over the joints' limits and dry friction, in the lanes that are `active`.
 #[inline(always)]
 fn sweep_bounds<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) {
-    let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
+    let ContactWork { bounds, bound_further, stride, base: y_base, joints, .. } = work;
+    let mut base = *y_base;
     for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
         if block.active {
-            visit_bounds(topology, active, block, further, base, joints);
+            visit_bounds(topology, active, block, further, &mut base, joints);
         }
     }
+    *y_base = base;
 }
 
 /// Brings the velocities of a block's joints into their bounds, one after the other.

@@ -150,8 +150,8 @@ impl Simulation {
     #[new]
     #[pyo3(signature = (robot, num_envs=1, *, dt=0.005, ground=Some("plane"), gravity=[0.0, 0.0, -9.81],
         engine="articulated".to_string(), fixed_base=false, package_dirs=BTreeMap::new(), friction=None, restitution=0.0,
-        armature=None, self_collision=None, ground_normal=[0.0, 0.0, 1.0], solver_iterations=8, threads=None, simd=None,
-        dtype=None))]
+        armature=None, self_collision=None, ground_normal=[0.0, 0.0, 1.0], solver_iterations=4, avian_substeps=8, threads=None,
+        simd=None, dtype=None))]
     fn new(
         py: Python<'_>,
         robot: PathBuf,
@@ -168,6 +168,7 @@ impl Simulation {
         self_collision: Option<bool>,
         ground_normal: [f64; 3],
         solver_iterations: usize,
+        avian_substeps: usize,
         threads: Option<usize>,
         simd: Option<&str>,
         dtype: Option<Bound<'_, PyAny>>,
@@ -184,6 +185,7 @@ impl Simulation {
             restitution,
             self_collision,
             solver_iterations,
+            avian_substeps,
             threads,
             ..given
         };

@@ -8,19 +8,15 @@ use crate::avian::{Engine, EngineError, Settings};
 use crate::dynamics::{Parameters, State, StepSettings, Topology};
 use crate::rows::Workers;
 
-/// A world of Avian's per thread; the contact solver's sweeps are its substeps.
+/// A world of Avian's per thread.
 pub(super) fn packs(
     robot: &Robot,
     settings: &StepSettings,
+    substeps: usize,
     num_envs: usize,
     threads: usize,
 ) -> Result<Box<dyn Packs>, SimulationError> {
-    let of_engine = Settings {
-        dt: settings.dt,
-        substeps: settings.contact.iterations,
-        gravity: settings.gravity,
-        ground: settings.contact.ground,
-    };
+    let of_engine = Settings { dt: settings.dt, substeps, gravity: settings.gravity, ground: settings.contact.ground };
     let (topology, nominal) = (&robot.topology, &robot.nominal);
     Engine::new(&robot.model, &robot.align, &robot.shape_pairs, topology, nominal, &of_engine, &[], num_envs, threads)
         .map(|engine| Box::new(AvianPacks { engine, explicit: Vec::new() }) as Box<dyn Packs>)

@@ -109,7 +109,7 @@ impl Simulation {
         let workers = Workers::new(threads, simd);
         let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
         let packs = match (options.engine(), options.precision) {
-            (EngineKind::Avian, _) => avian::packs(&robot, &settings, n, workers.threads())?,
+            (EngineKind::Avian, _) => avian::packs(&robot, &settings, options.avian_substeps, n, workers.threads())?,
             (EngineKind::Articulated, Precision::Single) => packs::single(simd, topology, &robot.nominal, n, chunks),
             (EngineKind::Articulated, Precision::Double) => packs::double(topology, &robot.nominal, n, chunks),
         };
@@ -121,7 +121,7 @@ impl Simulation {
                 .map(|joint| joint.effort_table.as_ref())
                 .map(|table| table.map_or(1.0, |t| t.limits.iter().fold(0.0, |most, &x| f64::from(x).max(most))))
                 .collect(),
-            fingerprint: snapshot::fingerprint(&robot, &settings, options.engine()),
+            fingerprint: snapshot::fingerprint(&robot, &settings, options.engine(), options.avian_substeps),
             settings,
             packs,
             workers,

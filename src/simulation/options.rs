@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use crate::avian::SUBSTEPS;
 use crate::config::{ConfigError, EngineKind};
-use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
+use crate::dynamics::{SWEEPS, Simd};
 use crate::robot::RobotError;
 
 /// Numbers that a simulation computes with.
@@ -48,8 +49,10 @@ pub struct SimulationOptions {
     /// Whether links of a robot collide with one another, but for those joined by a joint or touching in the default pose.
     /// Default: what the robot's config says; no for a URDF.
     pub self_collision: Option<bool>,
-    /// Sweeps of the contact solver per physics step; substeps of the engine `avian`. Default: 8.
+    /// Sweeps of the articulated engine's contact solver per physics step. Default: 4.
     pub solver_iterations: usize,
+    /// Substeps per physics step of the engine `avian`. Default: 8.
+    pub avian_substeps: usize,
     /// Threads. Default: all cores.
     pub threads: Option<usize>,
     /// Instruction set in single precision. Default: the fastest one, or what `POLYPOD_SIMD` says.
@@ -74,7 +77,8 @@ impl SimulationOptions {
             restitution: 0.0,
             armature: None,
             self_collision: None,
-            solver_iterations: 8,
+            solver_iterations: SWEEPS,
+            avian_substeps: SUBSTEPS,
             threads: None,
             simd: None,
             precision: Precision::Single,
@@ -115,6 +119,9 @@ impl SimulationOptions {
         }
         if self.solver_iterations == 0 {
             return Err(argument("solver_iterations", "0 sweeps", "pass at least 1"));
+        }
+        if self.avian_substeps == 0 {
+            return Err(argument("avian_substeps", "0 substeps", "pass at least 1"));
         }
         if !(self.dt > 0.0 && self.dt.is_finite()) {
             return Err(argument("dt", format!("a step of {} s", self.dt), "pass a positive number of seconds"));

@@ -48,11 +48,11 @@ struct Env {
     engine: Vec<u8>,
 }
 
-/// A hash of what decides a step but for the state and the envs' own numbers.
-pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: EngineKind) -> u64 {
+/// A hash of what decides a step but for the state and the envs' own numbers. `substeps` are those of the engine `avian`.
+pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: EngineKind, substeps: usize) -> u64 {
     let mut text = format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal);
     if engine == EngineKind::Avian {
-        text += " avian";
+        text += &format!(" avian {substeps}");
     }
     fnv1a(text.as_bytes())
 }

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import polypod
-from polypod.accuracy import engines, friction, motion, report, robot, standing, statics
+from polypod.accuracy import engines, friction, motion, report, robot, standing, statics, sweeps
 from polypod.accuracy.markdown import summary, tables
 
 ARTICULATED = engines.Engine(
@@ -72,11 +72,12 @@ def test_every_measurement_has_its_row() -> None:
         standing=[standing.compare_standing(spot)],
         engines=[ENGINES],
         rests=[standing.SlopeRest("spot", "front", 1e-5, 2e-5)],
+        sweeps=[sweeps.Sweeps("spot", dict.fromkeys(sweeps.COUNTS, 4e-3), 9e-3)],
         slides=[friction.compare_slide(0.5, 1.0)],
         slopes=[friction.compare_slope(0.5, 0.3)],
     )
     text = tables(measured)
-    assert text.count("| spot |") == 7
+    assert text.count("| spot |") == 8
     assert (
         "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 0.50 % | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
     )

@@ -90,6 +90,7 @@ def test_shapes(name, fixed):
         ({"armature": [0.1, 0.2]}, polypod.ConfigError, "armature"),
         ({"threads": 0}, polypod.ConfigError, "threads"),
         ({"solver_iterations": 0}, polypod.ConfigError, "solver_iterations"),
+        ({"avian_substeps": 0}, polypod.ConfigError, "avian_substeps"),
     ],
     ids=lambda value: repr(value) if isinstance(value, dict) else "",
 )

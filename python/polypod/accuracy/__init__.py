@@ -19,6 +19,7 @@ from polypod.accuracy.standing import (
     compare_standing,
 )
 from polypod.accuracy.statics import StaticsResult, compare_statics
+from polypod.accuracy.sweeps import Sweeps, compare_sweeps
 
 __all__ = [
     "Actuators",
@@ -35,6 +36,7 @@ __all__ = [
     "Standing",
     "StaticsResult",
     "StepResponse",
+    "Sweeps",
     "compare_drop",
     "compare_engines",
     "compare_slide",
@@ -43,6 +45,7 @@ __all__ = [
     "compare_standing",
     "compare_statics",
     "compare_step_responses",
+    "compare_sweeps",
     "load",
     "measure",
     "names",

@@ -4,7 +4,7 @@ import math
 import textwrap
 
 from polypod import _core
-from polypod.accuracy import engines
+from polypod.accuracy import engines, sweeps
 from polypod.accuracy.report import Report
 from polypod.accuracy.standing import DT, FINE, FIRM, FRICTION, MUJOCO_COARSE, SLOPE_FINE
 from polypod.documents import table
@@ -21,6 +21,7 @@ def tables(report: Report) -> str:
         (_DROPS, _drops(report)),
         (_STANDING, _standing(report)),
         (_RESTS, _rests(report)),
+        (_SWEEPS, _sweeps(report)),
         (_ENGINES, _engines(report)),
         (_CONE, _slides(report) + "\n\n" + _slopes(report)),
     )
@@ -33,6 +34,11 @@ def tables(report: Report) -> str:
         "fine": 1e3 * FINE,
         "slope_fine": 1e3 * SLOPE_FINE,
         "command": COMMAND,
+        "sweeps": sweeps.USUAL,
+        "converged": sweeps.CONVERGED,
+        "amplitude": sweeps.AMPLITUDE,
+        "sweeps_fine": 1e3 * sweeps.FINE,
+        "control": 1e3 * sweeps.CONTROL,
         "steps": ", ".join(f"{1e3 * step:g}" for step in engines.STEPS),
         "speed_envs": engines.SPEED_ENVS,
         "timings": engines.TIMINGS,
@@ -69,7 +75,7 @@ def summary(report: Report) -> str:
 
 _SETTINGS = """
 MuJoCo {mujoco} compiles the same URDFs, with the settings that `python/polypod/accuracy/reference.py` explains;
-polypod computes in `f32` with 8 sweeps. Written by `{command}`.
+polypod computes in `f32` with {sweeps} sweeps. Written by `{command}`.
 """
 
 _STATICS = """#### Identities
@@ -114,9 +120,17 @@ too), 10 s to settle; then the largest distance of the base from where it was, o
 MuJoCo at {slope_fine:g} ms. MuJoCo's contacts are soft and always creep.
 """
 
+_SWEEPS = """#### What the sweeps leave
+
+Robots that kick about on the ground: new random targets every {control:g} ms, within {amplitude:g} rad of the default
+position, self-collision on, friction {friction:g}. By how much the base's velocity is off after {control:g} ms from
+one state, root mean square, mm/s: with so many sweeps of the contact solver against {converged} of them, no warm start
+to begin with; and, *step*, with physics steps of {dt:g} ms against {sweeps_fine:g} ms, {converged} sweeps in both.
+"""
+
 _ENGINES = """#### The two engines
 
-Each robot under `physics.engine = "articulated"` and `"avian"`, both at {dt:g} ms with 8 sweeps or substeps.
+Each robot under `physics.engine = "articulated"` and `"avian"`, both at {dt:g} ms.
 *Standing*: set on its feet in the default pose, on its own gains, friction {friction:g}; base, vertical contact
 forces over the weight, and the largest difference of the engines' joint torques over the largest torque, after 10 s;
 first without the joints' dry friction, then with it: a joint at rest may be held by any torque within it (A1, Spot).
@@ -232,6 +246,16 @@ def _rests(report: Report) -> str:
     return table(
         ("robot", "up the slope", "polypod (mm)", "MuJoCo (mm)"),
         [(r.robot, r.uphill, f"{1e3 * r.creep:.4f}", f"{1e3 * r.mujoco_creep:.4f}") for r in report.rests],
+    )
+
+
+def _sweeps(report: Report) -> str:
+    return table(
+        ("robot", *(f"{count} sweeps" for count in sweeps.COUNTS), "step"),
+        [
+            (r.robot, *(f"{1e3 * r.left[count]:.1f}" for count in sweeps.COUNTS), f"{1e3 * r.step:.1f}")
+            for r in report.sweeps
+        ],
     )
 
 

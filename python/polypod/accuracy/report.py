@@ -20,6 +20,7 @@ from polypod.accuracy.standing import (
     compare_standing,
 )
 from polypod.accuracy.statics import StaticsResult, compare_statics
+from polypod.accuracy.sweeps import Sweeps, compare_sweeps
 
 Progress = Callable[[str], None]
 """Is told what comes next."""
@@ -45,6 +46,7 @@ class Report:
     drops: list[Drop]
     standing: list[Standing]
     rests: list[SlopeRest]
+    sweeps: list[Sweeps]
     engines: list[Engines]
     slides: list[Slide]
     slopes: list[Slope]
@@ -53,14 +55,15 @@ class Report:
 def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
     """Runs every comparison for the robots named, or for all. Raises UnknownNameError."""
     robots = [robot.load(name) for name in names or robot.names()]
-    report = Report(reference.version(), [], [], [], [], [], [], [], [])
+    report = Report(reference.version(), [], [], [], [], [], [], [], [], [])
     for each in robots:
-        progress(f"{each.name}: identities, step responses, drop, standing, slope, engines")
+        progress(f"{each.name}: identities, step responses, drop, standing, slope, sweeps, engines")
         report.statics.append(compare_statics(each))
         report.responses.append(compare_step_responses(each))
         report.drops.extend(compare_drop(each, gains=gains) for gains in (1.0, FIRM))
         report.standing.append(compare_standing(each))
         report.rests.extend(compare_slope_rest(each, uphill) for uphill in ("front", "left"))
+        report.sweeps.append(compare_sweeps(each))
         report.engines.append(compare_engines(each))
     progress("a block on planes and slopes")
     report.slides.extend(compare_slide(friction, speed, direction=angle) for friction, speed, angle in SLIDES)

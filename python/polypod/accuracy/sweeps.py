@@ -1,0 +1,75 @@
+"""What the solver's sweeps leave, beside what the physics step itself does."""
+
+import dataclasses
+import inspect
+
+import numpy as np
+
+import polypod
+from polypod.accuracy.robot import Array, Robot
+
+DT = 0.005
+"""The physics step, s."""
+FINE = 0.0005
+"""The step that it is held against, s."""
+CONTROL = 0.02
+"""How long a target is held, and how far the comparison goes, s."""
+USUAL: int = inspect.signature(polypod.Simulation).parameters["solver_iterations"].default
+"""Sweeps by default."""
+COUNTS = (USUAL // 2, USUAL, 2 * USUAL)
+"""Sweeps that are compared."""
+CONVERGED = 256
+"""Sweeps that they are held against."""
+AMPLITUDE = 0.5
+"""Targets are uniformly within this of the default position, rad."""
+FRICTION = 0.8
+ENVS = 64
+"""Robots that move at a time."""
+SETTLE, MOMENTS, EVERY = 20, 10, 4
+"""Control steps before the first moment; moments that are compared; control steps from one to the next."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweeps:
+    """How far the base is off in velocity after 20 ms of random targets, m/s: root mean square over robots, moments."""
+
+    robot: str
+    left: dict[int, float]
+    """What so many sweeps leave: against 256 of them."""
+    step: float
+    """What the step does: 5 ms against 0.5 ms, both with 256 sweeps."""
+
+
+def compare_sweeps(robot: Robot, *, seed: int = 0) -> Sweeps:
+    """Compares a robot of the library that kicks about on the ground under random targets, falls and lies there."""
+    rng = np.random.default_rng(seed)
+    moving = _simulation(robot, DT, USUAL)
+    others = {count: _simulation(robot, DT, count) for count in (*COUNTS, CONVERGED)}
+    fine = _simulation(robot, FINE, CONVERGED)
+    left: dict[int, list[Array]] = {count: [] for count in COUNTS}
+    step: list[Array] = []
+    for moment in range(SETTLE + MOMENTS * EVERY):
+        targets = robot.default_position + rng.uniform(-AMPLITUDE, AMPLITUDE, (ENVS, robot.num_joints))
+        if moment >= SETTLE and moment % EVERY == 0:
+            qpos, qvel = moving.qpos, moving.qvel
+            converged = _base_velocity(others[CONVERGED], qpos, qvel, targets)
+            for count, errors in left.items():
+                errors.append(_base_velocity(others[count], qpos, qvel, targets) - converged)
+            step.append(converged - _base_velocity(fine, qpos, qvel, targets))
+        moving.step(targets=targets, n=round(CONTROL / DT))
+    return Sweeps(robot.name, {count: _rms(errors) for count, errors in left.items()}, _rms(step))
+
+
+def _simulation(robot: Robot, dt: float, sweeps: int) -> polypod.Simulation:
+    return polypod.Simulation(robot.name, ENVS, dt=dt, friction=FRICTION, solver_iterations=sweeps, threads=1)
+
+
+def _base_velocity(sim: polypod.Simulation, qpos: Array, qvel: Array, targets: Array) -> Array:
+    """Linear velocities [envs, 3] of the bases after a control step from a state."""
+    sim.set_state(qpos, qvel)
+    sim.step(targets=targets, n=round(CONTROL / sim.dt))
+    return sim.qvel[:, :3]
+
+
+def _rms(errors: list[Array]) -> float:
+    return float(np.sqrt((np.array(errors) ** 2).sum(axis=-1).mean()))

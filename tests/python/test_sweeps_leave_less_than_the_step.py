@@ -1,0 +1,14 @@
+"""The solver's usual number of sweeps is no worse than the physics step itself, which 0.5 ms shows."""
+
+import pytest
+
+from polypod.accuracy.robot import load, names
+from polypod.accuracy.sweeps import COUNTS, USUAL, compare_sweeps
+
+
+@pytest.mark.parametrize("name", names())
+def test_sweeps_leave_less_than_the_step(name: str) -> None:
+    found = compare_sweeps(load(name))
+    assert found.left[USUAL] < 0.7 * found.step
+    # and more of them converge
+    assert found.left[COUNTS[0]] > found.left[COUNTS[1]] > found.left[COUNTS[2]] > 0.0
