@@ -11,7 +11,7 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, LockResult, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use bevy_tasks::{TaskPool, TaskPoolBuilder};
@@ -49,6 +49,11 @@ struct Shared {
     awake: Apart<Vec<AtomicBool>>,
     /// What a helper panicked with.
     panic: Mutex<Option<Box<dyn Any + Send>>>,
+}
+
+/// What a lock holds, even if a thread panicked with it: panics are passed on, and nothing is left half done.
+fn open<T>(lock: LockResult<T>) -> T {
+    lock.unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Waits a moment; longer moments after many.
@@ -96,7 +101,7 @@ impl Crew {
         let next = Apart(AtomicUsize::new(0));
         let job = || {
             while let Some(task) = tasks.get(next.0.fetch_add(1, Ordering::Relaxed)) {
-                let task = task.lock().unwrap_or_else(PoisonError::into_inner).take();
+                let task = open(task.lock()).take();
                 task.into_iter().for_each(&f);
             }
         };
@@ -114,7 +119,7 @@ impl Crew {
         // SAFETY: the reference leaves `shared.job` below, whether or not a thread panics. Whoever has read it there before has counted
         // itself to `inside` before that, and is waited for.
         let job_for_helpers = unsafe { std::mem::transmute::<&Job<'_>, &'static Job<'static>>(job) };
-        *shared.job.0.write().unwrap_or_else(PoisonError::into_inner) = Some(job_for_helpers);
+        *open(shared.job.0.write()) = Some(job_for_helpers);
         shared.wanted.store(helpers, Ordering::Relaxed);
         shared.jobs.0.fetch_add(1, Ordering::Release);
         for (helper, awake) in shared.awake.0.iter().enumerate().take(helpers) {
@@ -125,12 +130,12 @@ impl Crew {
             }
         }
         let mine = catch_unwind(AssertUnwindSafe(job));
-        *shared.job.0.write().unwrap_or_else(PoisonError::into_inner) = None;
+        *open(shared.job.0.write()) = None;
         let mut wait = Wait::new();
         while shared.inside.0.load(Ordering::Acquire) > 0 {
             wait.moment();
         }
-        let theirs = shared.panic.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let theirs = open(shared.panic.lock()).take();
         self.busy.store(false, Ordering::Release);
         if let Some(panic) = mine.err().or(theirs) {
             resume_unwind(panic);
@@ -163,11 +168,11 @@ impl Shared {
     /// Works on the present job, if there still is one.
     fn work(&self) {
         self.inside.0.fetch_add(1, Ordering::AcqRel);
-        let job = *self.job.0.read().unwrap_or_else(PoisonError::into_inner);
+        let job = *open(self.job.0.read());
         if let Some(job) = job
             && let Err(panic) = catch_unwind(AssertUnwindSafe(job))
         {
-            *self.panic.lock().unwrap_or_else(PoisonError::into_inner) = Some(panic);
+            *open(self.panic.lock()) = Some(panic);
         }
         self.inside.0.fetch_sub(1, Ordering::Release);
     }

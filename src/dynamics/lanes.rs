@@ -51,10 +51,6 @@ pub trait Real:
     fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Logical and.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// Reads one lane.
-    fn lane(&self, lane: usize) -> f64;
-    /// Writes one lane.
-    fn set_lane(&mut self, lane: usize, value: f64);
     /// Reads one lane in single precision.
     fn lane_f32(&self, lane: usize) -> f32;
     /// Writes one lane in single precision.
@@ -62,6 +58,16 @@ pub trait Real:
     /// Sine and cosine of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
 
+    /// Reads one lane.
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> f64 {
+        f64::from(self.lane_f32(lane))
+    }
+    /// Writes one lane.
+    #[inline(always)]
+    fn set_lane(&mut self, lane: usize, value: f64) {
+        self.set_lane_f32(lane, value as f32);
+    }
     /// `self < other ? self : other` (the second when either is NaN).
     #[inline(always)]
     fn min(self, other: Self) -> Self {
@@ -281,14 +287,6 @@ impl Real for Portable {
         std::array::from_fn(|i| a[i] & b[i])
     }
     #[inline(always)]
-    fn lane(&self, lane: usize) -> f64 {
-        f64::from(self.0[lane])
-    }
-    #[inline(always)]
-    fn set_lane(&mut self, lane: usize, value: f64) {
-        self.0[lane] = value as f32;
-    }
-    #[inline(always)]
     fn lane_f32(&self, lane: usize) -> f32 {
         self.0[lane]
     }
@@ -430,14 +428,6 @@ macro_rules! native_lanes {
             #[inline(always)]
             fn max(self, other: Self) -> Self {
                 native_lanes!(@each $registers, $max, self, other)
-            }
-            #[inline(always)]
-            fn lane(&self, lane: usize) -> f64 {
-                f64::from(self.lane_f32(lane))
-            }
-            #[inline(always)]
-            fn set_lane(&mut self, lane: usize, value: f64) {
-                self.set_lane_f32(lane, value as f32);
             }
             #[inline(always)]
             fn lane_f32(&self, lane: usize) -> f32 {

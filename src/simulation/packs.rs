@@ -180,18 +180,6 @@ impl<L: Lanes> Packs for LanePacks<L> {
     }
 
     fn write_joints(&mut self, envs: &EnvIds, field: JointField, rows: &Rows) {
-        if let EnvIds::All(_) = envs {
-            // pack after pack, the idle lanes as the last env
-            for (p, pack) in self.packs.iter_mut().enumerate() {
-                let (first, last) = (p * L::LANES, pack.count - 1);
-                for (joint, x) in pack.joints_mut(field).iter_mut().enumerate() {
-                    for lane in 0..L::LANES {
-                        x.set_lane(lane, rows.get(first + lane.min(last), joint));
-                    }
-                }
-            }
-            return;
-        }
         for row in 0..envs.len() {
             let (pack, lanes) = self.at_mut(envs.get(row));
             for (joint, x) in pack.joints_mut(field).iter_mut().enumerate() {

@@ -336,7 +336,7 @@ def test_free_fall_without_ground():
 def test_a_block_rests_slides_and_sticks_on_a_slope():
     angle = 0.4
     normal = (-3 * np.sin(angle), 0, 3 * np.cos(angle))
-    sim = simulation("box", 3, ground_normal=normal, dtype="float64")
+    sim = simulation("box", 3, ground_normal=normal, dtype="float64", solver_iterations=8)
     lying = [0, 0, 0, np.cos(angle / 2), 0, -np.sin(angle / 2), 0]
     lying[:3] = 0.05 * np.array(normal) / 3
     sim.set_state(lying)
