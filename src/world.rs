@@ -352,6 +352,6 @@ fn bake_terrain(
             }
         }
     }
-    grid.note_blocks();
+    grid.note_squares();
     Ok(Some(grid))
 }

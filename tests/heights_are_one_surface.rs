@@ -13,7 +13,7 @@ fn waves(size: [usize; 2]) -> (HeightGrid, Vec<f32>) {
             heights.push(height);
         }
     }
-    grid.note_blocks();
+    grid.note_squares();
     (grid, heights)
 }
 

@@ -10,7 +10,7 @@ use super::math::{
 };
 use super::rows::{BoundRow, ContactWork, NEVER};
 use super::state::{State, Workspace};
-use super::terrain::Terrain;
+use super::terrain::{Near, Terrain};
 
 /// Gauss-Seidel sweeps per physics step that are usual. What more of them would change is a fraction of what a shorter physics step
 /// would (`polypod accuracy`).
@@ -76,6 +76,8 @@ const CONTACT_MARGIN: f64 = 0.02;
 /// A candidate takes part in a physics step when it is nearer to the ground than this, m, and what it comes nearer by in the
 /// step, at its present speed or without constraints.
 const CONTACT_REACH: f64 = 0.004;
+/// The gap of a candidate that no ground is near, m.
+const FAR: f64 = 1e9;
 /// A joint bound takes part when the joint could come nearer to it than this in two physics steps, rad or m.
 const BOUND_MARGIN: f64 = 0.05;
 /// ... or, since a contact may throw a joint against its stop within one step, than its velocity limit leads in a step,
@@ -197,7 +199,7 @@ pub fn build_contacts<S: Real>(
             let centre = add(&at.position, &mul_vec(&at.rotation, &centre));
             let (x, y) = (dot(&frame[1], &centre), dot(&frame[2], &centre));
             let reach = dot(&half, &half).sqrt() + margin;
-            let bound = terrain.bound(state.position[0] + x, state.position[1] + y, reach);
+            let bound = terrain.bound(Near::Link, state.position[0] + x, state.position[1] + y, reach);
             highest = margin + bound - S::splat(plane.offset);
         }
         let below = half[0].mul_add(up[0].abs(), half[1].mul_add(up[1].abs(), half[2] * up[2].abs()));
@@ -218,8 +220,18 @@ pub fn build_contacts<S: Real>(
                 if !S::any(gap.lt(highest)) {
                     continue;
                 }
-                let centre = add(&at.position, &mul_vec(&at.rotation, &local));
-                (gap, surface) = on_terrain(terrain, &frame, &state.position, &centre, parameters.contact_radius[c]);
+                let (centre, radius) =
+                    (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
+                let (x, y) = (dot(&frame[1], &centre), dot(&frame[2], &centre));
+                let bound =
+                    terrain.bound(Near::Candidate, state.position[0] + x, state.position[1] + y, radius + margin);
+                let may_touch = gap.lt(margin + bound - S::splat(plane.offset));
+                if !S::any(may_touch) {
+                    continue;
+                }
+                (gap, surface) = on_terrain(terrain, &frame, &state.position, &centre, radius);
+                // the plane of a steep cell, which goes on beyond it, may be nearer than any ground
+                gap = S::select(may_touch, gap, S::splat(FAR));
                 axes_here = &surface;
             }
             if !S::any(gap.lt(margin)) {

@@ -7,8 +7,8 @@ use super::math::Vec3;
 const STEEPEST: f32 = 10.0;
 /// Ground that is this far below the plane of a cell beyond one of its sides falls away there, m.
 const FALLS_AWAY: f64 = 1e-3;
-/// Edge length of the squares of which the largest height is known, m.
-const BLOCK: f32 = 0.5;
+/// Edge lengths of the squares of which the largest heights are known, m: by [`Near`].
+const SQUARES: [f32; 2] = [0.5, 0.125];
 /// Cells along each side of the squares in which heights are kept together, about as many as a page of memory holds.
 const PAGE: usize = 32;
 /// Points along each side of a page: those at its far edges are its neighbours' first ones too, so that all corners of a cell
@@ -36,10 +36,28 @@ pub struct HeightGrid {
     columns: usize,
     /// The largest height.
     pub highest: f32,
-    /// Largest heights of squares of `BLOCK` and the squares around them, row by row; empty until they are noted.
-    blocks: Vec<f32>,
+    /// See [`SQUARES`].
+    squares: [Squares; 2],
+}
+
+/// How near the ground of interest is.
+#[derive(Clone, Copy)]
+pub(super) enum Near {
+    /// Below a link.
+    Link,
+    /// Below a contact candidate.
+    Candidate,
+}
+
+/// Largest heights of squares and the squares around them; empty until they are noted.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Squares {
+    /// Points along an edge.
+    stride: usize,
     /// Number of squares along x and y.
-    num_blocks: [usize; 2],
+    num: [usize; 2],
+    /// Row by row, m.
+    highest: Vec<f32>,
 }
 
 /// What the robots of a pack stand on.
@@ -52,11 +70,11 @@ pub struct Terrain<'a, S> {
 }
 
 impl HeightGrid {
-    /// A level grid; heights may then be changed, and [`note_blocks`](Self::note_blocks) must follow.
+    /// A level grid; heights may then be changed, and [`note_squares`](Self::note_squares) must follow.
     pub fn level(origin: [f32; 2], cell: f32, size: [usize; 2], height: f32) -> Self {
         let [rows, columns] = size.map(|points| (points - 1).div_ceil(PAGE));
         let points = vec![height; rows * columns * PAGE_POINTS];
-        Self { origin, cell, size, points, columns, highest: height, blocks: Vec::new(), num_blocks: [0; 2] }
+        Self { origin, cell, size, points, columns, highest: height, squares: Default::default() }
     }
 
     /// Where a point of a page is kept.
@@ -97,9 +115,13 @@ impl HeightGrid {
     }
 
     /// Notes the largest heights, after all heights are known.
-    pub fn note_blocks(&mut self) {
+    pub fn note_squares(&mut self) {
+        self.squares = SQUARES.map(|edge| self.squares_of(((edge / self.cell).round() as usize).max(1)));
+        self.highest = self.squares[0].highest.iter().copied().fold(f32::MIN, f32::max);
+    }
+
+    fn squares_of(&self, stride: usize) -> Squares {
         let [rows, columns] = self.size;
-        let stride = ((BLOCK / self.cell).round() as usize).max(1);
         let num = [rows.div_ceil(stride), columns.div_ceil(stride)];
         let mut own = vec![f32::MIN; num[0] * num[1]];
         for i in 0..rows {
@@ -109,41 +131,47 @@ impl HeightGrid {
             }
         }
         let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
-        self.blocks = (0..num[0] * num[1])
+        let highest = (0..num[0] * num[1])
             .map(|k| {
                 let places = around(k / num[1], num[0]).flat_map(|i| around(k % num[1], num[1]).map(move |j| (i, j)));
                 places.map(|(i, j)| own[i * num[1] + j]).fold(f32::MIN, f32::max)
             })
             .collect();
-        self.num_blocks = num;
-        self.highest = own.iter().copied().fold(f32::MIN, f32::max);
+        Squares { stride, num, highest }
     }
 
     /// Of the first `n` places of a group: no height within `reach` is larger than this, m.
     #[inline(always)]
-    fn bound_group(&self, x: &[f32; GROUP], y: &[f32; GROUP], reach: &[f32; GROUP], n: usize) -> [f32; GROUP] {
-        let stride = (BLOCK / self.cell).round().max(1.0);
+    fn bound_group(
+        &self,
+        near: Near,
+        x: &[f32; GROUP],
+        y: &[f32; GROUP],
+        reach: &[f32; GROUP],
+        n: usize,
+    ) -> [f32; GROUP] {
+        let squares = &self.squares[near as usize];
         // the squares around hold what is within an edge length, less the cell between the last point and the next square
-        let far = (stride - 1.0) * self.cell;
+        let far = (squares.stride as f32 - 1.0) * self.cell;
         let mut at = [0u32; GROUP];
         for k in 0..GROUP {
-            at[k] = self.block(x[k], 0, stride) * self.num_blocks[1] as u32 + self.block(y[k], 1, stride);
+            at[k] = self.square(squares, x[k], 0) * squares.num[1] as u32 + self.square(squares, y[k], 1);
         }
         let mut bound = [self.highest; GROUP];
         for k in 0..n {
-            bound[k] = if reach[k] > far { self.highest } else { self.blocks[at[k] as usize] };
+            bound[k] = if reach[k] > far { self.highest } else { squares.highest[at[k] as usize] };
         }
         bound
     }
 
-    /// The square of a coordinate, of those of `stride` points.
+    /// The square of a coordinate.
     #[inline(always)]
-    fn block(&self, x: f32, axis: usize, stride: f32) -> u32 {
+    fn square(&self, squares: &Squares, x: f32, axis: usize) -> u32 {
         let points = not_below_zero((x - self.origin[axis]) / self.cell);
         let last = (self.size[axis] - 1) as f32;
-        let block = floor((if points < last { points } else { last }) / stride);
-        let last = (self.num_blocks[axis] - 1) as f32;
-        whole(if block < last { block } else { last })
+        let square = floor((if points < last { points } else { last }) / squares.stride as f32);
+        let last = (squares.num[axis] - 1) as f32;
+        whole(if square < last { square } else { last })
     }
 
     /// Height, m, and slope along x and y at a place. A place that is not finite has the height of a corner.
@@ -369,14 +397,14 @@ impl<S: Real> Terrain<'_, S> {
 
     /// No height within `reach` of places of the envs is larger than this, m, lane by lane.
     #[inline(always)]
-    pub(super) fn bound(&self, x: S, y: S, reach: S) -> S {
+    pub(super) fn bound(&self, near: Near, x: S, y: S, reach: S) -> S {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);
         let mut places = [[0.0; GROUP]; 3];
         for lane in 0..S::LANES {
             (places[0][lane], places[1][lane]) = (x.lane_f32(lane), y.lane_f32(lane));
             places[2][lane] = reach.lane_f32(lane);
         }
-        let found = self.grid.bound_group(&places[0], &places[1], &places[2], S::LANES);
+        let found = self.grid.bound_group(near, &places[0], &places[1], &places[2], S::LANES);
         let mut bound = S::zero();
         for lane in 0..S::LANES {
             bound.set_lane_f32(lane, found[lane]);
