@@ -7,11 +7,10 @@ import numpy as np
 
 import polypod
 from polypod.accuracy.robot import Array, Robot
+from polypod.accuracy.standing import DT, FRICTION
 
-DT = 0.005
-"""The physics step, s."""
 FINE = 0.0005
-"""The step that it is held against, s."""
+"""The step that the physics step is held against, s."""
 CONTROL = 0.02
 """How long a target is held, and how far the comparison goes, s."""
 USUAL: int = inspect.signature(polypod.Simulation).parameters["solver_iterations"].default
@@ -22,7 +21,6 @@ CONVERGED = 256
 """Sweeps that they are held against."""
 AMPLITUDE = 0.5
 """Targets are uniformly within this of the default position, rad."""
-FRICTION = 0.8
 ENVS = 64
 """Robots that move at a time."""
 SETTLE, MOMENTS, EVERY = 20, 10, 4
