@@ -85,8 +85,11 @@ const BOUND_MARGIN: f64 = 0.05;
 const LARGEST_BOUND_MARGIN: f64 = 0.25;
 /// ... or when it moves faster than this share of its velocity limit.
 const SPEED_MARGIN: f64 = 0.7;
-/// What is inside each other by less than this is left so, m or rad; most steps then have nothing to push out.
-const SLOP: f64 = 1e-5;
+/// What is inside each other by less than this is left so, m; most steps then have nothing to push out.
+const SLOP: f64 = 1e-4;
+/// And joints past a limit by less than this, rad or m.
+const BOUND_SLOP: f64 = 1e-5;
+
 /// Normal and tangents of a plane, the same in every lane.
 #[inline(always)]
 fn splat_frame<S: Real>(plane: &Plane) -> [Vec3<S>; 3] {
@@ -298,14 +301,14 @@ pub(super) fn reach_in_step<S: Real>(least: f64, now: S, free: S, dt: S) -> S {
 /// Least allowed separation speed at a gap: one that is open may close, a penetration is pushed out.
 #[inline(always)]
 pub(super) fn separation<S: Real>(gap: S, settings: &ContactSettings, inverse_dt: S) -> S {
-    let push = push_speed(-gap, settings, inverse_dt);
+    let push = push_speed(-gap, SLOP, settings, inverse_dt);
     S::select(gap.lt(S::zero()), push, -(gap * inverse_dt))
 }
 
-/// The speed at which a violation of this depth is pushed out.
+/// The speed at which a violation of this depth is pushed out, of which `slop` is left.
 #[inline(always)]
-fn push_speed<S: Real>(depth: S, settings: &ContactSettings, inverse_dt: S) -> S {
-    let beyond = (depth - S::splat(SLOP)).max(S::zero());
+fn push_speed<S: Real>(depth: S, slop: f64, settings: &ContactSettings, inverse_dt: S) -> S {
+    let beyond = (depth - S::splat(slop)).max(S::zero());
     (beyond * S::splat(settings.correction) * inverse_dt).min(S::splat(settings.max_depenetration_velocity))
 }
 
@@ -384,7 +387,8 @@ fn bound<S: Real>(
     if row.limits {
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
         let (low, high) = (q - lower, upper - q);
-        let (up, down) = (push_speed(-low, settings, inverse_dt), push_speed(-high, settings, inverse_dt));
+        let push = |past| push_speed(past, BOUND_SLOP, settings, inverse_dt);
+        let (up, down) = (push(-low), push(-high));
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);
         let highest = S::select(high.lt(z), -down, high * inverse_dt).min(fastest);
         *violation = violation.max(S::select(near, up.max(down), z));

@@ -11,8 +11,10 @@ use super::sparse_rows::JointRows;
 const PUSH_SWEEPS: usize = 4;
 /// They end where one changes no velocity by more than this, m/s or rad/s.
 const PUSHED: f64 = 0.001;
-/// Further rounds over the joint limits alone after either.
+/// Further rounds over the joint limits alone after either, ...
 const LAST_ROUNDS: usize = 8;
+/// ... until one changes no velocity by more than this, rad/s.
+const LIMITED: f64 = 1e-4;
 /// Sweeps come in turns, as many as it takes until contacts are settled, but no more than this: where a light leg is jammed
 /// between a joint limit and the ground, sweep after sweep hands it little of what the base weighs. Turns after the first have
 /// no more than [`TURN`] sweeps.
@@ -27,6 +29,11 @@ const TURN: usize = 4;
 /// A contact is settled when another sweep would change its velocity by less than this, m/s: less would spend on every footfall
 /// what only jams need.
 const SETTLED: f64 = 0.3;
+/// Where it is pushed out faster than `DEEP`, it is settled when that would be less than `SETTLED_DEEP`, both m/s: a link that lies
+/// between the ground and the base and gives way a little in every step sinks.
+const DEEP: f64 = 0.04;
+/// See [`DEEP`].
+const SETTLED_DEEP: f64 = 0.03;
 
 /// Applies the warm start and runs the sweeps; afterwards `y` in the workspace satisfies the constraints, and
 /// `moved_base` and `moved_joints` also push out what is inside each other if anything [`pushes`](ContactWork::pushes).
@@ -52,11 +59,7 @@ pub fn solve<S: Real>(
         }
         // contacts come after dry friction, or feet would creep; limits have the last word: a contact that gives way is soft
         // ground, a limit that does is a broken leg
-        for _ in 0..LAST_ROUNDS {
-            if !sweep_limits(topology, active, work) {
-                break;
-            }
-        }
+        last_rounds(topology, active, false, work);
         active = S::and(active, unsettled(topology, work));
         if !S::any(active) {
             break;
@@ -194,18 +197,19 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     }
 }
 
-/// The lanes in which some contact would still change a velocity by more than `SETTLED`.
+/// The lanes in which some contact is not settled.
 #[inline(always)]
 fn unsettled<S: Real>(topology: &Topology, work: &ContactWork<S>) -> S::Mask {
-    let mut most = S::zero();
+    let mut beyond = S::zero();
     for (row, further) in work.contacts().iter().zip(work.contact_further.chunks_exact(work.stride)) {
         let w = row.rows.first_velocity(topology, further, &work.base, &work.joints);
         let old = row.impulse[0];
         let missing = row.softness.mul_add(old, w - row.target);
         let normal = missing.neg_mul_add(row.inverse[0], old).max(S::zero());
-        most = most.max((normal - old).abs() * row.diagonal);
+        let enough = S::select(S::splat(DEEP).lt(row.push), S::splat(SETTLED_DEEP), S::splat(SETTLED));
+        beyond = beyond.max((normal - old).abs().mul_add(row.diagonal, -enough));
     }
-    S::splat(SETTLED).lt(most)
+    S::zero().lt(beyond)
 }
 
 /// Pushes out what is inside each other, and joints back that are past a limit: moves `moved_base` and `moved_joints`.
@@ -218,17 +222,13 @@ fn push<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     let pushes = S::zero().lt(work.violation);
     let mut active = pushes;
     for _ in 0..PUSH_SWEEPS {
-        let most = push_contacts(topology, active, work).max(push_limits(topology, active, work));
+        let most = push_contacts(topology, active, work).max(sweep_limits(topology, active, true, work));
         active = S::and(active, S::splat(PUSHED).lt(most));
         if !S::any(active) {
             break;
         }
     }
-    for _ in 0..LAST_ROUNDS {
-        if !S::any(S::zero().lt(push_limits(topology, pushes, work))) {
-            break;
-        }
-    }
+    last_rounds(topology, pushes, true, work);
     std::mem::swap(&mut work.base, &mut work.moved_base);
     std::mem::swap(&mut work.joints, &mut work.moved_joints);
 }
@@ -431,31 +431,21 @@ fn visit_bounds<S: Real>(
     block.rows.apply(topology, further, &change, y_base, y_joint);
 }
 
-/// One sweep over the joints' limits alone, in the lanes that are `active`; whether it changed anything. Without a change
-/// another sweep would do nothing either.
+/// Further rounds over the joints' limits alone, in the lanes that are `active`, for the velocity or the motion that pushes joints back.
 #[inline(always)]
-fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> bool {
-    let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
-    let mut most = S::zero();
-    for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
-        if block.limits {
-            let mut w = block.rows.velocities(topology, further, base, joints);
-            let mut change = [S::zero(); 3];
-            for i in 0..3 {
-                change[i] = block.joints[i].limit(w[i], active);
-                most = most.max(change[i].abs());
-                block.pass_on(i, change[i], &mut w);
-            }
-            block.rows.apply(topology, further, &change, base, joints);
+fn last_rounds<S: Real>(topology: &Topology, mut active: S::Mask, pushing: bool, work: &mut ContactWork<S>) {
+    for _ in 0..LAST_ROUNDS {
+        let most = sweep_limits(topology, active, pushing, work);
+        active = S::and(active, S::splat(LIMITED).lt(most));
+        if !S::any(active) {
+            break;
         }
     }
-    S::any(S::zero().lt(most))
 }
 
-/// One sweep over the joints' limits that moves joints back that are past one, in the lanes that are `active`; by how much it changed a
-/// velocity at most.
+/// One sweep over the joints' limits alone, likewise; by how much it changed a velocity at most.
 #[inline(always)]
-fn push_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> S {
+fn sweep_limits<S: Real>(topology: &Topology, active: S::Mask, pushing: bool, work: &mut ContactWork<S>) -> S {
     let ContactWork { bounds, bound_further, stride, base, joints, .. } = work;
     let mut most = S::zero();
     for (block, further) in bounds.iter_mut().zip(bound_further.chunks_exact(*stride)) {
@@ -463,8 +453,9 @@ fn push_limits<S: Real>(topology: &Topology, active: S::Mask, work: &mut Contact
             let mut w = block.rows.velocities(topology, further, base, joints);
             let mut change = [S::zero(); 3];
             for i in 0..3 {
-                change[i] = block.joints[i].push(w[i], active);
-                most = most.max((change[i] * block.joints[i].diagonal).abs());
+                let row = &mut block.joints[i];
+                change[i] = if pushing { row.push(w[i], active) } else { row.limit(w[i], active) };
+                most = most.max((change[i] * row.diagonal).abs());
                 block.pass_on(i, change[i], &mut w);
             }
             block.rows.apply(topology, further, &change, base, joints);
