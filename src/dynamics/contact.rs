@@ -199,10 +199,8 @@ pub fn build_contacts<S: Real>(
         let (centre, half) = ([cx, cy, cz], [hx, hy, hz]);
         let mut highest = margin;
         if let Some(terrain) = terrain {
-            let centre = add(&at.position, &mul_vec(&at.rotation, &centre));
-            let (x, y) = (dot(&frame[1], &centre), dot(&frame[2], &centre));
-            let reach = dot(&half, &half).sqrt() + margin;
-            let bound = terrain.bound(Near::Link, state.position[0] + x, state.position[1] + y, reach);
+            let [x, y, _] = world_place(&frame, &state.position, &add(&at.position, &mul_vec(&at.rotation, &centre)));
+            let bound = terrain.bound(Near::Link, x, y, dot(&half, &half).sqrt() + margin);
             highest = margin + bound - S::splat(plane.offset);
         }
         let below = half[0].mul_add(up[0].abs(), half[1].mul_add(up[1].abs(), half[2] * up[2].abs()));
@@ -217,30 +215,27 @@ pub fn build_contacts<S: Real>(
                 continue;
             }
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
+            if !S::any(gap.lt(highest)) {
+                continue;
+            }
+            let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
             let surface;
             let mut axes_here = &frame;
             if let Some(terrain) = terrain {
-                if !S::any(gap.lt(highest)) {
-                    continue;
-                }
-                let (centre, radius) =
-                    (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
-                let (x, y) = (dot(&frame[1], &centre), dot(&frame[2], &centre));
-                let bound =
-                    terrain.bound(Near::Candidate, state.position[0] + x, state.position[1] + y, radius + margin);
+                let place = world_place(&frame, &state.position, &centre);
+                let bound = terrain.bound(Near::Candidate, place[0], place[1], radius + margin);
                 let may_touch = gap.lt(margin + bound - S::splat(plane.offset));
                 if !S::any(may_touch) {
                     continue;
                 }
-                (gap, surface) = on_terrain(terrain, &frame, &state.position, &centre, radius);
+                (gap, surface) = on_terrain(terrain, &frame, &place, radius);
                 // the plane of a steep cell, which goes on beyond it, may be nearer than any ground
                 gap = S::select(may_touch, gap, S::splat(FAR));
+                if !S::any(gap.lt(margin)) {
+                    continue;
+                }
                 axes_here = &surface;
             }
-            if !S::any(gap.lt(margin)) {
-                continue;
-            }
-            let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
             let now = dot(&axes_here[0], &at.velocity.plus(&base).at(&centre));
             let free = dot(&axes_here[0], &at.free_velocity.plus(free_base).at(&centre));
             let near = gap.lt(reach_in_step(CONTACT_REACH, now, free, dt).min(margin));
@@ -266,18 +261,16 @@ pub fn build_contacts<S: Real>(
     }
 }
 
-/// Gap of a sphere above terrain, and normal and tangents there in base axes. `level` are the world's z, x and y in base axes,
-/// `centre` the sphere's place about the base's origin.
+/// A place about the base's origin, in base axes, in the world instead; `level` are the world's z, x and y in base axes.
 #[inline(always)]
-fn on_terrain<S: Real>(
-    terrain: &Terrain<S>,
-    level: &[Vec3<S>; 3],
-    position: &Vec3<S>,
-    centre: &Vec3<S>,
-    radius: S,
-) -> (S, [Vec3<S>; 3]) {
-    let (z, x, y) = (dot(&level[0], centre), dot(&level[1], centre), dot(&level[2], centre));
-    let (gap, n) = terrain.gap(&[position[0] + x, position[1] + y, position[2] + z], radius);
+fn world_place<S: Real>(level: &[Vec3<S>; 3], position: &Vec3<S>, place: &Vec3<S>) -> Vec3<S> {
+    add(position, &[dot(&level[1], place), dot(&level[2], place), dot(&level[0], place)])
+}
+
+/// Gap of a sphere at `place` above terrain, and normal and tangents there in base axes. For `level` see [`world_place`].
+#[inline(always)]
+fn on_terrain<S: Real>(terrain: &Terrain<S>, level: &[Vec3<S>; 3], place: &Vec3<S>, radius: S) -> (S, [Vec3<S>; 3]) {
+    let (gap, n) = terrain.gap(place, radius);
     // the x axis, laid onto the surface; the normal points up a little at least, so that it is never along x
     let along = [n[0].neg_mul_add(n[0], S::one()), -(n[0] * n[1]), -(n[0] * n[2])];
     let tangent = scale(&along, S::one() / along[0].sqrt());

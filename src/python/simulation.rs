@@ -11,7 +11,8 @@ use pyo3::types::PyBytes;
 
 use super::exceptions::{simulation_error, type_error, value_error};
 use super::vec_sim::tuple;
-use crate::dynamics::Simd;
+use crate::avian::SUBSTEPS;
+use crate::dynamics::{SWEEPS, Simd};
 use crate::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationError, SimulationOptions};
 
 #[pyclass(module = "polypod._core")]
@@ -144,6 +145,9 @@ fn numbers_of_any_length(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f
     let length = value.py().import("numpy")?.call_method1("size", (value,))?.extract()?;
     numbers(name, value, &[vec![], vec![length]])
 }
+
+// the signature below must say them in figures: Python prints names as `...`
+const _: () = assert!(SWEEPS == 4 && SUBSTEPS == 8);
 
 #[pymethods]
 impl Simulation {
