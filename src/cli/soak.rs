@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::bail;
 use clap::Args;
+use glam::{DQuat, DVec3};
 use indicatif::{ProgressBar, ProgressStyle};
 use polypod::components::EnvRng;
 use polypod::config::Library;
@@ -209,9 +210,13 @@ impl Worst {
     }
 }
 
-/// What passive joints win: all of it, and what contacts add, which is what a step wins beyond the same step with nothing to
-/// touch. That much is the integrator's, which is of the first order; a fast joint shows it.
+/// What passive joints win: all of it, and what contacts add: the work of their forces, and what they push out of each other lifts.
+///
+/// The work of impulses `p` over a step is `p . (v0 + v1) / 2`, with the velocities before and after it. They are what velocities differ
+/// by from those of the same step with nothing to touch: `p = M (v1 - v)`. The rest of what is won is the integrator's, which is of the
+/// first order; a fast joint shows it.
 struct Energy {
+    dt: f64,
     weight: f64,
     /// The same robots with nothing to touch.
     alone: Simulation,
@@ -242,7 +247,7 @@ impl Energy {
             Simulation::new(&SimulationOptions { ground: None, self_collision: Some(false), ..options.clone() })?;
         set_extremes(&mut alone, model)?;
         let none = vec![Won { energy: 0.0, least: 0.0 }; alone.num_envs()];
-        Ok(Self { weight: alone.total_mass() * 9.81, alone, total: none.clone(), contacts: none })
+        Ok(Self { dt: options.dt, weight: alone.total_mass() * 9.81, alone, total: none.clone(), contacts: none })
     }
 
     /// Starts anew.
@@ -254,20 +259,50 @@ impl Energy {
 
     /// A passive step.
     fn step(&mut self, sim: &mut Simulation, worst: &mut Worst) -> anyhow::Result<()> {
-        self.alone.set_state(None, Some(&sim.qpos()), Some(&sim.qvel()))?;
-        let total = |sim: &Simulation| -> Vec<f64> {
-            let (kinetic, potential) = sim.energy();
-            kinetic.iter().zip(&potential).map(|(k, p)| k + p).collect()
-        };
-        let before = total(sim);
-        sim.step(&Control::default(), 1)?;
+        let (nq, nv) = (sim.nq(), sim.nv());
+        let (qpos, before, (kinetic_before, potential_before)) = (sim.qpos(), sim.qvel(), sim.energy());
+        self.alone.set_state(None, Some(&qpos), Some(&before))?;
+        let mass = self.alone.mass_matrix();
         self.alone.step(&Control::default(), 1)?;
-        for (env, (after, alone)) in total(sim).into_iter().zip(total(&self.alone)).enumerate() {
-            let (change, integrator) = (after - before[env], (alone - before[env]).max(0.0));
-            worst.won = worst.won.max(self.total[env].add(change) / self.weight);
-            worst.lift = worst.lift.max(self.contacts[env].add(change - integrator) / self.weight);
+        let free = self.alone.qvel();
+        sim.step(&Control::default(), 1)?;
+        let after = sim.qvel();
+        let moved: Vec<f64> = qpos.chunks(nq).zip(after.chunks(nv)).flat_map(|(q, v)| self.moved(q, v)).collect();
+        self.alone.set_state(None, Some(&moved), None)?;
+        let (_, without_push) = self.alone.energy();
+        let (kinetic, potential) = sim.energy();
+        for (env, after) in after.chunks(nv).enumerate() {
+            let (mass, before) = (&mass[env * nv * nv..(env + 1) * nv * nv], &before[env * nv..(env + 1) * nv]);
+            let change: Vec<f64> = after.iter().zip(&free[env * nv..(env + 1) * nv]).map(|(a, b)| a - b).collect();
+            let work: f64 = mass
+                .chunks(nv)
+                .zip(before.iter().zip(after))
+                .map(|(row, (v0, v1))| {
+                    let impulse: f64 = row.iter().zip(&change).map(|(m, v)| m * v).sum();
+                    0.5 * impulse * (v0 + v1)
+                })
+                .sum();
+            let lift = potential[env] - without_push[env];
+            let won = kinetic[env] + potential[env] - kinetic_before[env] - potential_before[env];
+            worst.won = worst.won.max(self.total[env].add(won) / self.weight);
+            worst.lift = worst.lift.max(self.contacts[env].add(work + lift) / self.weight);
         }
         Ok(())
+    }
+
+    /// Where a step leads from a position `[nq]` at a velocity `[nv]`, if nothing is pushed.
+    fn moved(&self, qpos: &[f64], qvel: &[f64]) -> Vec<f64> {
+        let mut moved = qpos.to_vec();
+        for (x, v) in moved[..3].iter_mut().zip(qvel) {
+            *x += v * self.dt;
+        }
+        let rotation = DQuat::from_xyzw(qpos[4], qpos[5], qpos[6], qpos[3]);
+        let turned = rotation * DQuat::from_scaled_axis(DVec3::from_slice(&qvel[3..6]) * self.dt);
+        moved[3..7].copy_from_slice(&[turned.w, turned.x, turned.y, turned.z]);
+        for (q, v) in moved[7..].iter_mut().zip(&qvel[6..]) {
+            *q += v * self.dt;
+        }
+        moved
     }
 }
 
