@@ -392,6 +392,7 @@ fn bodies_are_pushed_out() {
             );
             (state, distance, highest) = (next, now, highest.max(now));
         }
-        assert!(highest > -5e-4, "SEED {SEED}, Sample::new({index}, 0.0): still {highest} m deep\n{sample:?}");
+        // less than 0.1 mm is left alone; 0.5 mm for the points that stand for a rim
+        assert!(highest > -6e-4, "SEED {SEED}, Sample::new({index}, 0.0): still {highest} m deep\n{sample:?}");
     }
 }

@@ -1,7 +1,9 @@
-//! Links of one robot that got wedged by random targets, in each other or between a joint limit and the ground, do not fly apart when the joints go passive, nor press with forces
-//! that nothing asked for.
+//! Links of one robot that got wedged by random targets, in each other or between a joint limit and the ground, do not fly apart when the joints
+//! go passive, nor press with forces that nothing asked for.
 
 mod common;
+
+use std::process::Command;
 
 use polypod::{Control, Simulation, SimulationOptions};
 
@@ -11,13 +13,23 @@ const RANDOM: usize = 600;
 const PASSIVE: usize = 200;
 const BLOCKS: usize = 8;
 
+/// By the command that does so for hours: it tells the work of contacts from what the integrator wins where a leg whips through.
 #[test]
-fn passive_joints_win_no_energy() {
+fn contacts_win_no_energy() {
+    let arguments = ["soak", "--robots", "anymal_b,anymal_c,unitree_b2", "--num-envs", "96", "--minutes", "3"];
+    let soak = Command::new(env!("CARGO_BIN_EXE_polypod-sim")).args(arguments).output().unwrap();
+    println!("{}", String::from_utf8_lossy(&soak.stdout));
+    // 1085 mm of height while friction resisted the push out of penetrations
+    assert!(soak.status.success(), "{}", String::from_utf8_lossy(&soak.stderr));
+}
+
+#[test]
+fn links_press_with_no_more_than_they_can() {
     for robot in ["anymal_b", "anymal_c", "unitree_b2"] {
         let mut sim = Simulation::new(&SimulationOptions::new(robot.to_string(), ENVS)).unwrap();
         let (joints, weight) = (sim.num_joints(), sim.total_mass() * 9.81);
         let range = sim.joint_range();
-        let (mut won, mut largest) = (0.0f64, 0.0f64);
+        let mut largest = 0.0f64;
         for block in 0..BLOCKS {
             for turn in 0..RANDOM / 50 {
                 let targets: Vec<f64> = (0..ENVS * joints)
@@ -29,21 +41,13 @@ fn passive_joints_win_no_energy() {
                     .collect();
                 sim.step(&Control { targets: Some(&targets), ..Control::default() }, 50).unwrap();
             }
-            let mut least = [f64::INFINITY; ENVS];
             for _ in 0..PASSIVE {
-                let (kinetic, potential) = sim.energy();
-                for (least, total) in least.iter_mut().zip(kinetic.iter().zip(&potential).map(|(a, b)| a + b)) {
-                    *least = least.min(total);
-                    won = won.max((total - *least) / weight);
-                }
                 sim.step(&Control::default(), 1).unwrap();
                 largest = sim.contact_forces().into_iter().fold(largest, |largest, f| largest.max(f.abs()));
             }
         }
-        println!("{robot}: {:.2} mm of height won, forces up to {:.0} of the weight", 1e3 * won, largest / weight);
-        // 1085 mm and hundreds of times the weight while friction resisted the push out of penetrations; ANYmal B's 8 mm are the
-        // integrator's (`polypod-sim soak` tells them apart)
-        assert!(won < 0.015, "{robot}: passive joints lift it by {won} m");
+        println!("{robot}: forces up to {:.0} times the weight", largest / weight);
+        // hundreds of times the weight while friction resisted the push out of penetrations
         assert!(largest < 100.0 * weight, "{robot}: jammed links press with {largest} N");
     }
 }
