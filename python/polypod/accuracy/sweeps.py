@@ -21,8 +21,8 @@ CONVERGED = 256
 """Sweeps that they are held against."""
 AMPLITUDE = 0.5
 """Targets are uniformly within this of the default position, rad."""
-ENVS = 64
-"""Robots that move at a time."""
+ENVS = 1024
+"""Robots that move at a time: few of them make most of the error."""
 SETTLE, MOMENTS, EVERY = 20, 10, 4
 """Control steps before the first moment; moments that are compared; control steps from one to the next."""
 
