@@ -5,10 +5,10 @@ use std::time::Instant;
 
 use anyhow::bail;
 use clap::Args;
-use glam::{DQuat, DVec3};
 use indicatif::{ProgressBar, ProgressStyle};
 use polypod::components::EnvRng;
 use polypod::config::Library;
+use polypod::dynamics::math::integrate_quat;
 use polypod::morphology::MorphologyModel;
 use polypod::{Control, SimError, Simulation, SimulationOptions};
 
@@ -272,16 +272,8 @@ impl Energy {
         let (_, without_push) = self.alone.energy();
         let (kinetic, potential) = sim.energy();
         for (env, after) in after.chunks(nv).enumerate() {
-            let (mass, before) = (&mass[env * nv * nv..(env + 1) * nv * nv], &before[env * nv..(env + 1) * nv]);
-            let change: Vec<f64> = after.iter().zip(&free[env * nv..(env + 1) * nv]).map(|(a, b)| a - b).collect();
-            let work: f64 = mass
-                .chunks(nv)
-                .zip(before.iter().zip(after))
-                .map(|(row, (v0, v1))| {
-                    let impulse: f64 = row.iter().zip(&change).map(|(m, v)| m * v).sum();
-                    0.5 * impulse * (v0 + v1)
-                })
-                .sum();
+            let (mass, row) = (&mass[env * nv * nv..(env + 1) * nv * nv], env * nv..(env + 1) * nv);
+            let work = work(mass, &before[row.clone()], after, &free[row]);
             let lift = potential[env] - without_push[env];
             let won = kinetic[env] + potential[env] - kinetic_before[env] - potential_before[env];
             worst.won = worst.won.max(self.total[env].add(won) / self.weight);
@@ -296,14 +288,25 @@ impl Energy {
         for (x, v) in moved[..3].iter_mut().zip(qvel) {
             *x += v * self.dt;
         }
-        let rotation = DQuat::from_xyzw(qpos[4], qpos[5], qpos[6], qpos[3]);
-        let turned = rotation * DQuat::from_scaled_axis(DVec3::from_slice(&qvel[3..6]) * self.dt);
-        moved[3..7].copy_from_slice(&[turned.w, turned.x, turned.y, turned.z]);
+        let rotation = std::array::from_fn(|k| qpos[3 + k]);
+        let turn = std::array::from_fn(|k| qvel[3 + k] * self.dt);
+        moved[3..7].copy_from_slice(&integrate_quat(&rotation, &turn));
         for (q, v) in moved[7..].iter_mut().zip(&qvel[6..]) {
             *q += v * self.dt;
         }
         moved
     }
+}
+
+/// Work of the impulses that change velocities from `free` to `after` in a step that begins with `before`, all `[nv]`, J; `mass` is
+/// `[nv, nv]`.
+fn work(mass: &[f64], before: &[f64], after: &[f64], free: &[f64]) -> f64 {
+    let mut work = 0.0;
+    for (row, (v0, v1)) in mass.chunks(before.len()).zip(before.iter().zip(after)) {
+        let impulse: f64 = row.iter().zip(after.iter().zip(free)).map(|(m, (v1, v))| m * (v1 - v)).sum();
+        work += 0.5 * impulse * (v0 + v1);
+    }
+    work
 }
 
 /// Gives each env a corner of the robot's randomisation: the base's mass and centre of mass, and friction.
