@@ -16,8 +16,12 @@ use crate::dynamics::{Numbers, Parameters};
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
 pub type PerJoint = SmallVec<[f32; 12]>;
-/// One number per contact body of a robot; in place for up to 20.
-pub type PerBody = SmallVec<[f32; 20]>;
+/// Contact bodies of a robot that components have room for in place: the most that a robot of the library has.
+const BODIES: usize = 19;
+/// Physics steps of a control step, likewise.
+const PHYSICS_STEPS: usize = 4;
+/// One number per contact body of a robot; in place for up to 19.
+pub type PerBody = SmallVec<[f32; BODIES]>;
 
 /// Which independent world an entity belongs to, `0..num_envs`.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -283,11 +287,11 @@ pub struct ConstraintImpulses {
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactForces {
     /// Net force on each contact body in the last physics step, world axes, N.
-    pub net: SmallVec<[[f32; 3]; 20]>,
+    pub net: SmallVec<[[f32; 3]; BODIES]>,
     /// Norm of the net normal force on each contact body, N, in each physics step of the control step:
-    /// `normal[physics step * bodies + body]`; in place for 20 bodies in four physics steps, so that memory is read in
+    /// `normal[physics step * bodies + body]`; in place for 19 bodies in four physics steps, so that memory is read in
     /// order.
-    pub normal: SmallVec<[f32; 80]>,
+    pub normal: SmallVec<[f32; BODIES * PHYSICS_STEPS]>,
 }
 
 /// Where the feet are and how they move; order of the morphology's feet.
