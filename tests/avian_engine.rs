@@ -3,8 +3,6 @@
 
 mod common;
 
-use std::time::Instant;
-
 use common::{ROBOTS, noise};
 use polypod::config::Library;
 use polypod::dynamics::kinematics::forward_kinematics;
@@ -308,26 +306,5 @@ fn links_of_a_robot_stay_apart() {
         assert!(with < 0.01, "{robot}: links pass {with} m into each other");
         assert!(force > 10.0 && nothing == 0.0, "{robot}: {force} N between links, {nothing} N without contact");
         assert!(net < 1e-6 * force, "{robot}: internal forces add up to {net} N");
-    }
-}
-
-#[test]
-#[ignore = "measures"]
-fn env_steps_per_second() {
-    for (threads, envs, self_collision) in [(1, 64, false), (1, 64, true), (1, 512, true), (2, 512, true)] {
-        let options = SimulationOptions {
-            threads: Some(threads),
-            self_collision: Some(self_collision),
-            ..options("anymal_c", "avian", envs)
-        };
-        let mut sim = Simulation::new(&options).unwrap();
-        run(&mut sim, 5, 1);
-        let start = Instant::now();
-        let steps = 8192 / envs;
-        run(&mut sim, steps, 2);
-        println!(
-            "{threads} threads, {envs} envs, self-collision {self_collision}: {:.0} env steps/s",
-            (4 * steps * envs) as f64 / start.elapsed().as_secs_f64()
-        );
     }
 }

@@ -3,8 +3,6 @@
 
 mod common;
 
-use std::time::Instant;
-
 use avian3d::prelude::*;
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemState;
@@ -350,35 +348,4 @@ fn without_the_setting_there_are_none() {
     let world = sim.world_mut();
     assert_eq!(world.query::<&LinkMirror>().iter(world).count(), 0);
     assert_eq!(world.query::<&Episode>().iter(world).count(), 2);
-}
-
-/// What this thread has computed so far, s; where the system does not tell, what has passed since it `began`.
-fn seconds_at_work(began: Instant) -> f64 {
-    let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    let nanoseconds = stat.split_whitespace().next().and_then(|first| first.parse::<f64>().ok());
-    nanoseconds.map_or_else(|| began.elapsed().as_secs_f64(), |ns| 1e-9 * ns)
-}
-
-#[test]
-#[ignore = "measures"]
-fn cost_of_a_control_step() {
-    let begun = Instant::now();
-    for num_envs in [64, 1024, 4096] {
-        let options = SimOptions { threads: Some(1), ..SimOptions::new("velocity_flat", num_envs) };
-        let mut sims = [Sim::new(&options).unwrap(), Sim::new(&mirrored(options, 4.0)).unwrap()];
-        let rounds = 20480 / num_envs;
-        let mut best = [f64::INFINITY; 2];
-        for k in 0..6 {
-            for (sim, best) in sims.iter_mut().zip(&mut best) {
-                let start = seconds_at_work(begun);
-                (0..rounds).for_each(|i| step(sim, k * rounds + i));
-                *best = best.min((seconds_at_work(begun) - start) / rounds as f64);
-            }
-        }
-        let [off, on] = best.map(|seconds| 1e3 * seconds);
-        println!(
-            "{num_envs} envs, 1 thread: {off:.2} ms off, {on:.2} ms on, {:.2} us per env",
-            1e3 * (on - off) / num_envs as f64
-        );
-    }
 }
