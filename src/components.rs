@@ -20,7 +20,7 @@ pub type PerJoint = SmallVec<[f32; 12]>;
 const BODIES: usize = 19;
 /// Physics steps of a control step, likewise.
 const PHYSICS_STEPS: usize = 4;
-/// One number per contact body of a robot; in place for up to 19.
+/// One number per contact body of a robot; in place for those of the library.
 pub type PerBody = SmallVec<[f32; BODIES]>;
 
 /// Which independent world an entity belongs to, `0..num_envs`.
@@ -289,8 +289,7 @@ pub struct ContactForces {
     /// Net force on each contact body in the last physics step, world axes, N.
     pub net: SmallVec<[[f32; 3]; BODIES]>,
     /// Norm of the net normal force on each contact body, N, in each physics step of the control step:
-    /// `normal[physics step * bodies + body]`; in place for 19 bodies in four physics steps, so that memory is read in
-    /// order.
+    /// `normal[physics step * bodies + body]`; in place for the library's robots and tasks, so that memory is read in order.
     pub normal: SmallVec<[f32; BODIES * PHYSICS_STEPS]>,
 }
 
