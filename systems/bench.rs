@@ -37,8 +37,8 @@ impl<L: Lanes> Bench<L> {
         }
     }
 
-    /// Reads the first `count` rows into the lanes.
-    pub(super) fn gather(&mut self, rows: &PhysicsRows, count: usize) {
+    /// Reads rows into the lanes; lanes beyond them shadow the last row.
+    pub(super) fn gather(&mut self, rows: &PhysicsRows, order: &[usize]) {
         for &contact in &self.state.pressing {
             self.state.impulse[contact as usize] = [L::zero(); 3];
         }
@@ -46,7 +46,7 @@ impl<L: Lanes> Bench<L> {
         self.state.pressing.clear();
         for lane in 0..L::LANES {
             // idle lanes shadow the last robot
-            let row = lane.min(count - 1);
+            let row = order[lane.min(order.len() - 1)];
             let (state, drive) = (&mut self.state, &mut self.drive);
             rows.read_motion(row, state, lane);
             put(&mut self.origin, &rows.origins[row].position, lane);
@@ -70,21 +70,22 @@ impl<L: Lanes> Bench<L> {
         self.state.pressing.sort_unstable();
     }
 
-    /// The first lane whose new state is not finite or beyond the limits.
-    pub(super) fn first_broken(&self, limits: &StateLimits, count: usize) -> Option<usize> {
+    /// The first of the lanes' rows whose new state is not finite or beyond the limits.
+    pub(super) fn first_broken(&self, limits: &StateLimits, order: &[usize]) -> Option<usize> {
         let numbers = state_numbers(&self.state, &self.report.joint_effort);
         // of all lanes at once, and only then one by one
         let broken = L::vectorize(BrokenAnywhere { limits, numbers });
-        let breaks = |&lane: &usize| limits.violation(numbers, |x| x.lane_f32(lane)).is_some();
-        if broken { (0..count).find(breaks) } else { None }
+        let breaks = |lane: usize| limits.violation(numbers, |x| x.lane_f32(lane)).is_some();
+        let rows = order.iter().enumerate().filter(|&(lane, _)| broken && breaks(lane));
+        rows.map(|(_, &row)| row).min()
     }
 
-    /// Writes the lanes to the first `count` rows.
-    pub(super) fn scatter(&self, rows: &mut PhysicsRows, count: usize) {
+    /// Writes the lanes to rows.
+    pub(super) fn scatter(&self, rows: &mut PhysicsRows, order: &[usize]) {
         let (state, report) = (&self.state, &self.report);
-        for lane in 0..count {
-            rows.write_motion(lane, state, lane);
-            let contacts = &mut rows.impulses[lane].contacts;
+        for (lane, &row) in order.iter().enumerate() {
+            rows.write_motion(row, state, lane);
+            let contacts = &mut rows.impulses[row].contacts;
             contacts.clear();
             for &contact in &state.pressing {
                 let mut impulse = [0.0; 3];
@@ -94,16 +95,16 @@ impl<L: Lanes> Bench<L> {
                     contacts.push(ContactImpulse { contact, impulse });
                 }
             }
-            get(&state.bound_impulse, &mut rows.impulses[lane].bounds, lane);
-            get(&report.joint_effort, &mut rows.efforts[lane].applied, lane);
-            get(&report.joint_acceleration, &mut rows.efforts[lane].acceleration, lane);
-            get_arrays(&report.body_force, &mut rows.forces[lane].net, lane);
+            get(&state.bound_impulse, &mut rows.impulses[row].bounds, lane);
+            get(&report.joint_effort, &mut rows.efforts[row].applied, lane);
+            get(&report.joint_acceleration, &mut rows.efforts[row].acceleration, lane);
+            get_arrays(&report.body_force, &mut rows.forces[row].net, lane);
             let bodies = report.body_force.len();
             for (step, normal) in report.normal_force.iter().enumerate() {
-                get(normal, &mut rows.forces[lane].normal[step * bodies..(step + 1) * bodies], lane);
+                get(normal, &mut rows.forces[row].normal[step * bodies..(step + 1) * bodies], lane);
             }
-            get_arrays(&report.site_position, &mut rows.feet[lane].position, lane);
-            get_arrays(&report.site_velocity, &mut rows.feet[lane].velocity, lane);
+            get_arrays(&report.site_position, &mut rows.feet[row].position, lane);
+            get_arrays(&report.site_velocity, &mut rows.feet[row].velocity, lane);
         }
     }
 }

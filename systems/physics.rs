@@ -3,14 +3,11 @@
 //! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
 //! that broke is noticed together with what it came from, see [`BrokenStates`].
 
-use std::sync::Arc;
-
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RegisteredSystemError;
 
-use super::bench::Bench;
 use super::broken::{BrokenStates, Evidence, Motion};
-use super::pack_numbers::PackNumbers;
+use super::packs::Packs;
 use super::physics_avian::AvianRobots;
 use super::terminate::{StateLimits, StateNumbers};
 use super::terms::CompiledTask;
@@ -21,10 +18,10 @@ use crate::components::{
     Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
-use crate::dynamics::lanes::{self, Lanes, Real, Simd};
-use crate::dynamics::{ContactSettings, ControlStep, HeightGrid, Parameters, Plane, State, StepSettings, Terrain};
-use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{Pool, SplitRows, Workers, read_rows, write_rows};
+use crate::dynamics::lanes::{self, Real, Simd, prefetch};
+use crate::dynamics::{ContactSettings, Parameters, Plane, State, StepSettings};
+use crate::morphology::Morphologies;
+use crate::rows::{SplitRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
 /// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
@@ -133,6 +130,21 @@ impl PhysicsRows<'_> {
         get(&state.angular_velocity, &mut self.velocities[row].angular, lane);
         get(&state.joint_position, &mut self.joints[row].position, lane);
         get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
+    }
+
+    /// Asks for a row's memory.
+    pub(super) fn prefetch(&self, row: usize) {
+        prefetch(&self.origins[row]);
+        prefetch(&self.poses[row]);
+        prefetch(&self.velocities[row]);
+        prefetch(&self.joints[row]);
+        prefetch(&self.targets[row]);
+        prefetch(&self.delays[row]);
+        prefetch(&self.wrenches[row]);
+        prefetch(&self.efforts[row]);
+        prefetch(&self.impulses[row]);
+        prefetch(&self.forces[row]);
+        prefetch(&self.feet[row]);
     }
 
     pub(super) fn motion(&self, row: usize) -> Motion {
@@ -270,128 +282,9 @@ pub(crate) fn run_physics(world: &mut World) -> Result<(), RegisteredSystemError
     world.run_system_cached(step_physics)
 }
 
-/// Up to `L::LANES` robots of one morphology side by side: what they keep from one control step to the next beyond their
-/// components.
-struct Pack<L> {
-    morphology: usize,
-    first_env: usize,
-    count: usize,
-    numbers: PackNumbers<L>,
-    /// Of the present control step, on its way out.
-    evidence: Option<Box<Evidence>>,
-}
-
-/// All packs, with benches for each thread and morphology.
-struct Packs<L: Lanes> {
-    settings: StepSettings,
-    terrain: Option<Arc<HeightGrid>>,
-    packs: Vec<Pack<L>>,
-    /// Of each morphology.
-    nominal: Vec<Parameters<L>>,
-    benches: Pool<Vec<Bench<L>>>,
-}
-
-impl<L: Lanes> Packs<L> {
-    fn new(
-        settings: StepSettings,
-        terrain: Option<Arc<HeightGrid>>,
-        morphologies: &Morphologies,
-        counts: &[usize],
-        threads: usize,
-    ) -> Self {
-        let mut packs = Vec::new();
-        let mut first_env = 0;
-        for (morphology, &count) in counts.iter().enumerate() {
-            let end = first_env + count;
-            while first_env < end {
-                let count = L::LANES.min(end - first_env);
-                packs.push(Pack { morphology, first_env, count, numbers: PackNumbers::none(), evidence: None });
-                first_env += count;
-            }
-        }
-        let numbers = |model: &MorphologyModel| Parameters::from_scalars(&model.topology, &model.nominal);
-        let nominal: Vec<Parameters<L>> = morphologies.0.iter().map(numbers).collect();
-        let bench = |(model, nominal)| Bench::new(model, nominal, settings.decimation);
-        let benches = Pool::new(threads, || morphologies.0.iter().zip(&nominal).map(bench).collect());
-        Self { settings, terrain, packs, nominal, benches }
-    }
-}
-
 /// Control steps of targets that an actuator can still see.
 pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
     1 + (max_delay as usize).div_ceil(decimation)
-}
-
-impl<L: Lanes> Engine for Packs<L> {
-    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
-        let at = self.packs.partition_point(|pack| pack.first_env + pack.count <= env);
-        if let Some(pack) = self.packs.get_mut(at) {
-            let (lane, nominal) = (env - pack.first_env, &self.nominal[pack.morphology]);
-            // idle lanes shadow the last robot, so that they cost and break nothing
-            let end = if lane + 1 == pack.count { L::LANES } else { lane + 1 };
-            for lane in lane..end {
-                pack.numbers.set_lane(lane, parameters, nominal);
-            }
-        }
-    }
-
-    fn step(
-        &mut self,
-        morphologies: &Morphologies,
-        workers: &Workers,
-        rows: PhysicsRows,
-        limits: &StateLimits,
-        watched: &[bool],
-    ) -> Vec<Evidence> {
-        let (settings, terrain, benches) = (&self.settings, self.terrain.as_deref(), &self.benches);
-        let mut rest = Some((&mut self.packs[..], rows));
-        let tasks = std::iter::from_fn(|| {
-            let (packs, rows) = rest.take().filter(|(packs, _)| !packs.is_empty())?;
-            let (packs, more_packs) = packs.split_at_mut(workers.share(packs.len(), 1));
-            let (rows, more) = rows.split_rows(packs.iter().map(|pack| pack.count).sum());
-            rest = Some((more_packs, more));
-            Some((packs, rows))
-        });
-        workers.for_each(tasks, |(packs, mut rows)| {
-            benches.with(|benches| {
-                for pack in packs {
-                    let (mut mine, more) = rows.split_rows(pack.count);
-                    rows = more;
-                    let topology = &morphologies.0[pack.morphology].topology;
-                    let bench = &mut benches[pack.morphology];
-                    bench.gather(&mine, pack.count);
-                    pack.numbers.swap(&mut bench.nominal);
-                    L::vectorize(ControlStep {
-                        topology,
-                        settings,
-                        terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
-                        parameters: pack.numbers.all(&bench.nominal),
-                        drive: &bench.drive,
-                        state: &mut bench.state,
-                        report: &mut bench.report,
-                        work: &mut bench.work,
-                    });
-                    pack.numbers.swap(&mut bench.nominal);
-                    let is_watched = watched[pack.morphology];
-                    let broken = if is_watched { bench.first_broken(limits, pack.count) } else { None };
-                    let before =
-                        broken.map(|lane| (lane, Evidence::before(pack.morphology, pack.first_env, lane, &mine)));
-                    bench.scatter(&mut mine, pack.count);
-                    if let Some((lane, mut evidence)) = before {
-                        evidence.after = mine.motion(lane);
-                        pack.evidence = Some(Box::new(evidence));
-                    }
-                }
-            });
-        });
-        if !watched.contains(&true) {
-            return Vec::new();
-        }
-        // in the order of the envs, whatever the threads did first
-        let mut found: Vec<Evidence> = self.packs.iter_mut().filter_map(|pack| Some(*pack.evidence.take()?)).collect();
-        found.dedup_by_key(|evidence| evidence.morphology);
-        found
-    }
 }
 
 pub(super) fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {

@@ -368,16 +368,21 @@ macro_rules! parameters {
                 )*
             }
 
-            /// One of all numbers, in the order in which [`zip_with`](Self::zip_with) comes to them.
-            pub fn number_mut(&mut self, index: usize) -> Option<&mut S> {
-                let rest = index;
+            /// Calls `f` with some of all numbers, and which of the `places` it is: these ascend and count in the order in which
+            /// [`zip_with`](Self::zip_with) comes to the numbers.
+            pub fn for_each_at(&mut self, places: &[u32], mut f: impl FnMut(usize, &mut S)) {
+                let mut first = 0;
+                let mut left = places.iter().enumerate().peekable();
                 $(
-                    let Some(rest) = rest.checked_sub($visit::count(&self.$name)) else {
-                        return $visit::number_mut(&mut self.$name, rest);
-                    };
+                    let end = first + $visit::count(&self.$name) as u32;
+                    while let Some((k, place)) = left.next_if(|&(_, &place)| place < end) {
+                        if let Some(x) = $visit::number_mut(&mut self.$name, (place - first) as usize) {
+                            f(k, x);
+                        }
+                    }
+                    first = end;
                 )*
-                let _beyond_the_last = rest;
-                None
+                debug_assert!(left.next().is_none(), "there are {first} numbers");
             }
 
             /// Shares the memory of the lists that hold the same numbers in another body of the same sizes.

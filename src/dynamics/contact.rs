@@ -395,7 +395,7 @@ fn bound<S: Real>(
 pub const MAX_DEPTH: usize = 64;
 
 /// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, and, where it is
-/// asked for, `force` in world axes, N.
+/// asked for, `force` in world axes, N, and which bodies were near anything.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
@@ -405,7 +405,7 @@ pub fn report<S: Real>(
     work: &ContactWork<S>,
     state: &mut State<S>,
     normal_force: &mut [S],
-    force: Option<&mut [Vec3<S>]>,
+    last: Option<(&mut [Vec3<S>], &mut [S])>,
 ) {
     let z = S::zero();
     normal_force.fill(z);
@@ -423,16 +423,27 @@ pub fn report<S: Real>(
         let impulse = normalised(&row.impulse);
         state.impulse[row.contact] = impulse;
         state.pressing.push(row.contact as u32);
-        let bodies = match topology.pair_of(row.contact) {
-            Some(pair) => &pair.bodies[..],
-            None => std::slice::from_ref(&topology.contacts[row.contact].body),
-        };
-        for &body in bodies {
+        for &body in bodies(topology, row.contact) {
             normal_force[body] = impulse[0].mul_add(inverse_dt, normal_force[body]);
         }
     }
-    if let Some(force) = force {
+    if let Some((force, near)) = last {
         sum_forces(topology, settings, inverse_dt, base_rotation, work, force);
+        near.fill(z);
+        for row in work.contacts() {
+            for &body in bodies(topology, row.contact) {
+                near[body] = S::select(row.takes_part(), S::one(), near[body]);
+            }
+        }
+    }
+}
+
+/// The bodies that a contact is between, other than the ground.
+#[inline(always)]
+fn bodies(topology: &Topology, contact: usize) -> &[usize] {
+    match topology.pair_of(contact) {
+        Some(pair) => &pair.bodies,
+        None => std::slice::from_ref(&topology.contacts[contact].body),
     }
 }
 

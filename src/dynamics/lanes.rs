@@ -575,6 +575,23 @@ impl Entry {
     }
 }
 
+/// Bytes that a processor fetches at once, at least.
+const CACHE_LINE: usize = 64;
+
+/// Asks for a value's memory ahead of its use, where the machine can be asked.
+#[inline(always)]
+pub fn prefetch<T>(value: &T) {
+    #[cfg(target_arch = "x86_64")]
+    for offset in (0..size_of::<T>()).step_by(CACHE_LINE) {
+        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+        let at = std::ptr::from_ref(value).cast::<i8>().wrapping_add(offset);
+        // SAFETY: a prefetch is a hint, which reads nothing, wherever it points
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(at) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _no_hint = value;
+}
+
 /// An instruction set was asked for that this machine does not have, or that does not exist.
 #[derive(Debug, thiserror::Error)]
 #[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]

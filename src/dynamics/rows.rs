@@ -331,6 +331,12 @@ impl<S: Real> ContactWork<S> {
 }
 
 impl<S: Real> ContactRows<S> {
+    /// The lanes in which the contact takes part in the step; in all others it has no impulse.
+    #[inline(always)]
+    pub(super) fn takes_part(&self) -> S::Mask {
+        S::splat(NEVER).lt(self.push)
+    }
+
     fn zero() -> Self {
         let z = S::zero();
         Self {

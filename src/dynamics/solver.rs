@@ -119,7 +119,7 @@ fn stirred<S: Real>(work: &ContactWork<S>) -> S::Mask {
 #[inline(always)]
 fn wake<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
     for row in &mut work.contacts[..work.num_contacts] {
-        row.awake = S::any(S::and(active, S::splat(NEVER).lt(row.push)));
+        row.awake = S::any(S::and(active, row.takes_part()));
     }
     for block in &mut work.bounds {
         block.active = false;
@@ -221,6 +221,7 @@ fn push<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     // what its neighbours' lanes need must change nothing in a lane that has nothing to push out
     let pushes = S::zero().lt(work.violation);
     let mut active = pushes;
+    wake(active, work);
     for _ in 0..PUSH_SWEEPS {
         let most = push_contacts(topology, active, work).max(sweep_limits(topology, active, true, work));
         active = S::and(active, S::splat(PUSHED).lt(most));
@@ -369,6 +370,9 @@ fn push_contacts<S: Real>(topology: &Topology, active: S::Mask, work: &mut Conta
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
     let mut most = S::zero();
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
+        if !row.awake {
+            continue;
+        }
         let w = row.rows.first_velocity(topology, further, y_base, y_joint);
         let missing = row.softness.mul_add(row.push_impulse, w - row.push);
         let push = missing.neg_mul_add(row.inverse[0], row.push_impulse).max(S::zero());

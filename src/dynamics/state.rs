@@ -58,6 +58,8 @@ pub struct Report<S> {
     pub body_force: Vec<Vec3<S>>,
     /// Norm of the net normal contact force, N: `normal_force[physics step][body]`.
     pub normal_force: Vec<Vec<S>>,
+    /// One for bodies that were near the ground or another link in the last physics step, else zero, `[bodies]`.
+    pub near: Vec<S>,
     /// Site positions in the env's frame, m, `[sites]`.
     pub site_position: Vec<Vec3<S>>,
     /// Site velocities in world axes, m/s, `[sites]`.
@@ -115,6 +117,7 @@ impl<S: Real> Report<S> {
             joint_acceleration: vec![z; topology.num_joints()],
             body_force: vec![[z; 3]; topology.num_bodies],
             normal_force: vec![vec![z; topology.num_bodies]; decimation],
+            near: vec![z; topology.num_bodies],
             site_position: vec![[z; 3]; topology.sites.len()],
             site_velocity: vec![[z; 3]; topology.sites.len()],
         }

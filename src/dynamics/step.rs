@@ -224,7 +224,7 @@ fn physics_step<S: Real>(
         &work.contact,
         state,
         &mut report.normal_force[substep],
-        (substep + 1 == settings.decimation).then_some(&mut report.body_force),
+        (substep + 1 == settings.decimation).then_some((&mut report.body_force, &mut report.near)),
     );
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;

@@ -1,0 +1,189 @@
+//! What bodies have of their own. A pack steps with its morphology's numbers, which a thread has in its cache, and those of its lanes in
+//! their places.
+
+use crate::dynamics::{Lanes, Parameters};
+
+/// Where bodies have more numbers of their own, all are kept, pack by pack.
+const FEW: usize = 64;
+
+/// Of all bodies of a morphology, each a row.
+pub(super) enum OwnNumbers<L> {
+    /// Those that differ from the morphology's in some body, by their places among all of the [`Parameters`], which ascend:
+    /// `[rows][places]`.
+    Few { places: Vec<u32>, values: Vec<f32> },
+    /// All, of `L::LANES` rows after the other; lists without a difference are the morphology's.
+    All(Vec<Parameters<L>>),
+}
+
+impl<L: Lanes> OwnNumbers<L> {
+    /// None: the bodies are as the morphology has them.
+    pub(super) fn none() -> Self {
+        Self::Few { places: Vec::new(), values: Vec::new() }
+    }
+
+    /// Whether any rows may share a pack, or only those whose numbers lie together.
+    pub(super) fn may_mix(&self) -> bool {
+        matches!(self, Self::Few { .. })
+    }
+
+    /// Takes over the numbers of the body in one of `count` rows; `nominal` are the morphology's.
+    pub(super) fn set_row(&mut self, row: usize, count: usize, body: &Parameters<f32>, nominal: &Parameters<L>) {
+        if let Self::Few { places, values } = self {
+            let new = new_places(places, body, nominal);
+            if places.len() + new.len() > FEW {
+                self.keep_all(count, nominal);
+            } else if !new.is_empty() {
+                (*places, *values) = with_places(places, values, count, &new);
+            }
+        }
+        match self {
+            Self::Few { places, values } => {
+                let row = &mut values[row * places.len()..(row + 1) * places.len()];
+                let (mut place, mut known) = (0, 0);
+                nominal.any_with(body, |_, &x| {
+                    if places.get(known) == Some(&place) {
+                        row[known] = x;
+                        known += 1;
+                    }
+                    place += 1;
+                    known == row.len()
+                });
+            }
+            Self::All(packs) => {
+                let lane = row % L::LANES;
+                // idle lanes shadow the last robot, so that they cost and break nothing
+                let end = if row + 1 == count { L::LANES } else { lane + 1 };
+                (lane..end).for_each(|lane| packs[row / L::LANES].set_lane(lane, body));
+            }
+        }
+    }
+
+    fn keep_all(&mut self, count: usize, nominal: &Parameters<L>) {
+        let mut packs = vec![nominal.clone(); count.div_ceil(L::LANES)];
+        for (pack, numbers) in packs.iter_mut().enumerate() {
+            let first = pack * L::LANES;
+            let rows: Vec<usize> = (first..count.min(first + L::LANES)).collect();
+            self.put(0, &rows, numbers);
+        }
+        *self = Self::All(packs);
+    }
+
+    /// The numbers of a pack: of some rows, counted from `first`, which are those of pack `pack` from there unless they [may
+    /// mix](Self::may_mix). `nominal` are the morphology's, but for what this put there before.
+    pub(super) fn of_pack<'a>(
+        &'a self,
+        first: usize,
+        pack: usize,
+        rows: &[usize],
+        nominal: &'a mut Parameters<L>,
+    ) -> &'a Parameters<L> {
+        match self {
+            Self::Few { .. } => {
+                self.put(first, rows, nominal);
+                nominal
+            }
+            Self::All(packs) => &packs[first / L::LANES + pack],
+        }
+    }
+
+    /// Puts the few numbers of rows, counted from `first`, into lanes; lanes beyond them shadow the last row.
+    fn put(&self, first: usize, rows: &[usize], numbers: &mut Parameters<L>) {
+        if let Self::Few { places, values } = self {
+            numbers.for_each_at(places, |k, x| {
+                let value = |row: usize| values[(first + row) * places.len() + k];
+                for (lane, &row) in rows.iter().enumerate() {
+                    x.set_lane_f32(lane, value(row));
+                }
+                for lane in rows.len()..L::LANES {
+                    x.set_lane_f32(lane, value(rows[rows.len() - 1]));
+                }
+            });
+        }
+    }
+}
+
+/// Further places where a body differs, with the morphology's numbers, but no more than make too many.
+fn new_places<L: Lanes>(known: &[u32], body: &Parameters<f32>, nominal: &Parameters<L>) -> Vec<(u32, f32)> {
+    let mut new = Vec::new();
+    let (mut place, mut passed) = (0, 0);
+    nominal.any_with(body, |shared, &x| {
+        let shared = shared.lane_f32(0);
+        if known.get(passed) == Some(&place) {
+            passed += 1;
+        } else if shared.to_bits() != x.to_bits() {
+            new.push((place, shared));
+        }
+        place += 1;
+        known.len() + new.len() > FEW
+    });
+    new
+}
+
+/// Places and values with new places among them, where all rows have the same number so far.
+fn with_places(places: &[u32], values: &[f32], count: usize, new: &[(u32, f32)]) -> (Vec<u32>, Vec<f32>) {
+    let old = places.iter().enumerate().map(|(k, &place)| (place, Err(k)));
+    let mut all: Vec<(u32, Result<f32, usize>)> = old.chain(new.iter().map(|&(place, x)| (place, Ok(x)))).collect();
+    all.sort_unstable_by_key(|&(place, _)| place);
+    let value = |row: usize, from: Result<f32, usize>| from.unwrap_or_else(|k| values[row * places.len() + k]);
+    let values = (0..count).flat_map(|row| all.iter().map(move |&(_, from)| value(row, from)));
+    let values = values.collect();
+    (all.iter().map(|&(place, _)| place).collect(), values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Library;
+    use crate::dynamics::Real;
+    use crate::dynamics::lanes::Portable;
+    use crate::morphology::MorphologyModel;
+
+    /// All numbers of one lane.
+    fn numbers<L: Real>(of: &Parameters<L>, lane: usize) -> Vec<u32> {
+        let mut all = Vec::new();
+        of.any_with(of, |x, _| {
+            all.push(x.lane_f32(lane).to_bits());
+            false
+        });
+        all
+    }
+
+    #[test]
+    fn every_lane_has_the_numbers_of_its_row() {
+        let library = Library::new(Vec::new());
+        let robot = library.robots().unwrap().swap_remove(0).name;
+        let model = MorphologyModel::new(&library.robot(&robot).unwrap()).unwrap();
+        let nominal: Parameters<Portable> = Parameters::from_scalars(&model.topology, &model.nominal);
+        let count = 2 * Portable::LANES + 3;
+        let mut bodies = vec![model.nominal.clone(); count];
+        let mut own = OwnNumbers::none();
+        let mut bench = nominal.clone();
+        let few: [fn(&mut Parameters<f32>, f32); 4] = [
+            |body, x| body.mass[0] += x,
+            |body, x| body.com[0][1] -= x,
+            |body, x| body.stiffness.iter_mut().for_each(|k| *k *= 1.0 + x),
+            |body, x| body.static_friction += x,
+        ];
+        let many: fn(&mut Parameters<f32>, f32) =
+            |body, x| body.inertia.as_flattened_mut().iter_mut().for_each(|i| *i += x);
+        // one number after the other becomes some body's own, and at last more than a few do
+        for (round, change) in few.into_iter().chain([many]).enumerate() {
+            for row in (round % 3..count).step_by(3).chain([count - 1]) {
+                change(&mut bodies[row], 0.001 * (row + 7 * round) as f32);
+                own.set_row(row, count, &bodies[row], &nominal);
+            }
+            assert_eq!(own.may_mix(), round < 4);
+            let mixed: Vec<usize> = (0..count).map(|k| (k * 11 + round) % count).collect();
+            let sorted: Vec<usize> = (0..count).collect();
+            let order = if own.may_mix() { mixed } else { sorted };
+            for (pack, rows) in order.chunks(Portable::LANES).enumerate() {
+                let found = own.of_pack(0, pack, rows, &mut bench);
+                for lane in 0..Portable::LANES {
+                    // idle lanes shadow the last row
+                    let row = rows[lane.min(rows.len() - 1)];
+                    assert!(numbers(found, lane) == numbers(&bodies[row], 0), "round {round}, row {row}");
+                }
+            }
+        }
+    }
+}
