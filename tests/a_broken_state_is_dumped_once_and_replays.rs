@@ -4,7 +4,7 @@ mod common;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use common::{assert_all_same, busy, step};
 use polypod::components::{ActuatorDelay, BasePose, BaseVelocity, Body, EnvId, JointState};
@@ -54,7 +54,7 @@ fn dumps(dir: &Path) -> Vec<String> {
 }
 
 fn replay(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_polypod-sim")).arg("replay").args(arguments).output().unwrap()
+    common::polypod_sim(&["replay"]).args(arguments).output().unwrap()
 }
 
 /// Breaks one env and replays the dump on every instruction set; returns the first replay's output.

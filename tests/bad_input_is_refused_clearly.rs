@@ -2,7 +2,7 @@
 
 mod common;
 
-use std::process::{Command, Output};
+use std::process::Output;
 
 use common::busy;
 use polypod::config::ConfigErrorKind;
@@ -112,7 +112,7 @@ fn a_refused_call_leaves_the_simulation_as_it_was() {
 }
 
 fn polypod_sim(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_polypod-sim")).args(arguments).env("RUST_BACKTRACE", "1").output().unwrap()
+    common::polypod_sim(arguments).env("RUST_BACKTRACE", "1").output().unwrap()
 }
 
 #[test]

@@ -1,10 +1,12 @@
 //! `polypod-sim check` prints what a URDF is read as, quadruped or not, and refuses with exit code 2 what is none.
 
+mod common;
+
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 fn run(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_polypod-sim")).arg("check").args(arguments).output().unwrap()
+    common::polypod_sim(&["check"]).args(arguments).output().unwrap()
 }
 
 fn data(name: &str) -> String {

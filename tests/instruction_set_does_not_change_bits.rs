@@ -2,7 +2,7 @@
 
 mod common;
 
-use std::process::{Command, Output};
+use std::process::Output;
 
 use common::{ROBOTS, assert_all_same, busy, ended, step};
 use polypod::dynamics::Simd;
@@ -41,11 +41,8 @@ fn every_instruction_set_gives_the_same_bits() {
 }
 
 fn rollout(simd: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_polypod-sim"))
-        .args(["rollout", "--num-envs", "40", "--steps", "60", "--set", "sim.episode_length_s=0.5"])
-        .env("POLYPOD_SIMD", simd)
-        .output()
-        .unwrap()
+    let arguments = ["rollout", "--num-envs", "40", "--steps", "60", "--set", "sim.episode_length_s=0.5"];
+    common::polypod_sim(&arguments).env("POLYPOD_SIMD", simd).output().unwrap()
 }
 
 #[test]

@@ -3,8 +3,6 @@
 
 mod common;
 
-use std::process::Command;
-
 use polypod::{Control, Simulation, SimulationOptions};
 
 const ENVS: usize = 64;
@@ -54,7 +52,7 @@ fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
 #[test]
 fn contacts_win_no_energy() {
     let arguments = ["soak", "--robots", &ROBOTS.join(","), "--num-envs", "96", "--minutes", "3"];
-    let soak = Command::new(env!("CARGO_BIN_EXE_polypod-sim")).args(arguments).output().unwrap();
+    let soak = common::polypod_sim(&arguments).output().unwrap();
     println!("{}", String::from_utf8_lossy(&soak.stdout));
     assert!(soak.status.success(), "{}", String::from_utf8_lossy(&soak.stderr));
 }

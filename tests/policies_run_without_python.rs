@@ -1,8 +1,10 @@
 //! An exported policy acts in Rust as it does in Python, and walks.
 #![cfg(feature = "onnx")]
 
+mod common;
+
 use std::path::PathBuf;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use polypod::policy::{Policy, PolicyManifest};
 use polypod::systems::Autoreset;
@@ -87,7 +89,7 @@ fn a_task_that_observes_something_else_is_refused() {
 }
 
 fn play(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_polypod-sim")).arg("play").args(arguments).output().unwrap()
+    common::polypod_sim(&["play"]).args(arguments).output().unwrap()
 }
 
 #[test]

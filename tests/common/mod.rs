@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "every test is a crate of its own and uses a part of this")]
 
 use std::ops::Range;
+use std::process;
 
 use polypod::components::{
     BasePose, BaseVelocity, Body, Command, ContactSensor, EnvId, Episode, EpisodeSums, Feet, JointEffort, JointState,
@@ -28,6 +29,13 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
         .to_vec(),
         ..SimOptions::new("velocity_flat", num_envs)
     }
+}
+
+/// The command line program.
+pub fn polypod_sim(arguments: &[&str]) -> process::Command {
+    let mut command = process::Command::new(env!("CARGO_BIN_EXE_polypod-sim"));
+    command.args(arguments);
+    command
 }
 
 /// A number in `[-1, 1)` that depends on its arguments alone.
