@@ -83,6 +83,8 @@ impl<L: Lanes> Bench<L> {
     /// Writes the lanes to rows.
     pub(super) fn scatter(&self, rows: &mut PhysicsRows, order: &[usize]) {
         let (state, report) = (&self.state, &self.report);
+        let bodies = report.touched.len();
+        let touched = (0..bodies).filter(|&body| report.touched[body]);
         for (lane, &row) in order.iter().enumerate() {
             rows.write_motion(row, state, lane);
             let contacts = &mut rows.impulses[row].contacts;
@@ -98,10 +100,14 @@ impl<L: Lanes> Bench<L> {
             get(&state.bound_impulse, &mut rows.impulses[row].bounds, lane);
             get(&report.joint_effort, &mut rows.efforts[row].applied, lane);
             get(&report.joint_acceleration, &mut rows.efforts[row].acceleration, lane);
-            get_arrays(&report.body_force, &mut rows.forces[row].net, lane);
-            let bodies = report.body_force.len();
-            for (step, normal) in report.normal_force.iter().enumerate() {
-                get(normal, &mut rows.forces[row].normal[step * bodies..(step + 1) * bodies], lane);
+            let forces = &mut rows.forces[row];
+            forces.net.fill([0.0; 3]);
+            forces.normal.fill(0.0);
+            for body in touched.clone() {
+                get(&report.body_force[body], &mut forces.net[body], lane);
+                for (step, normal) in report.normal_force.iter().enumerate() {
+                    forces.normal[step * bodies + body] = normal[body].lane_f32(lane);
+                }
             }
             get_arrays(&report.site_position, &mut rows.feet[row].position, lane);
             get_arrays(&report.site_velocity, &mut rows.feet[row].velocity, lane);

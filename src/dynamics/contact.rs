@@ -395,7 +395,7 @@ fn bound<S: Real>(
 pub const MAX_DEPTH: usize = 64;
 
 /// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, and, where it is
-/// asked for, `force` in world axes, N, and which bodies were near anything.
+/// asked for, `force` in world axes, N, and which bodies were near anything. Bodies with a contact in any lane are `touched`.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
@@ -405,6 +405,7 @@ pub fn report<S: Real>(
     work: &ContactWork<S>,
     state: &mut State<S>,
     normal_force: &mut [S],
+    touched: &mut [bool],
     last: Option<(&mut [Vec3<S>], &mut [S])>,
 ) {
     let z = S::zero();
@@ -425,6 +426,7 @@ pub fn report<S: Real>(
         state.pressing.push(row.contact as u32);
         for &body in bodies(topology, row.contact) {
             normal_force[body] = impulse[0].mul_add(inverse_dt, normal_force[body]);
+            touched[body] = true;
         }
     }
     if let Some((force, near)) = last {

@@ -58,6 +58,8 @@ pub struct Report<S> {
     pub body_force: Vec<Vec3<S>>,
     /// Norm of the net normal contact force, N: `normal_force[physics step][body]`.
     pub normal_force: Vec<Vec<S>>,
+    /// Bodies that had a contact in some lane and physics step: forces on all others are zero, `[bodies]`.
+    pub touched: Vec<bool>,
     /// One for bodies that were near the ground or another link in the last physics step, else zero, `[bodies]`.
     pub near: Vec<S>,
     /// Site positions in the env's frame, m, `[sites]`.
@@ -117,6 +119,7 @@ impl<S: Real> Report<S> {
             joint_acceleration: vec![z; topology.num_joints()],
             body_force: vec![[z; 3]; topology.num_bodies],
             normal_force: vec![vec![z; topology.num_bodies]; decimation],
+            touched: vec![false; topology.num_bodies],
             near: vec![z; topology.num_bodies],
             site_position: vec![[z; 3]; topology.sites.len()],
             site_velocity: vec![[z; 3]; topology.sites.len()],

@@ -53,6 +53,7 @@ impl<S: Real> Kernel<S> for ControlStep<'_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { topology, settings, terrain, parameters, drive, state, report, work } = self;
+        report.touched.fill(false);
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
             physics_step(topology, settings, terrain.as_ref(), parameters, drive, state, report, substep, work);
@@ -224,6 +225,7 @@ fn physics_step<S: Real>(
         &work.contact,
         state,
         &mut report.normal_force[substep],
+        &mut report.touched,
         (substep + 1 == settings.decimation).then_some((&mut report.body_force, &mut report.near)),
     );
 
