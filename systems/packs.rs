@@ -1,4 +1,7 @@
-//! The articulated engine: robots of a morphology step side by side, in packs.
+//! The articulated engine: robots of a morphology are gathered into packs, stepped side by side, and scattered back to their components.
+//!
+//! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
+//! that broke is noticed together with what it came from, see [`BrokenStates`](super::broken::BrokenStates).
 
 use std::sync::{Arc, Mutex, PoisonError};
 

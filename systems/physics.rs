@@ -1,7 +1,4 @@
-//! Physics: robots are gathered into packs, stepped, and scattered back to their components.
-//!
-//! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
-//! that broke is noticed together with what it came from, see [`BrokenStates`].
+//! Physics: the engines, what they read and write of the robots' components, and the system that has one step them.
 
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RegisteredSystemError;

@@ -394,8 +394,9 @@ fn bound<S: Real>(
 /// The deepest chain of joints that bounds can be solved on.
 pub const MAX_DEPTH: usize = 64;
 
-/// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, and, where it is
-/// asked for, `force` in world axes, N, and which bodies were near anything. Bodies with a contact in any lane are `touched`.
+/// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, of bodies that are
+/// `touched` in any lane. After the `last` physics step of a control step also the force in world axes, N, and which bodies were
+/// near anything.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
