@@ -135,14 +135,14 @@ impl<L: Lanes> Engine for Packs<L> {
                             work: &mut bench.work,
                         });
                         let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
-                        let before =
-                            broken.map(|row| (row, Evidence::before(morphology, first_env + first, row, &mine)));
-                        bench.scatter(&mut mine, lanes);
+                        let first_env = first_env + first;
+                        let evidence = Evidence::of_writing(broken, morphology, first_env, &mut mine, |rows| {
+                            bench.scatter(rows, lanes);
+                        });
                         for (lane, &row) in lanes.iter().enumerate() {
                             keys[row] = bits.key(&bench.report.near, lane);
                         }
-                        if let Some((row, mut evidence)) = before {
-                            evidence.after = mine.motion(row);
+                        if let Some(evidence) = evidence {
                             found.lock().unwrap_or_else(PoisonError::into_inner).push(evidence);
                         }
                     }

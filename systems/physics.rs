@@ -156,18 +156,26 @@ impl PhysicsRows<'_> {
 }
 
 impl Evidence {
-    /// What is known before the new state is written; `after` is still the old one.
-    pub(super) fn before(morphology: usize, first_env: usize, row: usize, rows: &PhysicsRows) -> Self {
-        let before = rows.motion(row);
-        Self {
+    /// Has new states written to the rows of a morphology, whose envs begin at `first_env`; what there is to be known of the row whose
+    /// state is `broken`, if any is.
+    pub(super) fn of_writing(
+        broken: Option<usize>,
+        morphology: usize,
+        first_env: usize,
+        rows: &mut PhysicsRows,
+        write: impl FnOnce(&mut PhysicsRows),
+    ) -> Option<Self> {
+        let before = broken.map(|row| (row, rows.motion(row)));
+        write(rows);
+        before.map(|(row, before)| Self {
             morphology,
             env: first_env + row,
-            after: before.clone(),
             before,
             targets: rows.targets[row].clone(),
             delay: rows.delays[row].clone(),
             wrench: rows.wrenches[row],
-        }
+            after: rows.motion(row),
+        })
     }
 }
 

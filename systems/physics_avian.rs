@@ -109,12 +109,9 @@ impl Engine for AvianRobots {
                 block.note_forces(&mut mine, substep);
             }
             let broken = if watched[morphology] { block.first_broken(limits) } else { None };
-            let before = broken.map(|row| (row, Evidence::before(morphology, block.first_env, row, &mine)));
-            block.scatter(&mut mine);
-            if let Some((row, mut evidence)) = before {
-                evidence.after = mine.motion(row);
-                found.push(evidence);
-            }
+            let first_env = block.first_env;
+            let write = |rows: &mut PhysicsRows| block.scatter(rows);
+            found.extend(Evidence::of_writing(broken, morphology, first_env, &mut mine, write));
         }
         found
     }

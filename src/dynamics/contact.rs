@@ -9,7 +9,7 @@ use super::math::{
     splat,
 };
 use super::rows::{BoundRow, ContactWork, NEVER};
-use super::state::{State, Workspace};
+use super::state::{Report, State, Workspace};
 use super::terrain::{Near, Terrain};
 
 /// Gauss-Seidel sweeps per physics step that are usual. What more of them would change is a fraction of what a shorter physics step
@@ -394,9 +394,9 @@ fn bound<S: Real>(
 /// The deepest chain of joints that bounds can be solved on.
 pub const MAX_DEPTH: usize = 64;
 
-/// Stores the impulses for the next warm start and sums contact forces per body: the norm of the normal part, of bodies that are
-/// `touched` in any lane. After the `last` physics step of a control step also the force in world axes, N, and which bodies were
-/// near anything.
+/// Stores the impulses for the next warm start and sums contact forces per body in one of a control step's physics steps: the norm
+/// of the normal part, of bodies that are `touched` in any lane. After the `last` one also the force in world axes, N, and which
+/// bodies were near anything.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
@@ -405,11 +405,13 @@ pub fn report<S: Real>(
     base_rotation: &Mat3<S>,
     work: &ContactWork<S>,
     state: &mut State<S>,
-    normal_force: &mut [S],
-    touched: &mut [bool],
-    last: Option<(&mut [Vec3<S>], &mut [S])>,
+    substep: usize,
+    last: bool,
+    report: &mut Report<S>,
 ) {
     let z = S::zero();
+    let Report { body_force, normal_force, touched, near, .. } = report;
+    let normal_force = &mut normal_force[substep];
     normal_force.fill(z);
     for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
         for (row, &j) in block.joints.iter().zip(&shape.joints[..shape.len]) {
@@ -430,8 +432,8 @@ pub fn report<S: Real>(
             touched[body] = true;
         }
     }
-    if let Some((force, near)) = last {
-        sum_forces(topology, settings, inverse_dt, base_rotation, work, force);
+    if last {
+        sum_forces(topology, settings, inverse_dt, base_rotation, work, body_force);
         near.fill(z);
         for row in work.contacts() {
             for &body in bodies(topology, row.contact) {

@@ -224,9 +224,9 @@ fn physics_step<S: Real>(
         &work.base_rotation,
         &work.contact,
         state,
-        &mut report.normal_force[substep],
-        &mut report.touched,
-        (substep + 1 == settings.decimation).then_some((&mut report.body_force, &mut report.near)),
+        substep,
+        substep + 1 == settings.decimation,
+        report,
     );
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
