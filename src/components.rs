@@ -370,6 +370,21 @@ pub struct Imu {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Library;
+    use crate::morphology::MorphologyModel;
+
+    #[test]
+    fn the_librarys_robots_have_room_in_place_and_need_it() {
+        let library = Library::new(Vec::new());
+        let (mut bodies, mut joints) = (0, 0);
+        for listed in library.robots().unwrap() {
+            let topology = MorphologyModel::new(&library.robot(&listed.name).unwrap()).unwrap().topology;
+            (bodies, joints) = (bodies.max(topology.num_bodies), joints.max(topology.num_joints()));
+        }
+        assert_eq!((bodies, joints), (BODIES, PerJoint::new().inline_size()));
+        let task = library.task("velocity_flat", &[]).unwrap();
+        assert_eq!(task.config.sim.decimation as usize, PHYSICS_STEPS);
+    }
 
     #[test]
     fn numbers_drawn_together_are_those_drawn_one_by_one() {
