@@ -122,7 +122,7 @@ impl Workers {
     }
 
     /// How many of `left` pieces of work the next task takes: the first tasks are large and the last ones small, so that the
-    /// threads end together and few tasks are started. At least `min`, as long as there are so many.
+    /// threads end together and few tasks are started. At least `min`, as long as there are so many; one thread takes all.
     pub fn share(&self, left: usize, min: usize) -> usize {
         share(left, min, self.threads)
     }
@@ -169,7 +169,7 @@ impl Workers {
 
 /// See [`Workers::share`].
 fn share(left: usize, min: usize, threads: usize) -> usize {
-    (left / (2 * threads)).max(min).min(left)
+    if threads == 1 { left } else { (left / (2 * threads)).max(min).min(left) }
 }
 
 /// Scratch memory of the threads. What a task does must not depend on which piece it gets.

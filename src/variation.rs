@@ -217,7 +217,6 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: 
         p.contact_radius[i] *= size;
         p.contact_rim[i] *= size;
     }
-    p.box_contacts(topology);
     for (i, collider) in topology.colliders.iter().enumerate() {
         let map = &maps[collider.link].0;
         p.collider_centre[i] = mul_vec(map, &p.collider_centre[i]);
@@ -242,6 +241,7 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: 
             }
         }
     }
+    p.box_links(topology);
 }
 
 /// Height of the base above level ground in the default pose, with the lowest foot at the reset's margin above it, m.

@@ -1,39 +1,44 @@
 //! Which robots share a pack.
 //!
-//! A pack works on each contact that any of its lanes has. So robots that have the same bodies near the ground are put side by side, in
-//! every control step anew, by what was near in the one before. What a robot does depends neither on its lane nor on its neighbours.
+//! A pack works on each contact and each joint limit that any of its lanes has. So robots that have the same bodies near the ground, or
+//! the same legs at their limits, are put side by side, in every control step anew, by what the one before had to deal with. What a
+//! robot does depends neither on its lane nor on its neighbours.
 
 use crate::dynamics::Real;
 use crate::robot::BodyGroup;
 
-/// Bits by which contact bodies decide a robot's place, `[bodies]`.
-pub(super) struct BodyBits(Vec<u32>);
+/// Bits by which what a robot asks for decides its place, in the order of [`Report::demands`](crate::dynamics::Report::demands).
+pub(super) struct DemandBits(Vec<u32>);
 
-impl BodyBits {
-    /// Feet decide last: they are near the ground in nearly all robots. The nearer another body is to the base, the fewer robots
-    /// have it there, for whose sake all lanes of a pack bear its cost.
-    pub(super) fn new(groups: &[BodyGroup]) -> Self {
-        let rank = |&body: &usize| match groups[body] {
-            BodyGroup::Other => 0,
-            BodyGroup::Base => 1,
-            BodyGroup::Hip => 2,
-            BodyGroup::Thigh => 3,
-            BodyGroup::Shank => 4,
-            BodyGroup::Foot => 5,
+impl DemandBits {
+    /// For a robot whose bodies are of these groups and whose joints form so many blocks.
+    ///
+    /// The nearer a body is to the base, the fewer robots have it near the ground, for whose sake all lanes of a pack bear its cost. Joint
+    /// limits come after these, and then feet, which are near the ground in nearly all robots.
+    pub(super) fn new(groups: &[BodyGroup], blocks: usize) -> Self {
+        let rank = |&demand: &usize| match groups.get(demand) {
+            Some(BodyGroup::Other) => 0,
+            Some(BodyGroup::Base) => 1,
+            Some(BodyGroup::Hip) => 2,
+            Some(BodyGroup::Thigh) => 3,
+            Some(BodyGroup::Shank) => 4,
+            None if demand < groups.len() + blocks => 5,
+            Some(BodyGroup::Foot) => 6,
+            None => 7,
         };
-        let mut order: Vec<usize> = (0..groups.len()).collect();
+        let mut order: Vec<usize> = (0..=groups.len() + blocks).collect();
         order.sort_by_key(rank);
-        let mut bits = vec![0; groups.len()];
-        for (bit, body) in (0..u32::BITS).rev().chain(std::iter::repeat(0)).zip(order) {
-            // beyond 32 bodies the last ones share a bit
-            bits[body] = 1 << bit;
+        let mut bits = vec![0; order.len()];
+        for (bit, demand) in (0..u32::BITS).rev().chain(std::iter::repeat(0)).zip(order) {
+            // beyond 32 the last ones share a bit
+            bits[demand] = 1 << bit;
         }
         Self(bits)
     }
 
-    /// The key of the robot in a lane that has these bodies `near`, `[bodies]`.
-    pub(super) fn key<L: Real>(&self, near: &[L], lane: usize) -> u32 {
-        let bits = self.0.iter().zip(near).map(|(bit, near)| bit * u32::from(near.lane_f32(lane) > 0.0));
+    /// The key of the robot in a lane.
+    pub(super) fn key<L: Real>(&self, demands: &[L], lane: usize) -> u32 {
+        let bits = self.0.iter().zip(demands).map(|(bit, demand)| bit * u32::from(demand.lane_f32(lane) > 0.0));
         bits.fold(0, |key, bit| key | bit)
     }
 }
@@ -70,41 +75,40 @@ mod tests {
     use super::*;
 
     #[test]
-    fn robots_with_the_same_bodies_near_stand_together() {
+    fn robots_that_ask_for_the_same_stand_together() {
         let leg = [BodyGroup::Thigh, BodyGroup::Shank, BodyGroup::Foot];
         let groups = [&[BodyGroup::Base][..], &leg, &leg].concat();
-        let bits = BodyBits::new(&groups);
-        // a foot alone in the last robot, then in turn: the other thigh with all feet, the base, all feet, the first thigh
-        let near = |row: usize, body: usize| match (row % 4, groups[body]) {
-            _ if row == 40 => body == 3,
-            (1, BodyGroup::Base) => true,
-            (0, BodyGroup::Thigh) => body == 4,
-            (3, BodyGroup::Thigh) => body == 1,
-            (_, group) => group == BodyGroup::Foot,
-        };
+        let bits = DemandBits::new(&groups, 2);
+        // what a robot of each kind asks for beyond its feet, in the order they are to stand in: bodies 0 to 6, blocks 7 and 8, a push
+        let kinds: [&[usize]; 6] = [&[], &[9], &[8], &[4], &[1, 9], &[0]];
+        // not in that order, and one without its second foot, which comes first of all
+        let kind = |row: usize| if row == 42 { None } else { Some((row * 5 + 2) % kinds.len()) };
         let key = |row| {
-            let near: Vec<f32> = (0..groups.len()).map(|body| f32::from(u8::from(near(row, body)))).collect();
-            bits.key(&near, 0)
+            let asks = |demand| match kind(row) {
+                Some(kind) => kinds[kind].contains(&demand) || demand == 3 || demand == 6,
+                None => demand == 3,
+            };
+            let demands: Vec<f32> = (0..10).map(|demand| f32::from(u8::from(asks(demand)))).collect();
+            bits.key(&demands, 0)
         };
-        let keys: Vec<u32> = (0..41).map(key).collect();
+        let keys: Vec<u32> = (0..43).map(key).collect();
         let mut line_up = LineUp::default();
         let order = line_up.sort(&keys).to_vec();
-        let kind = |&row: &usize| if row == 40 { 9 } else { row % 4 };
-        let mut kinds: Vec<usize> = order.iter().map(kind).collect();
-        kinds.dedup();
-        assert_eq!(kinds, [9, 2, 0, 3, 1], "{order:?}");
+        let mut stand: Vec<Option<usize>> = order.iter().map(|&row| kind(row)).collect();
+        stand.dedup();
+        assert_eq!(stand, [None, Some(0), Some(1), Some(2), Some(3), Some(4), Some(5)], "{order:?}");
         let mut rows = order;
         rows.sort_unstable();
-        assert!(rows.iter().copied().eq(0..41));
+        assert!(rows.iter().copied().eq(0..43));
         assert_eq!(line_up.keep(3), [0, 1, 2]);
     }
 
     #[test]
-    fn more_bodies_than_bits_still_have_a_place() {
+    fn more_demands_than_bits_still_have_a_place() {
         let groups = [[BodyGroup::Shank; 40].as_slice(), &[BodyGroup::Base]].concat();
-        let BodyBits(bits) = BodyBits::new(&groups);
-        assert_eq!(bits[40], 1 << 31);
+        let DemandBits(bits) = DemandBits::new(&groups, 1);
+        assert_eq!((bits.len(), bits[40]), (43, 1 << 31));
         assert_eq!(bits[..31].iter().fold(0, |all, bit| all | bit), u32::MAX >> 1);
-        assert!(bits[31..40].iter().all(|&bit| bit == 1));
+        assert!(bits[31..40].iter().chain(&bits[41..]).all(|&bit| bit == 1));
     }
 }

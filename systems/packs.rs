@@ -3,11 +3,12 @@
 //! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
 //! that broke is noticed together with what it came from, see [`BrokenStates`](super::broken::BrokenStates).
 
+use std::cmp::Reverse;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::bench::Bench;
 use super::broken::Evidence;
-use super::line_up::{BodyBits, LineUp};
+use super::line_up::{DemandBits, LineUp};
 use super::own_numbers::OwnNumbers;
 use super::physics::{Engine, PhysicsRows};
 use super::terminate::StateLimits;
@@ -16,13 +17,14 @@ use crate::dynamics::{ControlStep, HeightGrid, Parameters, StepSettings, Terrain
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::{Pool, SplitRows, Workers};
 
-/// Rows of one morphology, as many as a pack holds.
-#[derive(Clone, Copy)]
-struct PackRows {
+/// Neighbouring rows of one morphology, which a thread steps pack by pack.
+struct Task<'a> {
     morphology: usize,
     /// The first one, among those of the morphology.
     first: usize,
-    count: usize,
+    rows: PhysicsRows<'a>,
+    /// See [`Packs::keys`].
+    keys: &'a mut [u32],
 }
 
 /// What the robots of a morphology keep from one control step to the next beyond their components.
@@ -31,7 +33,7 @@ struct Bodies<L> {
     count: usize,
     nominal: Parameters<L>,
     own: OwnNumbers<L>,
-    bits: BodyBits,
+    bits: DemandBits,
 }
 
 /// Where a thread steps packs.
@@ -45,10 +47,11 @@ struct Scratch<L> {
 pub(super) struct Packs<L: Lanes> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
-    packs: Vec<PackRows>,
     /// Of each morphology.
     bodies: Vec<Bodies<L>>,
-    /// Of each env, see [`BodyBits`]. They decide how fast a step is and nothing else.
+    /// Morphologies in the order in which their robots are stepped, see [`Packs::share_out`].
+    order: Vec<usize>,
+    /// Of each env, see [`DemandBits`]. They decide how fast a step is and nothing else.
     keys: Vec<u32>,
     scratch: Pool<Scratch<L>>,
 }
@@ -62,13 +65,10 @@ impl<L: Lanes> Packs<L> {
         counts: &[usize],
         threads: usize,
     ) -> Self {
-        let (mut packs, mut bodies) = (Vec::new(), Vec::new());
-        let mut first_env = 0;
-        for (morphology, (model, &count)) in morphologies.0.iter().zip(counts).enumerate() {
-            let pack = |first| PackRows { morphology, first, count: L::LANES.min(count - first) };
-            packs.extend((0..count).step_by(L::LANES).map(pack));
+        let (mut bodies, mut first_env) = (Vec::new(), 0);
+        for (model, &count) in morphologies.0.iter().zip(counts) {
             let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
-            let (own, bits) = (OwnNumbers::none(), BodyBits::new(&model.body_groups));
+            let (own, bits) = (OwnNumbers::none(), DemandBits::new(&model.body_groups, model.topology.blocks().len()));
             bodies.push(Bodies { first_env, count, nominal, own, bits });
             first_env += count;
         }
@@ -77,7 +77,42 @@ impl<L: Lanes> Packs<L> {
             benches: morphologies.0.iter().zip(&bodies).map(bench).collect(),
             line_up: LineUp::default(),
         });
-        Self { settings, terrain, packs, bodies, keys: vec![0; first_env], scratch }
+        let mut order: Vec<usize> = (0..bodies.len()).collect();
+        order.sort_by_key(|&morphology| Reverse(morphologies.0[morphology].topology.num_impulses()));
+        Self { settings, terrain, bodies, order, keys: vec![0; first_env], scratch }
+    }
+
+    /// The tasks of a control step. The last ones are small, so that threads end together. Robots find their like among those of their
+    /// task: the kinds that have the most places to touch something with come first.
+    fn share_out<'a>(
+        bodies: &[Bodies<L>],
+        order: &[usize],
+        workers: &Workers,
+        rows: PhysicsRows<'a>,
+        keys: &'a mut [u32],
+    ) -> Vec<Task<'a>> {
+        let mut rest = (rows, keys);
+        let mut kinds = Vec::with_capacity(bodies.len());
+        for of in bodies {
+            let (mine, more) = rest.split_rows(of.count);
+            kinds.push(Some(mine));
+            rest = more;
+        }
+        let mut left: usize = bodies.iter().map(|of| of.count.div_ceil(L::LANES)).sum();
+        let mut tasks = Vec::new();
+        for &morphology in order {
+            let (count, mut first) = (bodies[morphology].count, 0);
+            let mut rest = kinds[morphology].take().filter(|_| count > 0);
+            while let Some(kind) = rest {
+                let packs = workers.share(left, 1).min((count - first).div_ceil(L::LANES));
+                let n = (packs * L::LANES).min(count - first);
+                let ((rows, keys), more) = kind.split_rows(n);
+                tasks.push(Task { morphology, first, rows, keys });
+                (left, first) = (left - packs, first + n);
+                rest = Some(more).filter(|_| first < count);
+            }
+        }
+        tasks
     }
 }
 
@@ -97,54 +132,40 @@ impl<L: Lanes> Engine for Packs<L> {
         limits: &StateLimits,
         watched: &[bool],
     ) -> Vec<Evidence> {
-        let Self { settings, terrain, packs, bodies, keys, scratch } = self;
+        let Self { settings, terrain, bodies, order, keys, scratch } = self;
         let terrain = terrain.as_deref();
         let found = Mutex::new(Vec::new());
-        let mut rest = Some((&packs[..], (rows, &mut keys[..])));
-        let tasks = std::iter::from_fn(|| {
-            let (packs, rows) = rest.take().filter(|(packs, _)| !packs.is_empty())?;
-            let (packs, more_packs) = packs.split_at(workers.share(packs.len(), 1));
-            let (rows, more) = rows.split_rows(packs.iter().map(|pack| pack.count).sum());
-            rest = Some((more_packs, more));
-            Some((packs, rows))
-        });
-        workers.for_each(tasks, |(packs, mut rows)| {
+        let tasks = Self::share_out(bodies, order, workers, rows, keys);
+        workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys }| {
             scratch.with(|Scratch { benches, line_up }| {
-                for packs in packs.chunk_by(|a, b| a.morphology == b.morphology) {
-                    let (mine, more) = rows.split_rows(packs.iter().map(|pack| pack.count).sum());
-                    rows = more;
-                    let ((mut mine, keys), PackRows { morphology, first, .. }) = (mine, packs[0]);
-                    let Bodies { first_env, own, bits, .. } = &bodies[morphology];
-                    let bench = &mut benches[morphology];
-                    // robots find their like among those of this task
-                    let order = if own.may_mix() { line_up.sort(keys) } else { line_up.keep(keys.len()) };
-                    for (pack, lanes) in order.chunks(L::LANES).enumerate() {
-                        bench.gather(&mine, lanes);
-                        // the next ones: where rows are not in the order of memory, the machine does not see them come
-                        for &row in order.iter().skip((pack + 1) * L::LANES).take(L::LANES) {
-                            mine.prefetch(row);
-                        }
-                        L::vectorize(ControlStep {
-                            topology: &morphologies.0[morphology].topology,
-                            settings,
-                            terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
-                            parameters: own.of_pack(first, pack, lanes, &mut bench.nominal),
-                            drive: &bench.drive,
-                            state: &mut bench.state,
-                            report: &mut bench.report,
-                            work: &mut bench.work,
-                        });
-                        let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
-                        let first_env = first_env + first;
-                        let evidence = Evidence::of_writing(broken, morphology, first_env, &mut mine, |rows| {
-                            bench.scatter(rows, lanes);
-                        });
-                        for (lane, &row) in lanes.iter().enumerate() {
-                            keys[row] = bits.key(&bench.report.near, lane);
-                        }
-                        if let Some(evidence) = evidence {
-                            found.lock().unwrap_or_else(PoisonError::into_inner).push(evidence);
-                        }
+                let Bodies { first_env, own, bits, .. } = &bodies[morphology];
+                let bench = &mut benches[morphology];
+                let order = if own.may_mix() { line_up.sort(keys) } else { line_up.keep(keys.len()) };
+                for (pack, lanes) in order.chunks(L::LANES).enumerate() {
+                    bench.gather(&rows, lanes);
+                    // the next ones: where rows are not in the order of memory, the machine does not see them come
+                    for &row in order.iter().skip((pack + 1) * L::LANES).take(L::LANES) {
+                        rows.prefetch(row);
+                    }
+                    L::vectorize(ControlStep {
+                        topology: &morphologies.0[morphology].topology,
+                        settings,
+                        terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
+                        parameters: own.of_pack(first, pack, lanes, &mut bench.nominal),
+                        drive: &bench.drive,
+                        state: &mut bench.state,
+                        report: &mut bench.report,
+                        work: &mut bench.work,
+                    });
+                    let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
+                    let evidence = Evidence::of_writing(broken, morphology, first_env + first, &mut rows, |rows| {
+                        bench.scatter(rows, lanes);
+                    });
+                    for (lane, &row) in lanes.iter().enumerate() {
+                        keys[row] = bits.key(&bench.report.demands, lane);
+                    }
+                    if let Some(evidence) = evidence {
+                        found.lock().unwrap_or_else(PoisonError::into_inner).push(evidence);
                     }
                 }
             });

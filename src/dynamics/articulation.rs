@@ -173,6 +173,8 @@ pub struct Topology {
     pub pairs: Vec<PairTopology>,
     /// The same by links.
     pub(super) pair_groups: Vec<PairGroup>,
+    /// `link_colliders[link]`: its places in `colliders`.
+    link_colliders: Vec<Vec<usize>>,
     /// Number of contact bodies.
     pub num_bodies: usize,
     /// Link of each site (a point whose position and velocity are reported, such as a foot).
@@ -216,6 +218,7 @@ impl Topology {
             colliders: Vec::new(),
             pairs: Vec::new(),
             pair_groups: Vec::new(),
+            link_colliders: Vec::new(),
             num_bodies,
             sites,
             has_delay,
@@ -270,7 +273,17 @@ impl Topology {
         self.pairs = new;
         self.pair_groups = groups;
         self.pair_of_impulse = pair_of_impulse;
+        self.link_colliders = vec![Vec::new(); self.num_links()];
+        for (c, collider) in colliders.iter().enumerate() {
+            self.link_colliders[collider.link].push(c);
+        }
         self.colliders = colliders;
+    }
+
+    /// The colliders of a link, as places in [`colliders`](Self::colliders).
+    #[inline(always)]
+    pub(super) fn colliders_of(&self, link: usize) -> &[usize] {
+        self.link_colliders.get(link).map_or(&[], |colliders| colliders)
     }
 
     /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of the pairs.
@@ -485,9 +498,9 @@ parameters! {
     contact_radius: Numbers<S>, list;
     /// Rim radius of a contact candidate, m, `[contacts]`.
     contact_rim: Numbers<S>, list;
-    /// The box along a link's axes that holds all its contact candidates: its centre in the link's frame, then half edge lengths, m,
-    /// `[links]`. One list, since a list costs every env 16 bytes.
-    contact_box: Numbers<[S; 6]>, arrays;
+    /// The box along a link's axes that holds all its contact candidates and colliders: its centre in the link's frame, then half edge
+    /// lengths, m, `[links]`. One list, since a list costs every env 16 bytes.
+    link_box: Numbers<[S; 6]>, arrays;
     /// Centre of a collider in its link's frame, m, `[colliders]`.
     collider_centre: Numbers<Vec3<S>>, arrays;
     /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a box, m, `[colliders]`.
@@ -529,7 +542,7 @@ impl<S: Real> Parameters<S> {
             contact_position: vec![[z; 3]; contacts].into(),
             contact_radius: vec![z; contacts].into(),
             contact_rim: vec![z; contacts].into(),
-            contact_box: vec![[z; 6]; links].into(),
+            link_box: vec![[z; 6]; links].into(),
             collider_centre: vec![[z; 3]; topology.colliders.len()].into(),
             collider_half: vec![[z; 3]; topology.colliders.len()].into(),
             collider_radius: vec![z; topology.colliders.len()].into(),
@@ -554,10 +567,13 @@ impl<S: Real> Parameters<S> {
 }
 
 impl Parameters<f64> {
-    /// Fits the boxes that hold the links' contact candidates to these.
-    pub fn box_contacts(&mut self, topology: &Topology) {
+    /// Fits the boxes that hold the links' contact candidates and colliders to these.
+    pub fn box_links(&mut self, topology: &Topology) {
         for link in 0..topology.num_links() {
             let (mut lower, mut upper) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+            let mut hold = |axis: usize, at: f64, reach: f64| {
+                (lower[axis], upper[axis]) = (lower[axis].min(at - reach), upper[axis].max(at + reach));
+            };
             for contact in topology.contacts_of(link) {
                 for axis in 0..3 {
                     let rim = match topology.contacts[contact].kind {
@@ -565,15 +581,24 @@ impl Parameters<f64> {
                         ContactKind::Rim { across: [a, b], .. } => a[axis].hypot(b[axis]),
                     };
                     let reach = rim.mul_add(self.contact_rim[contact], self.contact_radius[contact]);
-                    let at = self.contact_position[contact][axis];
-                    (lower[axis], upper[axis]) = (lower[axis].min(at - reach), upper[axis].max(at + reach));
+                    hold(axis, self.contact_position[contact][axis], reach);
                 }
             }
-            self.contact_box[link] = [0.0; 6];
+            for &c in topology.colliders_of(link) {
+                let half = self.collider_half[c];
+                for axis in 0..3 {
+                    let reach = match &topology.colliders[c].box_rotation {
+                        Some(rows) => (0..3).map(|k| rows[axis][k].abs() * half[k]).sum(),
+                        None => half[axis].abs() + self.collider_radius[c],
+                    };
+                    hold(axis, self.collider_centre[c][axis], reach);
+                }
+            }
+            self.link_box[link] = [0.0; 6];
             // a link without any has an empty one at its origin
             for axis in (0..3).filter(|&axis| lower[axis] <= upper[axis]) {
-                self.contact_box[link][axis] = 0.5 * (upper[axis] + lower[axis]);
-                self.contact_box[link][3 + axis] = 0.5 * (upper[axis] - lower[axis]);
+                self.link_box[link][axis] = 0.5 * (upper[axis] + lower[axis]);
+                self.link_box[link][3 + axis] = 0.5 * (upper[axis] - lower[axis]);
             }
         }
     }

@@ -195,7 +195,7 @@ pub fn build_contacts<S: Real>(
         }
         let origin_height = ground + dot(&frame[0], &at.position);
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
-        let [cx, cy, cz, hx, hy, hz] = parameters.contact_box[link];
+        let [cx, cy, cz, hx, hy, hz] = parameters.link_box[link];
         let (centre, half) = ([cx, cy, cz], [hx, hy, hz]);
         let mut highest = margin;
         if let Some(terrain) = terrain {
@@ -325,14 +325,21 @@ pub fn build_bounds<S: Real>(
     let blocks = bounds.iter_mut().zip(topology.blocks()).zip(bound_further.chunks_exact_mut(*stride));
     for (b, ((block, shape), further)) in blocks.enumerate() {
         (block.limits, block.active) = (false, false);
+        let mut near = [S::zero().lt(S::zero()); BLOCK];
         for place in 0..shape.len {
             let (j, row) = (shape.joints[place], &mut block.joints[place]);
-            bound(parameters, settings, inverse_dt, dt, state, j, free[b][place], row, violation);
+            near[place] = near_bounds(parameters, dt, state, j, free[b][place]);
+            row.limits = S::any(near[place]);
+            row.rubs = S::any(S::zero().lt(parameters.joint_friction[j]));
             block.limits |= row.limits;
-            block.active |= row.limits | row.rubs;
+            block.active |= row.takes_part();
         }
         if !block.active {
             continue;
+        }
+        for place in 0..shape.len {
+            let (j, row) = (shape.joints[place], &mut block.joints[place]);
+            bound(parameters, settings, inverse_dt, dt, state, j, near[place], row, violation);
         }
         for place in shape.len..BLOCK {
             block.joints[place] = BoundRow::free();
@@ -350,7 +357,18 @@ pub fn build_bounds<S: Real>(
     }
 }
 
-/// What one joint's bounds ask for.
+/// The lanes in which a joint is near a position limit or its velocity limit.
+#[inline(always)]
+fn near_bounds<S: Real>(parameters: &Parameters<S>, dt: S, state: &State<S>, j: usize, free: S) -> S::Mask {
+    let (q, fastest) = (state.joint_position[j], parameters.velocity_limit[j]);
+    let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
+    let speed = free.abs().max(state.joint_velocity[j].abs());
+    let reach = speed.mul_add(dt + dt, thrown);
+    let position = S::or((q - reach).lt(parameters.lower[j]), parameters.upper[j].lt(q + reach));
+    S::or(position, (fastest * S::splat(SPEED_MARGIN)).lt(speed))
+}
+
+/// What the bounds of a joint ask for, limits in the lanes that are `near` them.
 #[inline(always)]
 fn bound<S: Real>(
     parameters: &Parameters<S>,
@@ -359,27 +377,20 @@ fn bound<S: Real>(
     dt: S,
     state: &State<S>,
     j: usize,
-    free: S,
+    near: S::Mask,
     row: &mut BoundRow<S>,
     violation: &mut S,
 ) {
     let (z, never) = (S::zero(), S::splat(NEVER));
-    let q = state.joint_position[j];
-    let (lower, upper, fastest) = (parameters.lower[j], parameters.upper[j], parameters.velocity_limit[j]);
-    let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
-    let speed = free.abs().max(state.joint_velocity[j].abs());
-    let reach = speed.mul_add(dt + dt, thrown);
-    let near = S::or(S::or((q - reach).lt(lower), upper.lt(q + reach)), (fastest * S::splat(SPEED_MARGIN)).lt(speed));
-    row.rubs = S::any(z.lt(parameters.joint_friction[j]));
     row.max_friction = parameters.joint_friction[j] * dt;
     // of both together as much as friction can
     let before = state.bound_impulse[j];
     (row.friction_impulse, row.push_impulse) = (before.clamp(-row.max_friction, row.max_friction), z);
     (row.lowest, row.highest, row.limit_impulse) = (never, -never, z);
-    row.limits = S::any(near);
     if row.limits {
+        let (q, fastest) = (state.joint_position[j], parameters.velocity_limit[j]);
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
-        let (low, high) = (q - lower, upper - q);
+        let (low, high) = (q - parameters.lower[j], parameters.upper[j] - q);
         let push = |past| push_speed(past, BOUND_SLOP, settings, inverse_dt);
         let (up, down) = (push(-low), push(-high));
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);
@@ -395,8 +406,8 @@ fn bound<S: Real>(
 pub const MAX_DEPTH: usize = 64;
 
 /// Stores the impulses for the next warm start and sums contact forces per body in one of a control step's physics steps: the norm
-/// of the normal part, of bodies that are `touched` in any lane. After the `last` one also the force in world axes, N, and which
-/// bodies were near anything.
+/// of the normal part, of bodies that are `touched` in any lane. After the `last` one also the force in world axes, N, and what
+/// there was to deal with.
 #[inline(always)]
 pub fn report<S: Real>(
     topology: &Topology,
@@ -410,13 +421,13 @@ pub fn report<S: Real>(
     report: &mut Report<S>,
 ) {
     let z = S::zero();
-    let Report { body_force, normal_force, touched, near, .. } = report;
+    let Report { body_force, normal_force, touched, demands, .. } = report;
     let normal_force = &mut normal_force[substep];
     normal_force.fill(z);
     for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
         for (row, &j) in block.joints.iter().zip(&shape.joints[..shape.len]) {
             // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
-            state.bound_impulse[j] = row.impulse() + z;
+            state.bound_impulse[j] = if row.takes_part() { row.impulse() + z } else { z };
         }
     }
     for &contact in &state.pressing {
@@ -434,13 +445,29 @@ pub fn report<S: Real>(
     }
     if last {
         sum_forces(topology, settings, inverse_dt, base_rotation, work, body_force);
-        near.fill(z);
-        for row in work.contacts() {
-            for &body in bodies(topology, row.contact) {
-                near[body] = S::select(row.takes_part(), S::one(), near[body]);
+        note_demands(topology, work, demands);
+    }
+}
+
+/// See [`Report::demands`].
+#[inline(always)]
+fn note_demands<S: Real>(topology: &Topology, work: &ContactWork<S>, demands: &mut [S]) {
+    let one = S::one();
+    demands.fill(S::zero());
+    for row in work.contacts() {
+        for &body in bodies(topology, row.contact) {
+            demands[body] = S::select(row.takes_part(), one, demands[body]);
+        }
+    }
+    let (_, blocks) = demands.split_at_mut(topology.num_bodies);
+    for (block, demand) in work.bounds.iter().zip(&mut *blocks) {
+        for row in &block.joints {
+            if row.limits {
+                *demand = S::select(row.is_bounded(), one, *demand);
             }
         }
     }
+    blocks[work.bounds.len()] = S::select(S::zero().lt(work.violation), one, S::zero());
 }
 
 /// The bodies that a contact is between, other than the ground.

@@ -53,7 +53,7 @@ pub(super) struct ContactRows<S> {
     pub(super) awake: bool,
 }
 
-/// The bounds of one joint.
+/// The bounds of one joint; but for `limits` and `rubs` its numbers mean nothing unless its block takes part.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BoundRow<S> {
     /// Whether any lane is near a limit.
@@ -88,6 +88,18 @@ impl<S: Real> BoundRow<S> {
             friction_impulse: z,
             max_friction: z,
         }
+    }
+
+    /// Whether it may hold the joint, in any lane.
+    #[inline(always)]
+    pub(super) fn takes_part(&self) -> bool {
+        self.limits | self.rubs
+    }
+
+    /// The lanes in which the joint is near a limit.
+    #[inline(always)]
+    pub(super) fn is_bounded(&self) -> S::Mask {
+        S::or(S::splat(NEVER).lt(self.lowest), self.highest.lt(S::splat(-NEVER)))
     }
 }
 

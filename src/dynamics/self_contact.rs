@@ -1,9 +1,9 @@
 //! Contacts between a robot's own links.
 //!
-//! Most pairs are far apart in most steps, and are told by boxes along the base's axes: first those of two links, then those of
-//! two colliders. What is left out is further apart than the margin in every lane.
+//! Most pairs are far apart in most steps, and are told by boxes along the base's axes: first those of two links, whose colliders are
+//! placed only when these meet, then those of two colliders. What is left out is further apart than the margin in every lane.
 
-use super::articulation::{ColliderTopology, Parameters, Topology};
+use super::articulation::{Parameters, Topology};
 use super::contact::{ContactSettings, reach_in_step, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
@@ -11,7 +11,7 @@ use super::proximity::{
     Capsule, Proximity, capsule_and_box, capsules, may_touch_box, nearest_on_capsules, nearest_to_box,
 };
 use super::rows::NEVER;
-use super::state::{State, Workspace};
+use super::state::{LinkState, State, Workspace};
 
 /// A pair takes part in a physics step when its links are nearer to each other than this, m, and what they come nearer by in the
 /// step, at their present speed or without constraints.
@@ -37,56 +37,60 @@ impl<S: Real> PlacedCollider<S> {
         let capsule = Capsule { centre: [z; 3], half: [z; 3], radius: z };
         Self { capsule, rotation: [[z; 3]; 3], extent: [z; 3] }
     }
+
+    /// Largest distance of the two along an axis, m.
+    #[inline(always)]
+    fn distance(&self, other: &Self) -> S {
+        box_distance([&self.capsule.centre, &self.extent], [&other.capsule.centre, &other.extent])
+    }
 }
 
-/// The box along the base's axes that holds all colliders of a link.
+/// A box along the base's axes that holds all colliders of a link.
 #[derive(Clone, Debug)]
 pub struct ColliderBox<S> {
-    /// Lower corner, m.
-    pub lower: Vec3<S>,
-    /// Upper corner, m.
-    pub upper: Vec3<S>,
-    /// At least the speed of any point of them against the base, now or freely, m/s.
-    pub speed: S,
+    /// m.
+    centre: Vec3<S>,
+    /// Half edge lengths, m.
+    extent: Vec3<S>,
+    /// At least the speed of any point in it against the base, now or freely, m/s.
+    speed: S,
+    /// Whether the link's colliders are where the link is.
+    placed: bool,
 }
 
 impl<S: Real> ColliderBox<S> {
-    /// Holds nothing.
-    #[inline(always)]
-    pub fn empty() -> Self {
-        let far = S::splat(1e9);
-        Self { lower: [far; 3], upper: [-far; 3], speed: S::zero() }
-    }
-
-    #[inline(always)]
-    fn hold(&mut self, collider: &PlacedCollider<S>) {
-        let (centre, extent) = (&collider.capsule.centre, &collider.extent);
-        for i in 0..3 {
-            self.lower[i] = self.lower[i].min(centre[i] - extent[i]);
-            self.upper[i] = self.upper[i].max(centre[i] + extent[i]);
-        }
+    /// A point at the base's origin.
+    pub fn zero() -> Self {
+        let z = S::zero();
+        Self { centre: [z; 3], extent: [z; 3], speed: z, placed: false }
     }
 
     /// Largest distance of the two along an axis, m.
     #[inline(always)]
     fn distance(&self, other: &Self) -> S {
-        let mut most = (self.lower[0] - other.upper[0]).max(other.lower[0] - self.upper[0]);
-        for i in 1..3 {
-            most = most.max((self.lower[i] - other.upper[i]).max(other.lower[i] - self.upper[i]));
-        }
-        most
+        box_distance([&self.centre, &self.extent], [&other.centre, &other.extent])
     }
 }
 
-/// Largest distance along an axis of the boxes that hold two colliders, m.
+/// Largest distance along an axis of two boxes, each its centre and half edge lengths, m.
 #[inline(always)]
-fn box_distance<S: Real>(a: &PlacedCollider<S>, b: &PlacedCollider<S>) -> S {
-    let apart = sub(&a.capsule.centre, &b.capsule.centre);
-    let mut most = apart[0].abs() - (a.extent[0] + b.extent[0]);
+fn box_distance<S: Real>(a: [&Vec3<S>; 2], b: [&Vec3<S>; 2]) -> S {
+    let apart = sub(a[0], b[0]);
+    let mut most = apart[0].abs() - (a[1][0] + b[1][0]);
     for i in 1..3 {
-        most = most.max(apart[i].abs() - (a.extent[i] + b.extent[i]));
+        most = most.max(apart[i].abs() - (a[1][i] + b[1][i]));
     }
     most
+}
+
+/// Half edge lengths of the box along some axes that holds a box with these half edges, turned by `rotation` to those axes.
+#[inline(always)]
+fn turned_extent<S: Real>(rotation: &Mat3<S>, half: &Vec3<S>) -> Vec3<S> {
+    let mut extent = *half;
+    for (extent, row) in extent.iter_mut().zip(rotation) {
+        *extent = row[0].abs().mul_add(half[0], row[1].abs().mul_add(half[1], row[2].abs() * half[2]));
+    }
+    extent
 }
 
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
@@ -102,8 +106,8 @@ pub fn build_pairs<S: Real>(
     if topology.pairs.is_empty() {
         return;
     }
-    place_colliders(topology, parameters, work);
     let Workspace { links, factor, colliders, collider_boxes, contact: rows, .. } = work;
+    box_links(topology, parameters, links, collider_boxes);
     let inverse_dt = S::one() / dt;
     for group in &topology.pair_groups {
         let [a, b] = group.links;
@@ -112,9 +116,16 @@ pub fn build_pairs<S: Real>(
         if !S::any(a.distance(b).lt(margin + S::splat(ROUNDING))) {
             continue;
         }
+        for link in group.links {
+            if !std::mem::replace(&mut collider_boxes[link].placed, true) {
+                for &c in topology.colliders_of(link) {
+                    place_collider(topology, parameters, c, &links[link], &mut colliders[c]);
+                }
+            }
+        }
         for pair in &topology.pairs[group.pairs.clone()] {
             let [a, b] = pair.colliders;
-            if !S::any(box_distance(&colliders[a], &colliders[b]).lt(margin + S::splat(ROUNDING))) {
+            if !S::any(colliders[a].distance(&colliders[b]).lt(margin + S::splat(ROUNDING))) {
                 continue;
             }
             let shapes = PairShapes::new(topology, colliders, pair.colliders);
@@ -156,42 +167,61 @@ fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_
     squared_reach.mul_add(dot(&velocity.ang, &velocity.ang), dot(&point, &point))
 }
 
-/// Puts the colliders where the workspace's kinematics has their links, and finds how fast any point of a link's moves, now or freely.
+/// Puts a box around the colliders of each link, and finds how fast any point of it moves, now or freely.
 #[inline(always)]
-pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
-    let Workspace { links, colliders, collider_boxes, .. } = work;
-    for link in collider_boxes.iter_mut() {
-        *link = ColliderBox::empty();
-    }
-    for (c, ColliderTopology { link, box_rotation, .. }) in topology.colliders.iter().enumerate() {
-        let at = &links[*link];
-        let radius = parameters.collider_radius[c];
-        let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
-        let centre = add(&at.position, &mul_vec(&at.rotation, centre));
-        let placed = &mut colliders[c];
-        // a box is turned when it meets a capsule
-        if let Some(rotation) = box_rotation {
-            placed.rotation = mul_mat(&at.rotation, &[splat(&rotation[0]), splat(&rotation[1]), splat(&rotation[2])]);
-            placed.capsule = Capsule { centre, half: *half, radius };
-            for i in 0..3 {
-                let row = &placed.rotation[i];
-                placed.extent[i] = row[0].abs().mul_add(half[0], row[1].abs().mul_add(half[1], row[2].abs() * half[2]));
-            }
-        } else {
-            let half = mul_vec(&at.rotation, half);
-            placed.capsule = Capsule { centre, half, radius };
-            placed.extent = [half[0].abs() + radius, half[1].abs() + radius, half[2].abs() + radius];
+fn box_links<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    links: &[LinkState<S>],
+    boxes: &mut [ColliderBox<S>],
+) {
+    for (link, (at, out)) in links.iter().zip(boxes).enumerate() {
+        if topology.colliders_of(link).is_empty() {
+            continue;
         }
-        collider_boxes[*link].hold(&colliders[c]);
+        let [cx, cy, cz, hx, hy, hz] = parameters.link_box[link];
+        let half = [hx, hy, hz];
+        out.centre = add(&at.position, &mul_vec(&at.rotation, &[cx, cy, cz]));
+        out.extent = turned_extent(&at.rotation, &half);
+        out.placed = false;
+        // the base is where the others are seen from
+        if link > 0 {
+            let squared_reach = dot(&half, &half);
+            let now = half_squared_speed(&at.velocity.minus(&links[0].velocity), &out.centre, squared_reach);
+            let free = half_squared_speed(&at.free_velocity, &out.centre, squared_reach);
+            out.speed = (S::splat(2.0) * now.max(free)).sqrt();
+        }
     }
-    let half = S::splat(0.5);
-    // the base is where the others are seen from
-    for (at, link) in links.iter().zip(collider_boxes).skip(1) {
-        let (centre, edges) = (scale(&add(&link.lower, &link.upper), half), sub(&link.upper, &link.lower));
-        let squared_reach = dot(&edges, &edges) * S::splat(0.25);
-        let now = half_squared_speed(&at.velocity.minus(&links[0].velocity), &centre, squared_reach);
-        let free = half_squared_speed(&at.free_velocity, &centre, squared_reach);
-        link.speed = (S::splat(2.0) * now.max(free)).sqrt();
+}
+
+/// Puts the colliders where the workspace's kinematics has their links. For tools and tests: a step places those that it needs.
+pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
+    for (c, collider) in topology.colliders.iter().enumerate() {
+        place_collider(topology, parameters, c, &work.links[collider.link], &mut work.colliders[c]);
+    }
+}
+
+/// Puts a collider where its link is.
+#[inline(always)]
+fn place_collider<S: Real>(
+    topology: &Topology,
+    parameters: &Parameters<S>,
+    c: usize,
+    at: &LinkState<S>,
+    placed: &mut PlacedCollider<S>,
+) {
+    let radius = parameters.collider_radius[c];
+    let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
+    let centre = add(&at.position, &mul_vec(&at.rotation, centre));
+    // a box is turned when it meets a capsule
+    if let Some(rotation) = &topology.colliders[c].box_rotation {
+        placed.rotation = mul_mat(&at.rotation, &[splat(&rotation[0]), splat(&rotation[1]), splat(&rotation[2])]);
+        placed.capsule = Capsule { centre, half: *half, radius };
+        placed.extent = turned_extent(&placed.rotation, half);
+    } else {
+        let half = mul_vec(&at.rotation, half);
+        placed.capsule = Capsule { centre, half, radius };
+        placed.extent = [half[0].abs() + radius, half[1].abs() + radius, half[2].abs() + radius];
     }
 }
 
@@ -301,13 +331,16 @@ mod tests {
                 parameters.collider_half[c] = if c % 2 == 0 { half } else { half.map(f64::abs) };
                 parameters.collider_radius[c] = if c % 2 == 0 { 0.1 * random().abs() } else { 0.0 };
             }
+            parameters.box_links(&topology);
             forward_kinematics(&topology, &parameters, &[3.0 * random()], &[0.0], &Spatial::zero(), &mut work);
             place_colliders(&topology, &parameters, &mut work);
+            let mut boxes = vec![ColliderBox::zero(); topology.num_links()];
+            box_links(&topology, &parameters, &work.links, &mut boxes);
             for (p, pair) in topology.pairs.iter().enumerate() {
                 let gap = pair_gap(&topology, &work, p);
                 let [a, b] = pair.colliders;
-                let alone = box_distance(&work.colliders[a], &work.colliders[b]);
-                let [a, b] = [a, b].map(|c| &work.collider_boxes[topology.colliders[c].link]);
+                let alone = work.colliders[a].distance(&work.colliders[b]);
+                let [a, b] = [a, b].map(|c| &boxes[topology.colliders[c].link]);
                 // a search that has not quite ended finds more, never less
                 let most = gap.max(0.0) + 1e-9;
                 assert!(alone <= most && a.distance(b) <= most, "{alone} and {} for {gap}", a.distance(b));

@@ -4,7 +4,7 @@ use super::articulation::{Parameters, Topology};
 use super::blocks::BLOCK;
 use super::contact::{ContactSettings, SWEEPS};
 use super::lanes::Real;
-use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork, NEVER};
+use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork};
 use super::sparse_rows::JointRows;
 
 /// Sweeps that push penetrations out, at most.
@@ -124,9 +124,10 @@ fn wake<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
     for block in &mut work.bounds {
         block.active = false;
         for row in &block.joints {
-            let bounded = S::or(S::splat(NEVER).lt(row.lowest), row.highest.lt(S::splat(-NEVER)));
-            let takes_part = S::and(active, S::or(bounded, S::zero().lt(row.max_friction)));
-            block.active |= (row.limits | row.rubs) && S::any(takes_part);
+            if row.takes_part() {
+                let takes_part = S::or(row.is_bounded(), S::zero().lt(row.max_friction));
+                block.active |= S::any(S::and(active, takes_part));
+            }
         }
     }
 }
@@ -190,9 +191,11 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
         }
     }
     for block in &mut work.bounds {
-        for row in &mut block.joints {
-            row.limit_impulse = row.limit_impulse * share;
-            row.friction_impulse = row.friction_impulse * share;
+        if block.active {
+            for row in &mut block.joints {
+                row.limit_impulse = row.limit_impulse * share;
+                row.friction_impulse = row.friction_impulse * share;
+            }
         }
     }
 }

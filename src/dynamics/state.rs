@@ -60,8 +60,9 @@ pub struct Report<S> {
     pub normal_force: Vec<Vec<S>>,
     /// Bodies that had a contact in some lane and physics step: forces on all others are zero, `[bodies]`.
     pub touched: Vec<bool>,
-    /// One for bodies that were near the ground or another link in the last physics step, else zero, `[bodies]`.
-    pub near: Vec<S>,
+    /// What the last physics step had to deal with, one or else zero each: bodies near the ground or another link, `[bodies]`, joints
+    /// near a limit, `[blocks]`, and anything that was to be pushed out.
+    pub demands: Vec<S>,
     /// Site positions in the env's frame, m, `[sites]`.
     pub site_position: Vec<Vec3<S>>,
     /// Site velocities in world axes, m/s, `[sites]`.
@@ -120,7 +121,7 @@ impl<S: Real> Report<S> {
             body_force: vec![[z; 3]; topology.num_bodies],
             normal_force: vec![vec![z; topology.num_bodies]; decimation],
             touched: vec![false; topology.num_bodies],
-            near: vec![z; topology.num_bodies],
+            demands: vec![z; topology.num_bodies + topology.blocks().len() + 1],
             site_position: vec![[z; 3]; topology.sites.len()],
             site_velocity: vec![[z; 3]; topology.sites.len()],
         }
@@ -173,7 +174,7 @@ pub struct Workspace<S> {
     pub target: Vec<S>,
     /// Where the colliders are.
     pub colliders: Vec<PlacedCollider<S>>,
-    /// What holds all colliders of a link, `[links]`.
+    /// What holds all colliders of a link, `[links]`; of no meaning for a link without any.
     pub collider_boxes: Vec<ColliderBox<S>>,
     /// Rows of active contacts and joint bounds.
     pub contact: ContactWork<S>,
@@ -207,7 +208,7 @@ impl<S: Real> Workspace<S> {
             effort_slope: vec![z; joints],
             target: vec![z; joints],
             colliders: vec![PlacedCollider::zero(); topology.colliders.len()],
-            collider_boxes: vec![ColliderBox::empty(); links],
+            collider_boxes: vec![ColliderBox::zero(); links],
             contact: ContactWork::new(topology),
         }
     }

@@ -106,12 +106,12 @@ impl Articulation {
             p.contact_radius[i] = c.radius;
             p.contact_rim[i] = c.rim;
         }
-        p.box_contacts(&topology);
         for (s, site) in sites.iter().enumerate() {
             p.site_position[s] = (align[site.link] * site.position).to_array();
         }
         let shape_pairs = self_collision
             .map_or_else(Vec::new, |reference| add_pairs(model, &align, reference, &mut topology, &mut p));
+        p.box_links(&topology);
         Self { topology, parameters: p, align, shape_pairs }
     }
 }
