@@ -299,7 +299,7 @@ fn frame<S: Real>(normal: &Vec3<S>) -> [Vec3<S>; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::articulation::{Axis, JointMotion, JointTopology};
+    use super::super::articulation::{Axis, ColliderTopology, JointMotion, JointTopology};
     use super::super::kinematics::forward_kinematics;
     use super::super::math::Spatial;
     use super::*;
