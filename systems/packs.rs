@@ -32,6 +32,8 @@ struct Bodies<L> {
     first_env: usize,
     count: usize,
     nominal: Parameters<L>,
+    /// Whether all bodies are [alike](Parameters::is_alike) the morphology's.
+    alike: bool,
     own: OwnNumbers<L>,
     bits: DemandBits,
 }
@@ -69,7 +71,7 @@ impl<L: Lanes> Packs<L> {
         for (model, &count) in morphologies.0.iter().zip(counts) {
             let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
             let (own, bits) = (OwnNumbers::none(), DemandBits::new(&model.body_groups, model.topology.blocks().len()));
-            bodies.push(Bodies { first_env, count, nominal, own, bits });
+            bodies.push(Bodies { first_env, count, nominal, alike: true, own, bits });
             first_env += count;
         }
         let bench = |(model, of): (&MorphologyModel, &Bodies<L>)| Bench::new(model, &of.nominal, settings.decimation);
@@ -119,7 +121,8 @@ impl<L: Lanes> Packs<L> {
 impl<L: Lanes> Engine for Packs<L> {
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
-        if let Some(Bodies { first_env, count, nominal, own, .. }) = self.bodies.get_mut(morphology) {
+        if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {
+            *alike &= parameters.is_alike(nominal);
             own.set_row(env - *first_env, *count, parameters, nominal);
         }
     }
@@ -138,7 +141,8 @@ impl<L: Lanes> Engine for Packs<L> {
         let tasks = Self::share_out(bodies, order, workers, rows, keys);
         workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys }| {
             scratch.with(|Scratch { benches, line_up }| {
-                let Bodies { first_env, own, bits, .. } = &bodies[morphology];
+                let Bodies { first_env, alike, own, bits, .. } = &bodies[morphology];
+                let MorphologyModel { topology, nominal, .. } = &morphologies.0[morphology];
                 let bench = &mut benches[morphology];
                 let order = if own.may_mix() { line_up.sort(keys) } else { line_up.keep(keys.len()) };
                 for (pack, lanes) in order.chunks(L::LANES).enumerate() {
@@ -147,16 +151,18 @@ impl<L: Lanes> Engine for Packs<L> {
                     for &row in order.iter().skip((pack + 1) * L::LANES).take(L::LANES) {
                         rows.prefetch(row);
                     }
-                    L::vectorize(ControlStep {
-                        topology: &morphologies.0[morphology].topology,
+                    let step = ControlStep {
+                        topology,
                         settings,
                         terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
                         parameters: own.of_pack(first, pack, lanes, &mut bench.nominal),
+                        kind: alike.then_some(nominal),
                         drive: &bench.drive,
                         state: &mut bench.state,
                         report: &mut bench.report,
                         work: &mut bench.work,
-                    });
+                    };
+                    step.run();
                     let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
                     let evidence = Evidence::of_writing(broken, morphology, first_env + first, &mut rows, |rows| {
                         bench.scatter(rows, lanes);

@@ -6,6 +6,7 @@ mod common;
 use bevy_ecs::component::{Component, Mutable};
 use common::{assert_same, busy, env_bits, step, step_with};
 use polypod::components::{Body, EnvId, EnvRng};
+use polypod::dynamics::Parameters;
 use polypod::{Sim, SimOptions};
 
 const STEPS: usize = 120;
@@ -102,13 +103,13 @@ fn robots_before_it_change_nothing() {
     }
 }
 
-#[test]
-fn how_others_bounce_changes_nothing() {
+/// Steps two equal simulations, in one of which two of three bodies are changed: the third does not notice.
+fn others_are_built_otherwise(change: fn(&mut Parameters<f32>)) {
     let (mut a, mut b) = (sim(&["spot"], 40), sim(&["spot"], 40));
     let world = b.world_mut();
     for (id, mut body) in world.query::<(&EnvId, &mut Body)>().iter_mut(world) {
         if !is_watched(id.0 as usize) {
-            body.0.restitution = 0.5;
+            change(&mut body.0);
         }
     }
     for t in 0..STEPS {
@@ -116,7 +117,17 @@ fn how_others_bounce_changes_nothing() {
         step(&mut b, t);
         assert_watched_same(&mut a, &mut b, t);
     }
-    assert_ne!(env_bits(&mut a)[1], env_bits(&mut b)[1], "the others must have bounced");
+    assert_ne!(env_bits(&mut a)[1], env_bits(&mut b)[1], "the others must have moved otherwise");
+}
+
+#[test]
+fn how_others_bounce_changes_nothing() {
+    others_are_built_otherwise(|body| body.restitution = 0.5);
+}
+
+#[test]
+fn how_long_others_legs_are_changes_nothing() {
+    others_are_built_otherwise(|body| body.joint_offset.iter_mut().for_each(|offset| offset[2] *= 1.1));
 }
 
 /// One control step in which the envs of `block` act by their place in it.

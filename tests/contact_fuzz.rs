@@ -6,7 +6,6 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DQuat, DVec3};
 use polypod::dynamics::contact::candidate_gaps;
-use polypod::dynamics::lanes::Kernel;
 use polypod::dynamics::{
     ContactSettings, ControlStep, Drive, Parameters, Plane, Report, State, StepSettings, Workspace,
 };
@@ -279,6 +278,7 @@ impl Bench {
             settings: &settings,
             terrain: None,
             parameters: &self.parameters,
+            kind: None,
             drive: &Drive::zeros(topology, 1),
             state: &mut state,
             report: &mut report,

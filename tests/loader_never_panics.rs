@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use polypod::dynamics::contact::MAX_DEPTH;
-use polypod::dynamics::lanes::Kernel;
 use polypod::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Workspace};
 use polypod::robot::{Articulation, Geometry, LoadOptions, Model, RobotError, Site, check, detect, load, load_str};
 use proptest::prelude::*;
@@ -153,6 +152,7 @@ fn step(articulation: &Articulation) -> Result<(), TestCaseError> {
         settings: &settings,
         terrain: None,
         parameters: &parameters,
+        kind: None,
         drive: &Drive::zeros(topology, 1),
         state: &mut state,
         report: &mut Report::zeros(topology, 1),

@@ -4,7 +4,6 @@ mod common;
 
 use polypod::config::Library;
 use polypod::dynamics::kinematics::forward_kinematics;
-use polypod::dynamics::lanes::Kernel;
 use polypod::dynamics::math::Spatial;
 use polypod::dynamics::self_contact::{pair_gap, place_colliders};
 use polypod::dynamics::{
@@ -54,6 +53,7 @@ impl Body {
             settings: &settings,
             terrain: None,
             parameters: &self.parameters,
+            kind: None,
             drive: &self.drive,
             state: &mut self.state,
             report: &mut self.report,

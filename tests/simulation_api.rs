@@ -94,6 +94,25 @@ fn a_snapshot_belongs_to_its_simulation() {
 }
 
 #[test]
+fn numbers_given_again_change_no_bit() {
+    let make = || Simulation::new(&SimulationOptions::new("unitree_a1", 20)).unwrap();
+    let mut sims = [make(), make()];
+    // each env has it of its own from here on
+    let limits = sims[1].effort_limit();
+    sims[1].set_effort_limit(None, &limits).unwrap();
+    for t in 0..200 {
+        let targets: Vec<f64> = (0..20 * 12).map(|i| f64::sin(0.1 * f64::from(t) + f64::from(i))).collect();
+        let [(plain, plain_torque), (given, given_torque)] = sims.each_mut().map(|sim| {
+            sim.step(&Control { targets: Some(&targets), ..Control::default() }, 1).unwrap();
+            (sim.qpos(), sim.joint_torque())
+        });
+        assert!(plain == given && plain_torque == given_torque, "step {t}");
+    }
+    assert!(sims[0].contact_forces().iter().any(|&force| force != 0.0));
+    assert!(sims[0].joint_torque().iter().any(|&torque| torque != 0.0));
+}
+
+#[test]
 fn a_fixed_base_has_joints_only_and_feels_no_ground() {
     let fixed = SimulationOptions { fixed_base: true, ..options("biped", 1) };
     let mut sim = Simulation::new(&fixed).unwrap();

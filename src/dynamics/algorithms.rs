@@ -5,7 +5,7 @@
 //! velocity of the base in base axes (3), joints; a fixed base has joints only. Accelerations are the time derivatives of
 //! these components, and forces are those that do work on them.
 
-use super::articulation::{JointMotion, Parameters, Topology};
+use super::articulation::{JointMotion, Topology};
 use super::blocks::{BLOCK, gather, scatter};
 use super::kinematics;
 use super::lanes::Real;
@@ -13,6 +13,7 @@ use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_sym, mul_vec, mul_vec_transposed, quat_to_mat,
     rotate_sym, scale, sub,
 };
+use super::parameters::Parameters;
 use super::state::{State, Workspace};
 
 /// A body (or a pack of bodies) in a state, to be asked for its dynamics.

@@ -1,6 +1,6 @@
 //! Contacts and joint bounds as velocity constraints: which take part in a step, and what they ask for.
 
-use super::articulation::{ContactKind, Parameters, Topology};
+use super::articulation::{ContactKind, Topology};
 use super::blocks::BLOCK;
 use super::kinematics::forward_kinematics;
 use super::lanes::Real;
@@ -8,6 +8,7 @@ use super::math::{
     Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale,
     splat,
 };
+use super::parameters::BodyNumbers;
 use super::rows::{BoundRow, ContactWork, NEVER};
 use super::state::{Report, State, Workspace};
 use super::terrain::{Near, Terrain};
@@ -99,8 +100,13 @@ fn splat_frame<S: Real>(plane: &Plane) -> [Vec3<S>; 3] {
 
 /// The lowest point of a candidate, in link axes about the link's origin; `up` is the world's up in link axes.
 #[inline(always)]
-fn candidate_point<S: Real>(parameters: &Parameters<S>, contact: usize, kind: ContactKind, up: &Vec3<S>) -> Vec3<S> {
-    let centre = &parameters.contact_position[contact];
+fn candidate_point<S: Real, B: BodyNumbers<S>>(
+    parameters: B,
+    contact: usize,
+    kind: ContactKind,
+    up: &Vec3<S>,
+) -> Vec3<S> {
+    let centre = &parameters.contact_position(contact);
     match kind {
         ContactKind::Point => *centre,
         ContactKind::Rim { across, turn } => {
@@ -113,7 +119,7 @@ fn candidate_point<S: Real>(parameters: &Parameters<S>, contact: usize, kind: Co
             let (c, s) = (S::select(upright, S::one(), c * inverse), S::select(upright, S::zero(), s * inverse));
             let (tc, ts) = (S::splat(turn[0]), S::splat(turn[1]));
             let (c, s) = (c.mul_add(tc, -(s * ts)), s.mul_add(tc, c * ts));
-            let rim = parameters.contact_rim[contact];
+            let rim = parameters.contact_rim(contact);
             add_scaled(&add_scaled(centre, &e[0], c * rim), &e[1], s * rim)
         }
     }
@@ -121,22 +127,22 @@ fn candidate_point<S: Real>(parameters: &Parameters<S>, contact: usize, kind: Co
 
 /// The lowest point of a candidate (see [`candidate_point`]) and its distance from the ground, m.
 #[inline(always)]
-fn candidate<S: Real>(
-    parameters: &Parameters<S>,
+fn candidate<S: Real, B: BodyNumbers<S>>(
+    parameters: B,
     contact: usize,
     kind: ContactKind,
     up: &Vec3<S>,
     origin_height: S,
 ) -> (Vec3<S>, S) {
     let local = candidate_point(parameters, contact, kind, up);
-    (local, origin_height + dot(up, &local) - parameters.contact_radius[contact])
+    (local, origin_height + dot(up, &local) - parameters.contact_radius(contact))
 }
 
 /// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order; negative inside the
 /// ground, and empty where there is none. For tools and tests: a step finds its contacts itself.
-pub fn candidate_gaps<S: Real>(
+pub fn candidate_gaps<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     settings: &ContactSettings,
     state: &State<S>,
     work: &mut Workspace<S>,
@@ -160,9 +166,9 @@ pub fn candidate_gaps<S: Real>(
 /// Finds the contacts near the ground and builds their rows. Without constraints the base would have the velocity `free_base`, about
 /// its own origin and axes.
 #[inline(always)]
-pub fn build_contacts<S: Real>(
+pub fn build_contacts<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     settings: &ContactSettings,
     terrain: Option<&Terrain<S>>,
     dt: S,
@@ -195,7 +201,7 @@ pub fn build_contacts<S: Real>(
         }
         let origin_height = ground + dot(&frame[0], &at.position);
         let up = mul_vec_transposed(&at.rotation, &frame[0]);
-        let [cx, cy, cz, hx, hy, hz] = parameters.link_box[link];
+        let [cx, cy, cz, hx, hy, hz] = parameters.link_box(link);
         let (centre, half) = ([cx, cy, cz], [hx, hy, hz]);
         let mut highest = margin;
         if let Some(terrain) = terrain {
@@ -209,8 +215,8 @@ pub fn build_contacts<S: Real>(
         }
         for c in candidates {
             // whichever way its rim points
-            let reach = parameters.contact_radius[c] + parameters.contact_rim[c];
-            let lowest = origin_height + dot(&up, &parameters.contact_position[c]) - reach;
+            let reach = parameters.contact_radius(c) + parameters.contact_rim(c);
+            let lowest = origin_height + dot(&up, &parameters.contact_position(c)) - reach;
             if !S::any(lowest.lt(highest)) {
                 continue;
             }
@@ -218,7 +224,7 @@ pub fn build_contacts<S: Real>(
             if !S::any(gap.lt(highest)) {
                 continue;
             }
-            let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius[c]);
+            let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius(c));
             let surface;
             let mut axes_here = &frame;
             if let Some(terrain) = terrain {
@@ -249,12 +255,12 @@ pub fn build_contacts<S: Real>(
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
             let mut bounce = S::splat(NEVER);
-            let elastic = zero.lt(parameters.restitution);
+            let elastic = zero.lt(parameters.restitution());
             if S::any(elastic) {
                 let (row, further) = rows.next();
                 let approach = row.first_velocity(topology, further, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
-                bounce = S::select(S::and(elastic, bounces), -(approach * parameters.restitution), bounce);
+                bounce = S::select(S::and(elastic, bounces), -(approach * parameters.restitution()), bounce);
             }
             rows.add(near, target, bounce, &state.impulse[c]);
         }
@@ -310,9 +316,9 @@ fn push_speed<S: Real>(depth: S, slop: f64, settings: &ContactSettings, inverse_
 ///
 /// `free` is the joints' velocity without constraints, `[blocks]`.
 #[inline(always)]
-pub fn build_bounds<S: Real>(
+pub fn build_bounds<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     settings: &ContactSettings,
     dt: S,
     state: &State<S>,
@@ -330,7 +336,7 @@ pub fn build_bounds<S: Real>(
             let (j, row) = (shape.joints[place], &mut block.joints[place]);
             near[place] = near_bounds(parameters, dt, state, j, free[b][place]);
             row.limits = S::any(near[place]);
-            row.rubs = S::any(S::zero().lt(parameters.joint_friction[j]));
+            row.rubs = S::any(S::zero().lt(parameters.joint_friction(j)));
             block.limits |= row.limits;
             block.active |= row.takes_part();
         }
@@ -359,19 +365,19 @@ pub fn build_bounds<S: Real>(
 
 /// The lanes in which a joint is near a position limit or its velocity limit.
 #[inline(always)]
-fn near_bounds<S: Real>(parameters: &Parameters<S>, dt: S, state: &State<S>, j: usize, free: S) -> S::Mask {
-    let (q, fastest) = (state.joint_position[j], parameters.velocity_limit[j]);
+fn near_bounds<S: Real, B: BodyNumbers<S>>(parameters: B, dt: S, state: &State<S>, j: usize, free: S) -> S::Mask {
+    let (q, fastest) = (state.joint_position[j], parameters.velocity_limit(j));
     let thrown = (fastest * dt).clamp(S::splat(BOUND_MARGIN), S::splat(LARGEST_BOUND_MARGIN));
     let speed = free.abs().max(state.joint_velocity[j].abs());
     let reach = speed.mul_add(dt + dt, thrown);
-    let position = S::or((q - reach).lt(parameters.lower[j]), parameters.upper[j].lt(q + reach));
+    let position = S::or((q - reach).lt(parameters.lower(j)), parameters.upper(j).lt(q + reach));
     S::or(position, (fastest * S::splat(SPEED_MARGIN)).lt(speed))
 }
 
 /// What the bounds of a joint ask for, limits in the lanes that are `near` them.
 #[inline(always)]
-fn bound<S: Real>(
-    parameters: &Parameters<S>,
+fn bound<S: Real, B: BodyNumbers<S>>(
+    parameters: B,
     settings: &ContactSettings,
     inverse_dt: S,
     dt: S,
@@ -382,15 +388,15 @@ fn bound<S: Real>(
     violation: &mut S,
 ) {
     let (z, never) = (S::zero(), S::splat(NEVER));
-    row.max_friction = parameters.joint_friction[j] * dt;
+    row.max_friction = parameters.joint_friction(j) * dt;
     // of both together as much as friction can
     let before = state.bound_impulse[j];
     (row.friction_impulse, row.push_impulse) = (before.clamp(-row.max_friction, row.max_friction), z);
     (row.lowest, row.highest, row.limit_impulse) = (never, -never, z);
     if row.limits {
-        let (q, fastest) = (state.joint_position[j], parameters.velocity_limit[j]);
+        let (q, fastest) = (state.joint_position[j], parameters.velocity_limit(j));
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
-        let (low, high) = (q - parameters.lower[j], parameters.upper[j] - q);
+        let (low, high) = (q - parameters.lower(j), parameters.upper(j) - q);
         let push = |past| push_speed(past, BOUND_SLOP, settings, inverse_dt);
         let (up, down) = (push(-low), push(-high));
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);

@@ -1,12 +1,13 @@
 //! Forward kinematics, composite inertias and bias forces, all in base axes about the base origin.
 
-use super::articulation::{Axis, JointMotion, Parameters, Topology};
+use super::articulation::{Axis, JointMotion, Topology};
 use super::blocks::BLOCK;
 use super::lanes::Real;
 use super::math::{
     Mat3, Spatial, SpatialInertia, Sym3, Vec3, add, add_scaled, cross, cross_add, mul_sym, mul_vec, rotate_sym, scale,
     splat,
 };
+use super::parameters::BodyNumbers;
 use super::state::{LinkState, Workspace};
 
 /// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
@@ -80,9 +81,9 @@ fn direction<S: Real>(r: &Mat3<S>, axis: Axis) -> Vec3<S> {
 ///
 /// `base_velocity` is in base axes about the base origin. `position` and `velocity` are the joints'.
 #[inline(always)]
-pub fn forward_kinematics<S: Real>(
+pub fn forward_kinematics<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     position: &[S],
     velocity: &[S],
     base_velocity: &Spatial<S>,
@@ -98,7 +99,7 @@ pub fn forward_kinematics<S: Real>(
         // parents come before
         let (before, rest) = links.split_at_mut(j + 1);
         let (parent, link) = (&before[joint.parent], &mut rest[0]);
-        let offset = &parameters.joint_offset[j];
+        let offset = &parameters.joint_offset(j);
         link.position =
             if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
         match joint.motion {
@@ -120,18 +121,18 @@ pub fn forward_kinematics<S: Real>(
 
 /// Centre of mass of a link that is not the base, and inertia about it.
 #[inline(always)]
-fn about_com<S: Real>(parameters: &Parameters<S>, link: usize, at: &LinkState<S>) -> (Vec3<S>, Sym3<S>) {
-    let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com[link]));
-    (com, rotate_sym(&at.rotation, &parameters.inertia[link]))
+fn about_com<S: Real, B: BodyNumbers<S>>(parameters: B, link: usize, at: &LinkState<S>) -> (Vec3<S>, Sym3<S>) {
+    let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com(link)));
+    (com, rotate_sym(&at.rotation, &parameters.inertia(link)))
 }
 
 /// Spatial inertia of every link.
 #[inline(always)]
-pub fn link_inertias<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
-    work.links[0].inertia = SpatialInertia::new(parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+pub fn link_inertias<S: Real, B: BodyNumbers<S>>(topology: &Topology, parameters: B, work: &mut Workspace<S>) {
+    work.links[0].inertia = SpatialInertia::new(parameters.mass(0), &parameters.com(0), &parameters.inertia(0));
     for link in 1..topology.num_links() {
         let (com, inertia) = about_com(parameters, link, &work.links[link]);
-        work.links[link].inertia = SpatialInertia::new(parameters.mass[link], &com, &inertia);
+        work.links[link].inertia = SpatialInertia::new(parameters.mass(link), &com, &inertia);
     }
 }
 
@@ -162,9 +163,9 @@ fn link_force<S: Real>(
 /// the base's linear velocity (Galilean invariance), which is why link velocities must have been computed with it set
 /// to zero. `gravity` is in base axes.
 #[inline(always)]
-pub fn equations_of_motion<S: Real>(
+pub fn equations_of_motion<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     velocity: &[S],
     gravity: &Vec3<S>,
     work: &mut Workspace<S>,
@@ -172,7 +173,7 @@ pub fn equations_of_motion<S: Real>(
     let Workspace { links, bias_base, bias_joint, factor, .. } = work;
     let base = &mut links[0];
     base.acceleration = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
-    let (mass, com, about) = (parameters.mass[0], &parameters.com[0], &parameters.inertia[0]);
+    let (mass, com, about) = (parameters.mass(0), &parameters.com(0), &parameters.inertia(0));
     base.inertia = SpatialInertia::new(mass, com, about);
     base.force = link_force(mass, com, about, &base.velocity, &base.acceleration);
     for (j, joint) in topology.joints.iter().enumerate() {
@@ -180,14 +181,14 @@ pub fn equations_of_motion<S: Real>(
         let (parent, link) = (&before[joint.parent], &mut rest[0]);
         let relative = Spatial { ang: scale(&link.axis.ang, velocity[j]), lin: scale(&link.axis.lin, velocity[j]) };
         link.acceleration = parent.acceleration.plus(&link.velocity.cross_motion(&relative));
-        let (mass, (com, about)) = (parameters.mass[j + 1], about_com(parameters, j + 1, link));
+        let (mass, (com, about)) = (parameters.mass(j + 1), about_com(parameters, j + 1, link));
         link.inertia = SpatialInertia::new(mass, &com, &about);
         link.force = link_force(mass, &com, &about, &link.velocity, &link.acceleration);
     }
     for (b, block) in topology.blocks().iter().enumerate().rev() {
         for place in (0..block.len).rev() {
             let j = block.joints[place];
-            factor.set_joint(topology, b, place, links, parameters.armature[j]);
+            factor.set_joint(topology, b, place, links, parameters.armature(j));
             let (before, rest) = links.split_at_mut(j + 1);
             let (parent, link) = (&mut before[topology.joints[j].parent], &rest[0]);
             bias_joint[j] = link.axis.dot(&link.force);

@@ -29,6 +29,9 @@ pub trait Real:
     type Mask: Copy;
     /// Number of independent numbers in a value.
     const LANES: usize;
+    /// Whether steps of bodies that are alike read the numbers that lanes share from where they are held once. Where that is no
+    /// faster, it is not compiled.
+    const READS_ALIKE: bool = false;
     /// The same number in every lane.
     fn splat(x: f64) -> Self;
     /// `self * b + c`, rounded once.
@@ -344,6 +347,7 @@ macro_rules! native_lanes {
         impl Real for $name {
             type Mask = [$mask; $registers];
             const LANES: usize = $registers * $width;
+            const READS_ALIKE: bool = true;
             #[inline(always)]
             fn splat(x: f64) -> Self {
                 // SAFETY: as in `each`

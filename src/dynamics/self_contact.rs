@@ -3,10 +3,11 @@
 //! Most pairs are far apart in most steps, and are told by boxes along the base's axes: first those of two links, whose colliders are
 //! placed only when these meet, then those of two colliders. What is left out is further apart than the margin in every lane.
 
-use super::articulation::{Parameters, Topology};
+use super::articulation::Topology;
 use super::contact::{ContactSettings, reach_in_step, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
+use super::parameters::BodyNumbers;
 use super::proximity::{
     Capsule, Proximity, capsule_and_box, capsules, may_touch_box, nearest_on_capsules, nearest_to_box,
 };
@@ -95,9 +96,9 @@ fn turned_extent<S: Real>(rotation: &Mat3<S>, half: &Vec3<S>) -> Vec3<S> {
 
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
 #[inline(always)]
-pub fn build_pairs<S: Real>(
+pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     settings: &ContactSettings,
     dt: S,
     state: &State<S>,
@@ -169,9 +170,9 @@ fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_
 
 /// Puts a box around the colliders of each link, and finds how fast any point of it moves, now or freely.
 #[inline(always)]
-fn box_links<S: Real>(
+fn box_links<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     links: &[LinkState<S>],
     boxes: &mut [ColliderBox<S>],
 ) {
@@ -179,7 +180,7 @@ fn box_links<S: Real>(
         if topology.colliders_of(link).is_empty() {
             continue;
         }
-        let [cx, cy, cz, hx, hy, hz] = parameters.link_box[link];
+        let [cx, cy, cz, hx, hy, hz] = parameters.link_box(link);
         let half = [hx, hy, hz];
         out.centre = add(&at.position, &mul_vec(&at.rotation, &[cx, cy, cz]));
         out.extent = turned_extent(&at.rotation, &half);
@@ -195,7 +196,7 @@ fn box_links<S: Real>(
 }
 
 /// Puts the colliders where the workspace's kinematics has their links. For tools and tests: a step places those that it needs.
-pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>, work: &mut Workspace<S>) {
+pub fn place_colliders<S: Real, B: BodyNumbers<S>>(topology: &Topology, parameters: B, work: &mut Workspace<S>) {
     for (c, collider) in topology.colliders.iter().enumerate() {
         place_collider(topology, parameters, c, &work.links[collider.link], &mut work.colliders[c]);
     }
@@ -203,15 +204,15 @@ pub fn place_colliders<S: Real>(topology: &Topology, parameters: &Parameters<S>,
 
 /// Puts a collider where its link is.
 #[inline(always)]
-fn place_collider<S: Real>(
+fn place_collider<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     c: usize,
     at: &LinkState<S>,
     placed: &mut PlacedCollider<S>,
 ) {
-    let radius = parameters.collider_radius[c];
-    let (centre, half) = (&parameters.collider_centre[c], &parameters.collider_half[c]);
+    let radius = parameters.collider_radius(c);
+    let (centre, half) = (&parameters.collider_centre(c), &parameters.collider_half(c));
     let centre = add(&at.position, &mul_vec(&at.rotation, centre));
     // a box is turned when it meets a capsule
     if let Some(rotation) = &topology.colliders[c].box_rotation {
@@ -302,6 +303,7 @@ mod tests {
     use super::super::articulation::{Axis, ColliderTopology, JointMotion, JointTopology};
     use super::super::kinematics::forward_kinematics;
     use super::super::math::Spatial;
+    use super::super::parameters::Parameters;
     use super::*;
 
     /// Boxes along the base's axes never call two shapes further apart than they are.

@@ -1,9 +1,10 @@
 //! Warm-started Gauss-Seidel sweeps over contacts and joint bounds.
 
-use super::articulation::{Parameters, Topology};
+use super::articulation::Topology;
 use super::blocks::BLOCK;
 use super::contact::{ContactSettings, SWEEPS};
 use super::lanes::Real;
+use super::parameters::BodyNumbers;
 use super::rows::{BoundBlock, BoundRow, ContactRows, ContactWork};
 use super::sparse_rows::JointRows;
 
@@ -41,9 +42,9 @@ const SETTLED_DEEP: f64 = 0.03;
 /// The push moves the bodies and is then forgotten: it adds to no velocity, force or friction. (Were it part of them, it would
 /// win energy; and where links are jammed friction would resist it, the more the harder it pushes.)
 #[inline(always)]
-pub fn solve<S: Real>(
+pub fn solve<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     settings: &ContactSettings,
     work: &mut ContactWork<S>,
 ) {
@@ -75,9 +76,9 @@ pub fn solve<S: Real>(
 
 /// Sweeps until they change little, or as many as are asked for.
 #[inline(always)]
-fn first_turn<S: Real>(
+fn first_turn<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     settings: &ContactSettings,
     all: S::Mask,
     work: &mut ContactWork<S>,
@@ -239,15 +240,15 @@ fn push<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
 
 /// One sweep over the contacts, normals and friction, in the lanes that are `active`, which are `jammed` after the first turn.
 #[inline(always)]
-fn sweep_contacts<S: Real>(
+fn sweep_contacts<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     active: S::Mask,
     jammed: bool,
     work: &mut ContactWork<S>,
 ) {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
-    let friction = [parameters.static_friction, parameters.dynamic_friction];
+    let friction = [parameters.static_friction(), parameters.dynamic_friction()];
     // a copy, which stays in registers from one visit to the next
     let mut base = *y_base;
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {

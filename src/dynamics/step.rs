@@ -1,13 +1,14 @@
 //! One control step of a pack: actuators, forward dynamics with contact, integration, substep after substep.
 
-use super::articulation::{EffortTable, Parameters, Topology};
+use super::articulation::{EffortTable, Topology};
 use super::blocks::{BLOCK, gather};
 use super::contact::{self, ContactSettings};
 use super::kinematics;
-use super::lanes::{Kernel, Real};
+use super::lanes::{Kernel, Lanes, Real};
 use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
+use super::parameters::{Alike, BodyNumbers, Parameters};
 use super::rows::ContactWork;
 use super::self_contact;
 use super::solver;
@@ -37,6 +38,8 @@ pub struct ControlStep<'a, S> {
     pub terrain: Option<Terrain<'a, S>>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
+    /// The body of their kind, if they are all [alike](Parameters::is_alike) it: that makes the step faster and changes no bit of it.
+    pub kind: Option<&'a Parameters<f32>>,
     /// What is asked of the actuators.
     pub drive: &'a Drive<S>,
     /// Moves forward by `decimation` physics steps.
@@ -47,12 +50,32 @@ pub struct ControlStep<'a, S> {
     pub work: &'a mut Workspace<S>,
 }
 
-impl<S: Real> Kernel<S> for ControlStep<'_, S> {
+impl<L: Lanes> ControlStep<'_, L> {
+    /// Makes the step, on the lanes' instruction set.
+    pub fn run(self) {
+        let parameters = self.parameters;
+        match self.kind {
+            Some(kind) if L::READS_ALIKE => {
+                L::vectorize(StepOf { parameters: Alike { kind, own: parameters }, step: self })
+            }
+            _ => L::vectorize(StepOf { parameters, step: self }),
+        }
+    }
+}
+
+/// A control step of bodies whose numbers are read as `B` has them.
+struct StepOf<'a, S, B> {
+    parameters: B,
+    step: ControlStep<'a, S>,
+}
+
+impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { topology, settings, terrain, parameters, drive, state, report, work } = self;
+        let Self { parameters, step: ControlStep { topology, settings, terrain, drive, state, report, work, .. } } =
+            self;
         report.touched.fill(false);
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
@@ -108,9 +131,9 @@ const STIFFNESS_SHARE: f64 = (1.0 + LOOK_AHEAD) * (1.0 + LOOK_AHEAD) / 4.0;
 /// Inside the limits the gains act implicitly: their share of the velocity change goes to `effort_slope` and onto the
 /// mass matrix's diagonal. A saturated actuator gives its limit, explicitly, and so does an explicit one always.
 #[inline(always)]
-fn actuate<S: Real>(
+fn actuate<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     drive: &Drive<S>,
     dt: S,
     state: &State<S>,
@@ -120,16 +143,16 @@ fn actuate<S: Real>(
     let (look_ahead, share) = (dt * S::splat(LOOK_AHEAD), dt * S::splat(STIFFNESS_SHARE));
     for (j, joint) in topology.joints.iter().enumerate() {
         let (q, v) = (state.joint_position[j], state.joint_velocity[j]);
-        let (kp, kd) = (parameters.stiffness[j], parameters.damping[j]);
+        let (kp, kd) = (parameters.stiffness(j), parameters.damping(j));
         let ahead = if joint.explicit { z } else { look_ahead };
         let spring = kp.mul_add(v.neg_mul_add(ahead, work.target[j] - q), -(kd * v));
         let wanted = spring + drive.feedforward[j];
-        let mut limit = parameters.effort_limit[j];
+        let mut limit = parameters.effort_limit(j);
         if let Some(table) = &joint.effort_table {
             limit = limit * table_limit(table, q);
         }
-        let stall = parameters.saturation_effort[j];
-        let speed = v / parameters.motor_velocity_limit[j];
+        let stall = parameters.saturation_effort(j);
+        let speed = v / parameters.motor_velocity_limit(j);
         let most = (stall * (one - speed)).clamp(z, limit);
         let least = (stall * (-one - speed)).clamp(-limit, z);
         let effort = wanted.clamp(least, most);
@@ -140,11 +163,11 @@ fn actuate<S: Real>(
 }
 
 #[inline(always)]
-fn physics_step<S: Real>(
+fn physics_step<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
     settings: &StepSettings,
     terrain: Option<&Terrain<S>>,
-    parameters: &Parameters<S>,
+    parameters: B,
     drive: &Drive<S>,
     state: &mut State<S>,
     report: &mut Report<S>,
@@ -165,10 +188,10 @@ fn physics_step<S: Real>(
         work.rhs_joint[b] = [z; BLOCK];
         for place in 0..block.len {
             let j = block.joints[place];
-            let slope = work.effort_slope[j] + parameters.joint_damping[j];
+            let slope = work.effort_slope[j] + parameters.joint_damping(j);
             let diagonal = &mut work.factor.blocks[b].diagonal[place];
             *diagonal = slope.mul_add(dt, *diagonal);
-            let passive = parameters.joint_damping[j] * state.joint_velocity[j];
+            let passive = parameters.joint_damping(j) * state.joint_velocity[j];
             work.rhs_joint[b][place] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
         }
     }
@@ -178,7 +201,7 @@ fn physics_step<S: Real>(
     let linear = mul_vec_transposed(&work.base_rotation, &state.linear_velocity);
     let w = state.angular_velocity;
     work.velocity_base = [w[0], w[1], w[2], linear[0], linear[1], linear[2]];
-    let [tx, ty, tz] = add(&drive.base_torque, &cross(&parameters.com[0], &drive.base_force));
+    let [tx, ty, tz] = add(&drive.base_torque, &cross(&parameters.com(0), &drive.base_force));
     let [fx, fy, fz] = drive.base_force;
     let mut impulse = [tx, ty, tz, fx, fy, fz];
     for r in 0..6 {
@@ -263,9 +286,9 @@ fn physics_step<S: Real>(
 
 /// Positions and velocities of the sites at the end of the control step.
 #[inline(always)]
-pub(crate) fn report_sites<S: Real>(
+pub(crate) fn report_sites<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
-    parameters: &Parameters<S>,
+    parameters: B,
     state: &State<S>,
     report: &mut Report<S>,
     work: &mut Workspace<S>,
@@ -274,7 +297,7 @@ pub(crate) fn report_sites<S: Real>(
     let base = Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) };
     kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &base, work);
     for (s, &link) in topology.sites.iter().enumerate() {
-        let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position[s]);
+        let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position(s));
         report.site_position[s] = add(&state.position, &mul_vec(&rotation, &at));
         report.site_velocity[s] = mul_vec(&rotation, &velocity);
     }

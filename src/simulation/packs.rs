@@ -83,6 +83,9 @@ struct Pack<L> {
 
 struct LanePacks<L> {
     packs: Vec<Pack<L>>,
+    kind: Parameters<f32>,
+    /// Whether all bodies are [alike](Parameters::is_alike) that of their kind.
+    alike: bool,
     /// One per chunk of work.
     workspaces: Vec<Workspace<L>>,
 }
@@ -102,7 +105,8 @@ impl<L: Lanes> LanePacks<L> {
                 report: Report::zeros(topology, 1),
             })
             .collect();
-        Self { packs, workspaces: (0..chunks).map(|_| Workspace::new(topology)).collect() }
+        let kind = Parameters::from_scalars(topology, nominal);
+        Self { packs, kind, alike: true, workspaces: (0..chunks).map(|_| Workspace::new(topology)).collect() }
     }
 
     fn at(&self, env: usize) -> (&Pack<L>, usize) {
@@ -171,6 +175,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
     }
 
     fn write_parameters(&mut self, env: usize, parameters: &Parameters<f64>) {
+        self.alike &= parameters.is_alike(&self.kind);
         let (pack, lanes) = self.at_mut(env);
         for lane in lanes {
             pack.parameters.set_lane(lane, parameters);
@@ -180,6 +185,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
     }
 
     fn write_joints(&mut self, envs: &EnvIds, field: JointField, rows: &Rows) {
+        self.alike &= matches!(field, JointField::Target | JointField::Effort);
         for row in 0..envs.len() {
             let (pack, lanes) = self.at_mut(envs.get(row));
             for (joint, x) in pack.joints_mut(field).iter_mut().enumerate() {
@@ -212,10 +218,11 @@ impl<L: Lanes> Packs for LanePacks<L> {
         n: usize,
     ) {
         let per_chunk = self.packs.len().div_ceil(self.workspaces.len()).max(1);
+        let kind = Some(&self.kind).filter(|_| self.alike && actuation == Actuation::Targets);
         let tasks = self.packs.chunks_mut(per_chunk).zip(&mut self.workspaces);
         workers.for_each(tasks, |(packs, work)| {
             for pack in packs {
-                pack.step(topology, settings, work, actuation, n);
+                pack.step(topology, kind, settings, work, actuation, n);
             }
         });
     }
@@ -236,6 +243,7 @@ impl<L: Lanes> Pack<L> {
     fn step(
         &mut self,
         topology: &Topology,
+        kind: Option<&Parameters<f32>>,
         settings: &StepSettings,
         work: &mut Workspace<L>,
         actuation: Actuation,
@@ -260,16 +268,18 @@ impl<L: Lanes> Pack<L> {
         let mut left = n;
         while left > 0 {
             let decimation = left.min(MAX_RUN);
-            L::vectorize(ControlStep {
+            let step = ControlStep {
                 topology,
                 settings: &StepSettings { decimation, ..*settings },
                 terrain: None,
                 parameters: &self.parameters,
+                kind,
                 drive: &self.drive,
                 state: &mut self.state,
                 report: &mut self.report,
                 work: &mut *work,
-            });
+            };
+            step.run();
             left -= decimation;
         }
     }

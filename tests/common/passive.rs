@@ -1,6 +1,5 @@
 //! Passive bodies that nothing touches, for the tests of the integrator.
 
-use polypod::dynamics::lanes::Kernel;
 use polypod::dynamics::{
     ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Topology, Workspace,
 };
@@ -25,6 +24,7 @@ pub fn move_freely(
         settings: &settings,
         terrain: None,
         parameters,
+        kind: None,
         drive: &Drive::zeros(topology, 1),
         state,
         report: &mut Report::zeros(topology, steps),
