@@ -10,11 +10,11 @@ use super::blocks::{BLOCK, gather, scatter};
 use super::kinematics;
 use super::lanes::Real;
 use super::math::{
-    Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_sym, mul_vec, mul_vec_transposed, quat_to_mat,
-    rotate_sym, scale, sub,
+    Mat3, Spatial, SpatialInertia, Vec3, add, add_scaled, cross, dot, mul_mat, mul_sym, mul_vec, mul_vec_transposed,
+    quat_to_mat, rotate_sym, scale, sub,
 };
 use super::parameters::Parameters;
-use super::state::{State, Workspace};
+use super::state::{LinkState, State, Workspace};
 
 /// A body (or a pack of bodies) in a state, to be asked for its dynamics.
 pub struct Dynamics<'a, S> {
@@ -68,15 +68,20 @@ impl<S: Real> Dynamics<'_, S> {
 
     /// Leaves bias forces and the mass matrix, not factorised, in the workspace.
     fn equations_of_motion(&mut self) {
-        self.kinematics();
+        let state = self.state;
+        self.work.base_rotation = quat_to_mat(&state.rotation);
         let gravity = self.base_gravity();
-        // bias forces want the links' velocities without the base's linear one: see `kinematics::equations_of_motion`
-        let base_velocity = self.work.links[0].velocity.lin;
-        for link in &mut self.work.links {
-            link.velocity.lin = sub(&link.velocity.lin, &base_velocity);
-        }
-        let velocity = &self.state.joint_velocity;
-        kinematics::equations_of_motion(self.topology, self.parameters, velocity, &gravity, self.work);
+        let turning = if self.topology.floating { state.angular_velocity } else { [S::zero(); 3] };
+        let (position, velocity) = (&state.joint_position, &state.joint_velocity);
+        kinematics::equations_of_motion(
+            self.topology,
+            self.parameters,
+            position,
+            velocity,
+            &turning,
+            &gravity,
+            self.work,
+        );
     }
 
     /// The base's part of a generalised vector from the engine's order (angular, linear; base axes).
@@ -323,13 +328,12 @@ impl<S: Real> Dynamics<'_, S> {
     /// at the world's origin, J.
     pub fn energy(&mut self) -> (S, S) {
         self.kinematics();
-        kinematics::link_inertias(self.topology, self.parameters, self.work);
         let gravity = self.gravity.map(S::splat);
         let mut double_kinetic = S::zero();
         let mut moment = [S::zero(); 3];
-        for at in &self.work.links {
-            double_kinetic = double_kinetic + at.velocity.dot(&at.inertia.apply(&at.velocity));
-            moment = add(&moment, &at.inertia.moment);
+        for (at, inertia) in self.link_inertias() {
+            double_kinetic = double_kinetic + at.velocity.dot(&inertia.apply(&at.velocity));
+            moment = add(&moment, &inertia.moment);
         }
         for (&v, &armature) in self.state.joint_velocity.iter().zip(&self.parameters.armature) {
             double_kinetic = (armature * v).mul_add(v, double_kinetic);
@@ -342,10 +346,9 @@ impl<S: Real> Dynamics<'_, S> {
     /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, in world axes; without rotors.
     pub fn momentum(&mut self) -> (Vec3<S>, Vec3<S>) {
         self.kinematics();
-        kinematics::link_inertias(self.topology, self.parameters, self.work);
         let mut total = Spatial::zero();
-        for at in &self.work.links {
-            total = total.plus(&at.inertia.apply(&at.velocity));
+        for (at, inertia) in self.link_inertias() {
+            total = total.plus(&inertia.apply(&at.velocity));
         }
         let com = self.base_com();
         let about_com = sub(&total.ang, &cross(&com, &total.lin));
@@ -356,13 +359,18 @@ impl<S: Real> Dynamics<'_, S> {
     /// Centre of mass in the world, m.
     pub fn center_of_mass(&mut self) -> Vec3<S> {
         self.kinematics();
-        kinematics::link_inertias(self.topology, self.parameters, self.work);
         add(&self.state.position, &mul_vec(&self.work.base_rotation, &self.base_com()))
     }
 
-    /// Centre of mass in base axes about the base's origin; link inertias must be in the workspace.
+    /// All links, with their spatial inertias; [`kinematics`](Self::kinematics) must have placed them.
+    fn link_inertias(&self) -> impl Iterator<Item = (&LinkState<S>, SpatialInertia<S>)> {
+        let inertia = |(link, at)| (at, kinematics::link_inertia(self.parameters, link, at));
+        self.work.links.iter().enumerate().map(inertia)
+    }
+
+    /// Centre of mass in base axes about the base's origin, likewise.
     fn base_com(&self) -> Vec3<S> {
-        let moment = self.work.links.iter().fold([S::zero(); 3], |sum, link| add(&sum, &link.inertia.moment));
+        let moment = self.link_inertias().fold([S::zero(); 3], |sum, (_, inertia)| add(&sum, &inertia.moment));
         scale(&moment, S::one() / self.parameters.total_mass())
     }
 }

@@ -321,6 +321,23 @@ impl Topology {
         &self.blocks.blocks
     }
 
+    /// The blocks of each tree that the base carries, each after those that carry it.
+    #[inline(always)]
+    pub(super) fn trees(&self) -> &[Vec<usize>] {
+        &self.blocks.trees
+    }
+
+    /// The place of a link among those of its tree, after the links that carry it; that of the base is 0.
+    #[inline(always)]
+    pub(super) fn slot(&self, link: usize) -> usize {
+        self.blocks.slots[link]
+    }
+
+    /// How many such places there are.
+    pub(super) fn num_slots(&self) -> usize {
+        self.blocks.slots.iter().max().map_or(1, |last| last + 1)
+    }
+
     /// Number of couplings between blocks.
     pub(super) fn num_couplings(&self) -> usize {
         self.blocks.num_couplings

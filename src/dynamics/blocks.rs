@@ -48,11 +48,15 @@ pub(super) struct Blocks {
     /// The block of each joint, and its place there.
     place: Vec<(usize, usize)>,
     pub(super) num_couplings: usize,
+    /// The blocks of each tree that the base carries, in their order.
+    pub(super) trees: Vec<Vec<usize>>,
+    /// The place of each link among those of its tree, which are counted from 1; that of the base is 0.
+    pub(super) slots: Vec<usize>,
 }
 
 impl Blocks {
     pub(super) fn new(joints: &[JointTopology]) -> Self {
-        let mut all = Self::default();
+        let mut all = Self { slots: vec![0; joints.len() + 1], ..Self::default() };
         for (j, joint) in joints.iter().enumerate() {
             let parent = joint.parent.checked_sub(1).map(|parent| all.place[parent]);
             match parent {
@@ -67,8 +71,19 @@ impl Blocks {
                     all.place.push((all.blocks.len(), 0));
                     all.num_couplings += carriers.len();
                     let first_coupling = all.num_couplings - carriers.len();
+                    let root = carriers.last().map(|root: &Carrier| root.block);
+                    match all.trees.iter_mut().find(|tree| Some(tree[0]) == root) {
+                        Some(tree) => tree.push(all.blocks.len()),
+                        None => all.trees.push(vec![all.blocks.len()]),
+                    }
                     all.blocks.push(Block { joints: [j; BLOCK], len: 1, carriers, first_coupling });
                 }
+            }
+        }
+        for tree in &all.trees {
+            let joints = tree.iter().flat_map(|&b| &all.blocks[b].joints[..all.blocks[b].len]);
+            for (place, joint) in joints.enumerate() {
+                all.slots[joint + 1] = place + 1;
             }
         }
         all

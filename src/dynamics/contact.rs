@@ -176,12 +176,12 @@ pub fn build_contacts<S: Real, B: BodyNumbers<S>>(
     free_base: &Spatial<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { base_rotation, links, factor, velocity_base, contact: rows, .. } = work;
+    let Workspace { base_rotation, links, dynamics, factor, velocity_base, contact: rows, .. } = work;
     let margin = S::splat(CONTACT_MARGIN);
     // the links' velocities have all of the base's but this
     let base = Spatial { ang: [S::zero(); 3], lin: [velocity_base[3], velocity_base[4], velocity_base[5]] };
     // composite by now: the whole robot's
-    rows.clear(links[0].inertia.mass);
+    rows.clear(dynamics[0].inertia.mass);
     let Some(plane) = &settings.ground else {
         return;
     };
@@ -345,7 +345,12 @@ pub fn build_bounds<S: Real, B: BodyNumbers<S>>(
         }
         for place in 0..shape.len {
             let (j, row) = (shape.joints[place], &mut block.joints[place]);
-            bound(parameters, settings, inverse_dt, dt, state, j, near[place], row, violation);
+            row.max_friction = parameters.joint_friction(j) * dt;
+            // of both together as much as friction can
+            row.friction_impulse = state.bound_impulse[j].clamp(-row.max_friction, row.max_friction);
+            if block.limits {
+                joint_limits(parameters, settings, inverse_dt, state, j, near[place], row, violation);
+            }
         }
         for place in shape.len..BLOCK {
             block.joints[place] = BoundRow::free();
@@ -374,13 +379,12 @@ fn near_bounds<S: Real, B: BodyNumbers<S>>(parameters: B, dt: S, state: &State<S
     S::or(position, (fastest * S::splat(SPEED_MARGIN)).lt(speed))
 }
 
-/// What the bounds of a joint ask for, limits in the lanes that are `near` them.
+/// What the limits of a joint ask for, in the lanes that are `near` them.
 #[inline(always)]
-fn bound<S: Real, B: BodyNumbers<S>>(
+fn joint_limits<S: Real, B: BodyNumbers<S>>(
     parameters: B,
     settings: &ContactSettings,
     inverse_dt: S,
-    dt: S,
     state: &State<S>,
     j: usize,
     near: S::Mask,
@@ -388,11 +392,7 @@ fn bound<S: Real, B: BodyNumbers<S>>(
     violation: &mut S,
 ) {
     let (z, never) = (S::zero(), S::splat(NEVER));
-    row.max_friction = parameters.joint_friction(j) * dt;
-    // of both together as much as friction can
-    let before = state.bound_impulse[j];
-    (row.friction_impulse, row.push_impulse) = (before.clamp(-row.max_friction, row.max_friction), z);
-    (row.lowest, row.highest, row.limit_impulse) = (never, -never, z);
+    (row.lowest, row.highest, row.limit_impulse, row.push_impulse) = (never, -never, z, z);
     if row.limits {
         let (q, fastest) = (state.joint_position[j], parameters.velocity_limit(j));
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
@@ -404,7 +404,7 @@ fn bound<S: Real, B: BodyNumbers<S>>(
         *violation = violation.max(S::select(near, up.max(down), z));
         row.lowest = S::select(near, lowest, never);
         row.highest = S::select(near, highest, -never);
-        row.limit_impulse = S::select(near, before - row.friction_impulse, z);
+        row.limit_impulse = S::select(near, state.bound_impulse[j] - row.friction_impulse, z);
     }
 }
 

@@ -55,11 +55,19 @@ impl<S: Real> Factor<S> {
         }
     }
 
-    /// The mass matrix's row of the joint at a place of a block, from the composite inertia of the link it moves.
+    /// The mass matrix's row of the joint at a place of a block, from the composite `inertia` of the link it moves.
     #[inline(always)]
-    pub fn set_joint(&mut self, topology: &Topology, block: usize, place: usize, links: &[LinkState<S>], armature: S) {
+    pub fn set_joint(
+        &mut self,
+        topology: &Topology,
+        block: usize,
+        place: usize,
+        links: &[LinkState<S>],
+        inertia: &SpatialInertia<S>,
+        armature: S,
+    ) {
         let (shape, own) = (&topology.blocks()[block], &mut self.blocks[block]);
-        let LinkState { axis, inertia, .. } = &links[shape.joints[place] + 1];
+        let axis = &links[shape.joints[place] + 1].axis;
         let force = inertia.apply(axis);
         own.diagonal[place] = axis.dot(&force) + armature;
         for t in 0..place {

@@ -8,7 +8,7 @@ use super::math::{
     splat,
 };
 use super::parameters::BodyNumbers;
-use super::state::{LinkState, Workspace};
+use super::state::{LinkDynamics, LinkState, Workspace};
 
 /// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
 #[inline(always)]
@@ -89,51 +89,65 @@ pub fn forward_kinematics<S: Real, B: BodyNumbers<S>>(
     base_velocity: &Spatial<S>,
     work: &mut Workspace<S>,
 ) {
-    let (z, one) = (S::zero(), S::one());
     let links = &mut work.links[..];
-    let base = &mut links[0];
-    base.rotation = [[one, z, z], [z, one, z], [z, z, one]];
-    base.position = [z; 3];
-    base.velocity = *base_velocity;
-    for (j, joint) in topology.joints.iter().enumerate() {
-        // parents come before
-        let (before, rest) = links.split_at_mut(j + 1);
-        let (parent, link) = (&before[joint.parent], &mut rest[0]);
-        let offset = &parameters.joint_offset(j);
-        link.position =
-            if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
-        match joint.motion {
-            JointMotion::Revolute => {
-                let (rotation, axis) = turned(&parent.rotation, joint.axis, position[j]);
-                link.rotation = rotation;
-                link.axis = Spatial { ang: axis, lin: cross(&link.position, &axis) };
-            }
-            JointMotion::Prismatic => {
-                let axis = direction(&parent.rotation, joint.axis);
-                link.position = add_scaled(&link.position, &axis, position[j]);
-                link.rotation = parent.rotation;
-                link.axis = Spatial { ang: [z; 3], lin: axis };
-            }
-        }
-        link.velocity = parent.velocity.plus_scaled(&link.axis, velocity[j]);
+    place_base(base_velocity, &mut links[0]);
+    for j in 0..topology.num_joints() {
+        place_link(topology, parameters, j, position[j], velocity[j], links);
     }
 }
 
-/// Centre of mass of a link that is not the base, and inertia about it.
+/// Position and velocity of the base.
+#[inline(always)]
+fn place_base<S: Real>(velocity: &Spatial<S>, base: &mut LinkState<S>) {
+    let (z, one) = (S::zero(), S::one());
+    base.rotation = [[one, z, z], [z, one, z], [z, z, one]];
+    base.position = [z; 3];
+    base.velocity = *velocity;
+}
+
+/// Position, axis and velocity of the link that a joint moves, after those of its parent.
+#[inline(always)]
+fn place_link<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    parameters: B,
+    j: usize,
+    position: S,
+    velocity: S,
+    links: &mut [LinkState<S>],
+) {
+    let joint = &topology.joints[j];
+    // parents come before
+    let (before, rest) = links.split_at_mut(j + 1);
+    let (parent, link) = (&before[joint.parent], &mut rest[0]);
+    let offset = &parameters.joint_offset(j);
+    link.position = if joint.parent == 0 { *offset } else { add(&parent.position, &mul_vec(&parent.rotation, offset)) };
+    match joint.motion {
+        JointMotion::Revolute => {
+            let (rotation, axis) = turned(&parent.rotation, joint.axis, position);
+            link.rotation = rotation;
+            link.axis = Spatial { ang: axis, lin: cross(&link.position, &axis) };
+        }
+        JointMotion::Prismatic => {
+            let axis = direction(&parent.rotation, joint.axis);
+            link.position = add_scaled(&link.position, &axis, position);
+            link.rotation = parent.rotation;
+            link.axis = Spatial { ang: [S::zero(); 3], lin: axis };
+        }
+    }
+    link.velocity = parent.velocity.plus_scaled(&link.axis, velocity);
+}
+
+/// Centre of mass of a link and inertia about it.
 #[inline(always)]
 fn about_com<S: Real, B: BodyNumbers<S>>(parameters: B, link: usize, at: &LinkState<S>) -> (Vec3<S>, Sym3<S>) {
     let com = add(&at.position, &mul_vec(&at.rotation, &parameters.com(link)));
     (com, rotate_sym(&at.rotation, &parameters.inertia(link)))
 }
 
-/// Spatial inertia of every link.
-#[inline(always)]
-pub fn link_inertias<S: Real, B: BodyNumbers<S>>(topology: &Topology, parameters: B, work: &mut Workspace<S>) {
-    work.links[0].inertia = SpatialInertia::new(parameters.mass(0), &parameters.com(0), &parameters.inertia(0));
-    for link in 1..topology.num_links() {
-        let (com, inertia) = about_com(parameters, link, &work.links[link]);
-        work.links[link].inertia = SpatialInertia::new(parameters.mass(link), &com, &inertia);
-    }
+/// Spatial inertia of a link where it is.
+pub fn link_inertia<S: Real, B: BodyNumbers<S>>(parameters: B, link: usize, at: &LinkState<S>) -> SpatialInertia<S> {
+    let (com, inertia) = about_com(parameters, link, at);
+    SpatialInertia::new(parameters.mass(link), &com, &inertia)
 }
 
 /// The force that a link's motion and gravity ask for, by Newton's and Euler's equations about its centre of mass `com`.
@@ -152,53 +166,74 @@ fn link_force<S: Real>(
     Spatial { ang: cross_add(com, &lin, &torque), lin }
 }
 
-/// Bias forces and the mass matrix, in one pass from the base to the leaves and one back.
+/// Positions, axes and velocities of all links, bias forces and the mass matrix: tree after tree, each from the base to the leaves and
+/// back, so that what a leg needs is at hand.
 ///
 /// Bias forces are what the present motion asks for at zero acceleration, by the recursive Newton-Euler algorithm
 /// (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 5.1); into `bias_base` and `bias_joint`. The mass matrix is that of
-/// the composite-rigid-body algorithm (table 6.2), with `armature` on the joints' diagonal; into the factor. Inertias are composite
-/// afterwards: each link with all that it carries.
+/// the composite-rigid-body algorithm (table 6.2), with `armature` on the joints' diagonal; into the factor. The base's inertia is
+/// composite afterwards: that of the whole robot.
 ///
 /// The base's acceleration is the classical one of its origin in inertial axes. That makes the result independent of
-/// the base's linear velocity (Galilean invariance), which is why link velocities must have been computed with it set
-/// to zero. `gravity` is in base axes.
+/// the base's linear velocity (Galilean invariance), which link velocities therefore leave out: of the base's motion they have the
+/// `turning` alone. `gravity` is in base axes, `position` and `velocity` are the joints'.
 #[inline(always)]
 pub fn equations_of_motion<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
     parameters: B,
+    position: &[S],
     velocity: &[S],
+    turning: &Vec3<S>,
     gravity: &Vec3<S>,
     work: &mut Workspace<S>,
 ) {
-    let Workspace { links, bias_base, bias_joint, factor, .. } = work;
+    let Workspace { links, dynamics, bias_base, bias_joint, factor, .. } = work;
+    let (links, dynamics) = (&mut links[..], &mut dynamics[..]);
     let base = &mut links[0];
-    base.acceleration = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
+    place_base(&Spatial { ang: *turning, lin: [S::zero(); 3] }, base);
+    let falling = Spatial { ang: [S::zero(); 3], lin: scale(gravity, -S::one()) };
     let (mass, com, about) = (parameters.mass(0), &parameters.com(0), &parameters.inertia(0));
-    base.inertia = SpatialInertia::new(mass, com, about);
-    base.force = link_force(mass, com, about, &base.velocity, &base.acceleration);
-    for (j, joint) in topology.joints.iter().enumerate() {
-        let (before, rest) = links.split_at_mut(j + 1);
-        let (parent, link) = (&before[joint.parent], &mut rest[0]);
-        let relative = Spatial { ang: scale(&link.axis.ang, velocity[j]), lin: scale(&link.axis.lin, velocity[j]) };
-        link.acceleration = parent.acceleration.plus(&link.velocity.cross_motion(&relative));
-        let (mass, (com, about)) = (parameters.mass(j + 1), about_com(parameters, j + 1, link));
-        link.inertia = SpatialInertia::new(mass, &com, &about);
-        link.force = link_force(mass, &com, &about, &link.velocity, &link.acceleration);
-    }
-    for (b, block) in topology.blocks().iter().enumerate().rev() {
-        for place in (0..block.len).rev() {
-            let j = block.joints[place];
-            factor.set_joint(topology, b, place, links, parameters.armature(j));
-            let (before, rest) = links.split_at_mut(j + 1);
-            let (parent, link) = (&mut before[topology.joints[j].parent], &rest[0]);
-            bias_joint[j] = link.axis.dot(&link.force);
-            parent.force = parent.force.plus(&link.force);
-            parent.inertia = parent.inertia.plus(&link.inertia);
+    dynamics[0] = LinkDynamics {
+        acceleration: falling,
+        inertia: SpatialInertia::new(mass, com, about),
+        force: link_force(mass, com, about, &base.velocity, &falling),
+    };
+    for tree in topology.trees().iter().rev() {
+        for &b in tree {
+            let block = &topology.blocks()[b];
+            for place in 0..block.len {
+                let j = block.joints[place];
+                place_link(topology, parameters, j, position[j], velocity[j], links);
+            }
+            for place in 0..block.len {
+                let j = block.joints[place];
+                let (before, rest) = dynamics.split_at_mut(topology.slot(j + 1));
+                let (parent, own, link) =
+                    (&before[topology.slot(topology.joints[j].parent)], &mut rest[0], &links[j + 1]);
+                let relative =
+                    Spatial { ang: scale(&link.axis.ang, velocity[j]), lin: scale(&link.axis.lin, velocity[j]) };
+                own.acceleration = parent.acceleration.plus(&link.velocity.cross_motion(&relative));
+                let (mass, (com, about)) = (parameters.mass(j + 1), about_com(parameters, j + 1, link));
+                own.inertia = SpatialInertia::new(mass, &com, &about);
+                own.force = link_force(mass, &com, &about, &link.velocity, &own.acceleration);
+            }
         }
-        factor.set_empty_places(block, b);
+        for &b in tree.iter().rev() {
+            let block = &topology.blocks()[b];
+            for place in (0..block.len).rev() {
+                let j = block.joints[place];
+                let (before, rest) = dynamics.split_at_mut(topology.slot(j + 1));
+                let (parent, own) = (&mut before[topology.slot(topology.joints[j].parent)], &rest[0]);
+                factor.set_joint(topology, b, place, links, &own.inertia, parameters.armature(j));
+                bias_joint[j] = links[j + 1].axis.dot(&own.force);
+                parent.force = parent.force.plus(&own.force);
+                parent.inertia = parent.inertia.plus(&own.inertia);
+            }
+            factor.set_empty_places(block, b);
+        }
     }
-    *bias_base = links[0].force.to_array();
-    factor.set_base(&links[0].inertia);
+    *bias_base = dynamics[0].force.to_array();
+    factor.set_base(&dynamics[0].inertia);
 }
 
 /// Position and velocity, in base axes, of a point fixed to a link.

@@ -9,7 +9,7 @@ use super::blocks::{BLOCK, PathPart};
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Vec3, cross, dot, scale, sub};
-use super::sparse_rows::{JointRows, SparseRows};
+use super::sparse_rows::{JointRows, SparseRows, UnitRows};
 use super::state::LinkState;
 
 /// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
@@ -53,7 +53,8 @@ pub(super) struct ContactRows<S> {
     pub(super) awake: bool,
 }
 
-/// The bounds of one joint; but for `limits` and `rubs` its numbers mean nothing unless its block takes part.
+/// The bounds of one joint. But for `limits` and `rubs` its numbers mean nothing unless its block takes part, and those of limits
+/// unless any joint of its block is near one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BoundRow<S> {
     /// Whether any lane is near a limit.
@@ -113,7 +114,7 @@ pub(super) struct BoundBlock<S> {
     pub(super) limits: bool,
     /// Whether that is so or any joint has dry friction, in any lane that is still swept over: else the block takes no part.
     pub(super) active: bool,
-    pub(super) rows: SparseRows<S>,
+    pub(super) rows: UnitRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
     /// What a change of one row's dry friction takes from that of a later one while neither slides: 0-1, 0-2, 1-2.
@@ -163,7 +164,7 @@ impl<S: Real> ContactWork<S> {
         let free = BoundBlock {
             limits: false,
             active: false,
-            rows: SparseRows::zero(),
+            rows: UnitRows::zero(),
             coupling: [z; 3],
             rubbing: [z; 3],
             joints: [BoundRow::free(); BLOCK],

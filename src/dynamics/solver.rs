@@ -125,9 +125,11 @@ fn wake<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
     for block in &mut work.bounds {
         block.active = false;
         for row in &block.joints {
-            if row.takes_part() {
-                let takes_part = S::or(row.is_bounded(), S::zero().lt(row.max_friction));
-                block.active |= S::any(S::and(active, takes_part));
+            if row.limits {
+                block.active |= S::any(S::and(active, row.is_bounded()));
+            }
+            if row.rubs {
+                block.active |= S::any(S::and(active, S::zero().lt(row.max_friction)));
             }
         }
     }
@@ -167,9 +169,11 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
             let [first, second, third] = &block.joints;
             let impulse = [first.impulse(), second.impulse(), third.impulse()];
             block.rows.apply(topology, further, &impulse, moved_base, moved_joints);
-            for row in &block.joints {
-                let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
-                targets = target.mul_add(row.limit_impulse, targets);
+            if block.limits {
+                for row in &block.joints {
+                    let target = S::select(z.lt(row.limit_impulse), row.lowest.min(z), row.highest.max(z));
+                    targets = target.mul_add(row.limit_impulse, targets);
+                }
             }
         }
     }
@@ -194,8 +198,10 @@ fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     for block in &mut work.bounds {
         if block.active {
             for row in &mut block.joints {
-                row.limit_impulse = row.limit_impulse * share;
                 row.friction_impulse = row.friction_impulse * share;
+                if block.limits {
+                    row.limit_impulse = row.limit_impulse * share;
+                }
             }
         }
     }
@@ -489,7 +495,7 @@ impl<S: Real> BoundRow<S> {
     /// That of the limit and of dry friction together.
     #[inline(always)]
     pub(super) fn impulse(&self) -> S {
-        self.limit_impulse + self.friction_impulse
+        if self.limits { self.limit_impulse + self.friction_impulse } else { self.friction_impulse }
     }
 
     /// The impulse of dry friction that would bring a velocity to zero.

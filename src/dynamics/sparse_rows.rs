@@ -14,9 +14,12 @@ use super::lanes::Real;
 /// Joint parts of three rows in one block: `[joint][row]`.
 pub(super) type JointRows<S> = [[S; 3]; BLOCK];
 
-/// Three rows: of a contact, or of a block's joints.
+/// Pairs of three rows, the earlier one first.
+const PRODUCTS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+
+/// Three rows, of a contact, or with `UNITS` of a block's joints: then the numbers below the diagonal of `own` are zero, and left out.
 #[derive(Clone, Debug)]
-pub(super) struct SparseRows<S> {
+pub(super) struct SparseRows<S, const UNITS: bool = false> {
     /// The path of the joints they act on, in the topology.
     pub(super) path: usize,
     /// The number of blocks on it, and the first one; 0 if there is none.
@@ -27,10 +30,19 @@ pub(super) struct SparseRows<S> {
     pub(super) own: JointRows<S>,
 }
 
-impl<S: Real> SparseRows<S> {
+/// The rows of a block's joints.
+pub(super) type UnitRows<S> = SparseRows<S, true>;
+
+impl<S: Real, const UNITS: bool> SparseRows<S, UNITS> {
     pub(super) fn zero() -> Self {
         let z = S::zero();
         Self { path: 0, parts: 0, block: 0, base: [[z; 6]; 3], own: [[z; 3]; BLOCK] }
+    }
+
+    /// Whether a row has a part of a joint of the block. Loops ask inside, since only those over all rows are unrolled.
+    #[inline(always)]
+    const fn has(joint: usize, row: usize) -> bool {
+        !UNITS || row >= joint
     }
 
     /// Takes a path; the numbers must follow.
@@ -68,7 +80,9 @@ impl<S: Real> SparseRows<S> {
         }
         for s in 1..BLOCK {
             for d in 0..3 {
-                even[d] = self.own[s][d].mul_add(y[s], even[d]);
+                if Self::has(s, d) {
+                    even[d] = self.own[s][d].mul_add(y[s], even[d]);
+                }
             }
         }
         for (part, z) in self.further(topology, further) {
@@ -115,64 +129,37 @@ impl<S: Real> SparseRows<S> {
             let y = self.base[1][r].mul_add(impulse[1], y);
             y_base[r] = self.base[2][r].mul_add(impulse[2], y);
         }
-        add_joints(&self.own, impulse, &mut y_joint[self.block]);
+        let y = &mut y_joint[self.block];
+        for s in 0..BLOCK {
+            for d in 0..3 {
+                if Self::has(s, d) {
+                    y[s] = self.own[s][d].mul_add(impulse[d], y[s]);
+                }
+            }
+        }
         for (part, z) in self.further(topology, further) {
             add_joints(z, impulse, &mut y_joint[part.joints.block]);
         }
     }
 
-    /// Velocity of the first row.
-    #[inline(always)]
-    pub(super) fn first_velocity(
-        &self,
-        topology: &Topology,
-        further: &[JointRows<S>],
-        y_base: &[S; 6],
-        y_joint: &[[S; BLOCK]],
-    ) -> S {
-        let y = &y_joint[self.block];
-        let mut w = self.own[2][0].mul_add(y[2], self.own[1][0].mul_add(y[1], self.own[0][0] * y[0]));
-        for (part, z) in self.further(topology, further) {
-            let y = &y_joint[part.joints.block];
-            for s in 0..BLOCK {
-                w = z[s][0].mul_add(y[s], w);
-            }
-        }
-        dot6_onto(&self.base[0], y_base, w)
-    }
-
-    /// Adds what an impulse of the first row changes to the velocity.
-    #[inline(always)]
-    pub(super) fn apply_first(
-        &self,
-        topology: &Topology,
-        further: &[JointRows<S>],
-        impulse: S,
-        y_base: &mut [S; 6],
-        y_joint: &mut [[S; BLOCK]],
-    ) {
-        for r in 0..6 {
-            y_base[r] = self.base[0][r].mul_add(impulse, y_base[r]);
-        }
-        let y = &mut y_joint[self.block];
-        for s in 0..BLOCK {
-            y[s] = self.own[s][0].mul_add(impulse, y[s]);
-        }
-        for (part, z) in self.further(topology, further) {
-            let y = &mut y_joint[part.joints.block];
-            for s in 0..BLOCK {
-                y[s] = z[s][0].mul_add(impulse, y[s]);
-            }
-        }
-    }
-
-    /// Products of the rows: 0-0, 1-1, 2-2, 0-1, 0-2, 1-2.
+    /// [`PRODUCTS`] of the rows.
     #[inline(always)]
     pub(super) fn products(&self, topology: &Topology, further: &[JointRows<S>]) -> [S; 6] {
         let z = S::zero();
-        let mut product = multiply(&self.own, &[z; 6]);
+        let mut product = [z; 6];
+        for s in 0..BLOCK {
+            for (i, (a, b)) in PRODUCTS.into_iter().enumerate() {
+                if Self::has(s, a) {
+                    product[i] = self.own[s][a].mul_add(self.own[s][b], product[i]);
+                }
+            }
+        }
         for (_, part) in self.further(topology, further) {
-            product = multiply(part, &product);
+            for x in part {
+                for (i, (a, b)) in PRODUCTS.into_iter().enumerate() {
+                    product[i] = x[a].mul_add(x[b], product[i]);
+                }
+            }
         }
         let base = &self.base;
         [
@@ -183,51 +170,6 @@ impl<S: Real> SparseRows<S> {
             dot6_onto(&base[0], &base[2], product[4]),
             dot6_onto(&base[1], &base[2], product[5]),
         ]
-    }
-
-    /// `H^-T J^T` in place.
-    #[inline(always)]
-    pub(super) fn half_solve(&mut self, topology: &Topology, factor: &Factor<S>, further: &mut [JointRows<S>]) {
-        let path = topology.path(self.path);
-        if let Some((part, rest)) = path.split_first() {
-            self.own = eliminate_inner(factor, part, &self.own);
-            if !rest.is_empty() {
-                pass_on(topology, factor, part, &self.own, further);
-            }
-            self.half_solve_further(topology, factor, rest, further);
-            self.solve_base(topology, factor, Some(part), rest, further);
-            scale(factor, part, &mut self.own);
-        } else {
-            self.solve_base(topology, factor, None, path, further);
-        }
-    }
-
-    /// The same of three unit vectors, one for each joint of the block where the path begins.
-    #[inline(always)]
-    pub(super) fn half_solve_units(&mut self, topology: &Topology, factor: &Factor<S>, further: &mut [JointRows<S>]) {
-        let (z, one) = (S::zero(), S::one());
-        let Some((part, rest)) = topology.path(self.path).split_first() else {
-            return;
-        };
-        let [l10, l20, l21] = factor.blocks[part.joints.block].inner;
-        let (x01, x12) = (-l10, -l21);
-        let x02 = l10.neg_mul_add(x12, -l20);
-        self.own = [[one, x01, x02], [z, one, x12], [z, z, one]];
-        if !rest.is_empty() {
-            further[..rest.len()].fill([[z; 3]; BLOCK]);
-            pass_on(topology, factor, part, &self.own, further);
-        }
-        self.half_solve_further(topology, factor, rest, further);
-        let [b0, b1, b2] = &factor.blocks[part.joints.block].base;
-        for r in 0..6 {
-            self.base[0][r] = -b0[r];
-            self.base[1][r] = x01.neg_mul_add(b0[r], -b1[r]);
-            self.base[2][r] = x02.neg_mul_add(b0[r], x12.neg_mul_add(b1[r], -b2[r]));
-        }
-        self.solve_base(topology, factor, None, rest, further);
-        let root = &factor.root.as_chunks::<BLOCK>().0[part.joints.block];
-        let [r0, r1, r2] = [root[0][1], root[1][1], root[2][1]];
-        self.own = [[r0, x01 * r0, x02 * r0], [z, r1, x12 * r1], [z, z, r2]];
     }
 
     /// Eliminates the blocks of a path after the first among themselves.
@@ -279,6 +221,100 @@ impl<S: Real> SparseRows<S> {
     }
 }
 
+impl<S: Real> SparseRows<S> {
+    /// Velocity of the first row.
+    #[inline(always)]
+    pub(super) fn first_velocity(
+        &self,
+        topology: &Topology,
+        further: &[JointRows<S>],
+        y_base: &[S; 6],
+        y_joint: &[[S; BLOCK]],
+    ) -> S {
+        let y = &y_joint[self.block];
+        let mut w = self.own[2][0].mul_add(y[2], self.own[1][0].mul_add(y[1], self.own[0][0] * y[0]));
+        for (part, z) in self.further(topology, further) {
+            let y = &y_joint[part.joints.block];
+            for s in 0..BLOCK {
+                w = z[s][0].mul_add(y[s], w);
+            }
+        }
+        dot6_onto(&self.base[0], y_base, w)
+    }
+
+    /// Adds what an impulse of the first row changes to the velocity.
+    #[inline(always)]
+    pub(super) fn apply_first(
+        &self,
+        topology: &Topology,
+        further: &[JointRows<S>],
+        impulse: S,
+        y_base: &mut [S; 6],
+        y_joint: &mut [[S; BLOCK]],
+    ) {
+        for r in 0..6 {
+            y_base[r] = self.base[0][r].mul_add(impulse, y_base[r]);
+        }
+        let y = &mut y_joint[self.block];
+        for s in 0..BLOCK {
+            y[s] = self.own[s][0].mul_add(impulse, y[s]);
+        }
+        for (part, z) in self.further(topology, further) {
+            let y = &mut y_joint[part.joints.block];
+            for s in 0..BLOCK {
+                y[s] = z[s][0].mul_add(impulse, y[s]);
+            }
+        }
+    }
+
+    /// `H^-T J^T` in place.
+    #[inline(always)]
+    pub(super) fn half_solve(&mut self, topology: &Topology, factor: &Factor<S>, further: &mut [JointRows<S>]) {
+        let path = topology.path(self.path);
+        if let Some((part, rest)) = path.split_first() {
+            self.own = eliminate_inner(factor, part, &self.own);
+            if !rest.is_empty() {
+                pass_on(topology, factor, part, &self.own, further);
+            }
+            self.half_solve_further(topology, factor, rest, further);
+            self.solve_base(topology, factor, Some(part), rest, further);
+            scale(factor, part, &mut self.own);
+        } else {
+            self.solve_base(topology, factor, None, path, further);
+        }
+    }
+}
+
+impl<S: Real> UnitRows<S> {
+    /// `H^-T J^T` of three unit vectors, one for each joint of the block where the path begins.
+    #[inline(always)]
+    pub(super) fn half_solve_units(&mut self, topology: &Topology, factor: &Factor<S>, further: &mut [JointRows<S>]) {
+        let (z, one) = (S::zero(), S::one());
+        let Some((part, rest)) = topology.path(self.path).split_first() else {
+            return;
+        };
+        let [l10, l20, l21] = factor.blocks[part.joints.block].inner;
+        let (x01, x12) = (-l10, -l21);
+        let x02 = l10.neg_mul_add(x12, -l20);
+        if !rest.is_empty() {
+            further[..rest.len()].fill([[z; 3]; BLOCK]);
+            pass_on(topology, factor, part, &[[one, x01, x02], [z, one, x12], [z, z, one]], further);
+        }
+        self.half_solve_further(topology, factor, rest, further);
+        let [b0, b1, b2] = &factor.blocks[part.joints.block].base;
+        for r in 0..6 {
+            self.base[0][r] = -b0[r];
+            self.base[1][r] = x01.neg_mul_add(b0[r], -b1[r]);
+            self.base[2][r] = x02.neg_mul_add(b0[r], x12.neg_mul_add(b1[r], -b2[r]));
+        }
+        self.solve_base(topology, factor, None, rest, further);
+        let root = &factor.root.as_chunks::<BLOCK>().0[part.joints.block];
+        let [r0, r1, r2] = [root[0][1], root[1][1], root[2][1]];
+        self.own[0] = [r0, x01 * r0, x02 * r0];
+        (self.own[1][1], self.own[1][2], self.own[2][2]) = (r1, x12 * r1, r2);
+    }
+}
+
 /// `a . b + c`.
 #[inline(always)]
 fn dot6_onto<S: Real>(a: &[S; 6], b: &[S; 6], c: S) -> S {
@@ -295,18 +331,6 @@ fn add_joints<S: Real>(z: &JointRows<S>, impulse: &[S; 3], y: &mut [S; BLOCK]) {
         let x = z[s][1].mul_add(impulse[1], x);
         y[s] = z[s][2].mul_add(impulse[2], x);
     }
-}
-
-/// Adds the products of three rows' joint parts.
-#[inline(always)]
-fn multiply<S: Real>(z: &JointRows<S>, sum: &[S; 6]) -> [S; 6] {
-    let mut sum = *sum;
-    for x in z {
-        for (i, (a, b)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            sum[i] = x[a].mul_add(x[b], sum[i]);
-        }
-    }
-    sum
 }
 
 /// Eliminates a block's joints among themselves.

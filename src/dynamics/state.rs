@@ -128,7 +128,7 @@ impl<S: Real> Report<S> {
     }
 }
 
-/// Where a link is, how it moves and what that asks for, in base axes about the base origin.
+/// Where a link is and how it moves, in base axes about the base origin.
 #[derive(Clone, Debug)]
 pub struct LinkState<S> {
     /// Link axes in base axes.
@@ -141,6 +141,11 @@ pub struct LinkState<S> {
     pub free_velocity: Spatial<S>,
     /// Motion axis of the joint that moves it.
     pub axis: Spatial<S>,
+}
+
+/// What the motion of a link asks for, in base axes about the base origin.
+#[derive(Clone, Debug)]
+pub struct LinkDynamics<S> {
     /// Velocity-product acceleration.
     pub acceleration: Spatial<S>,
     /// Spatial inertia, then that of all it carries.
@@ -156,6 +161,8 @@ pub struct Workspace<S> {
     pub base_rotation: Mat3<S>,
     /// `[links]`.
     pub links: Vec<LinkState<S>>,
+    /// Of the base and of one tree that it carries, which the next one takes the place of, `[slots]`.
+    pub dynamics: Vec<LinkDynamics<S>>,
     /// Generalised bias force: base (6, base axes) and joints.
     pub bias_base: [S; 6],
     /// See `bias_base`.
@@ -192,13 +199,13 @@ impl<S: Real> Workspace<S> {
             velocity: Spatial::zero(),
             free_velocity: Spatial::zero(),
             axis: Spatial::zero(),
-            acceleration: Spatial::zero(),
-            inertia: SpatialInertia::zero(),
-            force: Spatial::zero(),
         };
+        let still =
+            LinkDynamics { acceleration: Spatial::zero(), inertia: SpatialInertia::zero(), force: Spatial::zero() };
         Self {
             base_rotation: identity,
             links: vec![link; links],
+            dynamics: vec![still; topology.num_slots()],
             bias_base: [z; 6],
             bias_joint: vec![z; joints],
             factor: Factor::new(topology),

@@ -178,10 +178,8 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     let dt = S::splat(settings.dt);
     work.base_rotation = quat_to_mat(&state.rotation);
     let gravity = mul_vec_transposed(&work.base_rotation, &splat(&settings.gravity));
-    // bias forces do not depend on the base's linear velocity: see `equations_of_motion`
-    let turning = Spatial { ang: state.angular_velocity, lin: [z; 3] };
-    kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &turning, work);
-    kinematics::equations_of_motion(topology, parameters, &state.joint_velocity, &gravity, work);
+    let (position, velocity) = (&state.joint_position, &state.joint_velocity);
+    kinematics::equations_of_motion(topology, parameters, position, velocity, &state.angular_velocity, &gravity, work);
 
     actuate(topology, parameters, drive, dt, state, work);
     for (b, block) in topology.blocks().iter().enumerate() {
