@@ -455,16 +455,8 @@ fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, co
         .collect();
     let mounted: Vec<_> = tags.iter().zip(&robots).map(|(&(id, tag), &robot)| (id, tag, MountedOn(robot))).collect();
     world.spawn_batch(mounted.iter().map(|&(id, tag, robot)| {
-        let model = morphologies.get(tag);
-        let feet = smallvec![0.0; model.feet.len()];
-        let sensor = ContactSensor {
-            peak_force: smallvec![0.0; model.topology.num_bodies],
-            contact_time: feet.clone(),
-            air_time: feet.clone(),
-            last_contact_time: feet.clone(),
-            last_air_time: feet,
-        };
-        (id, tag, robot, sensor)
+        let peak_force = smallvec![0.0; morphologies.get(tag).topology.num_bodies];
+        (id, tag, robot, ContactSensor { peak_force, ..ContactSensor::default() })
     }));
     world.spawn_batch(mounted.iter().map(|&(id, tag, robot)| (id, tag, robot, Imu::default())));
     if rays > 0 {
@@ -476,7 +468,6 @@ fn spawn(world: &mut World, morphologies: &Morphologies, task: &CompiledTask, co
 fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
     let zeros: PerJoint = smallvec![0.0; model.topology.num_joints()];
     let slots: PerJoint = smallvec![0.0; CANONICAL_JOINT_NAMES.len()];
-    let bodies = model.topology.num_bodies;
     let ages = history_length(model.max_delay(), decimation);
     (
         BasePose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] },
@@ -487,12 +478,8 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
         ConstraintImpulses { contacts: smallvec![], bounds: zeros },
-        ContactForces { net: smallvec![[0.0; 3]; bodies], normal: smallvec![0.0; bodies * decimation] },
-        Feet {
-            position: smallvec![[0.0; 3]; model.feet.len()],
-            velocity: smallvec![[0.0; 3]; model.feet.len()],
-            height: smallvec![0.0; model.feet.len()],
-        },
+        ContactForces::zeros(decimation),
+        Feet::default(),
         (ExternalWrench::default(), model.stance.clone(), StartupBody::default()),
         Body(Box::new(model.nominal.clone())),
     )

@@ -9,10 +9,11 @@ use bevy_ecs::prelude::*;
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 use serde::{Deserialize, Serialize};
-use smallvec::SmallVec;
+use smallvec::{SmallVec, smallvec};
 
 use crate::config::fnv1a;
 use crate::dynamics::{Numbers, Parameters};
+use crate::robot::LEGS;
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
 pub type PerJoint = SmallVec<[f32; 12]>;
@@ -20,6 +21,8 @@ pub type PerJoint = SmallVec<[f32; 12]>;
 const BODIES: usize = 19;
 /// Physics steps of a control step, likewise.
 const PHYSICS_STEPS: usize = 4;
+/// One number, or whatever it is, per foot; order of the morphology's feet.
+pub type PerFoot<T = f32> = [T; LEGS.len()];
 /// One number per contact body of a robot; in place for those of the library.
 pub type PerBody = SmallVec<[f32; BODIES]>;
 
@@ -283,25 +286,94 @@ pub struct ConstraintImpulses {
     pub bounds: PerJoint,
 }
 
-/// Contact forces of the last control step.
+/// Physics steps that a contact force is remembered for.
+pub const FORCE_HISTORY: usize = 3;
+
+/// Contact forces of the last control step: on the feet, and on whatever else touched something.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactForces {
-    /// Net force on each contact body in the last physics step, world axes, N.
-    pub net: SmallVec<[[f32; 3]; BODIES]>,
-    /// Norm of the net normal force on each contact body, N, in each physics step of the control step:
-    /// `normal[physics step * bodies + body]`; in place for the library's robots and tasks, so that memory is read in order.
-    pub normal: SmallVec<[f32; BODIES * PHYSICS_STEPS]>,
+    /// Net force on each foot in the last physics step, world axes, N.
+    pub feet: PerFoot<[f32; 3]>,
+    /// Norm of the net normal force on each foot in each physics step of the control step, N; in place for the library's tasks.
+    pub feet_normal: SmallVec<[PerFoot; PHYSICS_STEPS]>,
+    /// On contact bodies other than feet, where it is not zero.
+    pub others: SmallVec<[BodyForce; 4]>,
 }
 
-/// Where the feet are and how they move; order of the morphology's feet.
-#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+/// The contact force on a body.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct BodyForce {
+    /// Which contact body.
+    pub body: u32,
+    /// Net force in the last physics step, world axes, N.
+    pub net: [f32; 3],
+    /// Norm of the net normal force in each of the last physics steps, N; zero where the control step has fewer.
+    pub normal: [f32; FORCE_HISTORY],
+}
+
+impl ContactForces {
+    /// None, in control steps of `decimation` physics steps.
+    pub fn zeros(decimation: usize) -> Self {
+        Self { feet_normal: smallvec![PerFoot::default(); decimation], ..Self::default() }
+    }
+
+    /// As if nothing had touched anything.
+    pub fn clear(&mut self) {
+        self.feet = PerFoot::default();
+        self.feet_normal.fill(PerFoot::default());
+        self.others.clear();
+    }
+
+    /// Takes over the forces of a control step: on the contact bodies that are `feet`, and on others that may have touched something.
+    /// `net(body)` and `normal(physics step, body)` are those of any body.
+    #[inline(always)]
+    pub fn set(
+        &mut self,
+        feet: &PerFoot<usize>,
+        others: &[usize],
+        net: impl Fn(usize) -> [f32; 3],
+        normal: impl Fn(usize, usize) -> f32,
+    ) {
+        self.feet = feet.map(&net);
+        for (step, to) in self.feet_normal.iter_mut().enumerate() {
+            *to = feet.map(|foot| normal(step, foot));
+        }
+        self.others.clear();
+        let decimation = self.feet_normal.len();
+        for &body in others {
+            let mut force = BodyForce { body: body as u32, net: net(body), normal: [0.0; FORCE_HISTORY] };
+            let recent = decimation.saturating_sub(FORCE_HISTORY)..decimation;
+            for (to, step) in force.normal.iter_mut().zip(recent) {
+                *to = normal(step, body);
+            }
+            if force.net != [0.0; 3] || force.normal != [0.0; FORCE_HISTORY] {
+                self.others.push(force);
+            }
+        }
+    }
+
+    /// Net force on each of a robot's `bodies` contact bodies in the last physics step, world axes, N; `feet` are those that are feet.
+    pub fn net(&self, bodies: usize, feet: &PerFoot<usize>) -> Vec<[f32; 3]> {
+        let mut net = vec![[0.0; 3]; bodies];
+        for (&foot, &force) in feet.iter().zip(&self.feet) {
+            net[foot] = force;
+        }
+        for force in &self.others {
+            net[force.body as usize] = force.net;
+        }
+        net
+    }
+}
+
+/// Where the feet are and how they move.
+#[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Feet {
     /// Centres of the foot spheres, m, relative to the env's origin.
-    pub position: SmallVec<[[f32; 3]; 4]>,
+    pub position: PerFoot<[f32; 3]>,
     /// World axes, m/s.
-    pub velocity: SmallVec<[[f32; 3]; 4]>,
+    pub velocity: PerFoot<[f32; 3]>,
     /// Of the centres above the ground below them, m.
-    pub height: SmallVec<[f32; 4]>,
+    pub height: PerFoot,
 }
 
 /// The robot's own numbers: masses, lengths, gains, friction. They start as its morphology's and may be randomised.
@@ -338,13 +410,13 @@ pub struct ContactSensor {
     /// Largest norm of the net normal force over the last three physics steps, N, `[bodies]`.
     pub peak_force: PerBody,
     /// How long each foot has been in contact, s.
-    pub contact_time: SmallVec<[f32; 4]>,
+    pub contact_time: PerFoot,
     /// How long each foot has been in the air, s.
-    pub air_time: SmallVec<[f32; 4]>,
+    pub air_time: PerFoot,
     /// How long each foot's last contact lasted, s.
-    pub last_contact_time: SmallVec<[f32; 4]>,
+    pub last_contact_time: PerFoot,
     /// How long each foot's last flight lasted, s.
-    pub last_air_time: SmallVec<[f32; 4]>,
+    pub last_air_time: PerFoot,
 }
 
 /// Height scanner on the base; the task's config says where its rays are.

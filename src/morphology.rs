@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bevy_ecs::prelude::Resource;
 use glam::DMat3;
 
-use crate::components::Stance;
+use crate::components::{PerFoot, Stance};
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
 use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
@@ -45,7 +45,7 @@ pub struct MorphologyModel {
     /// Group of each contact body.
     pub body_groups: Vec<BodyGroup>,
     /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
-    pub feet: [usize; 4],
+    pub feet: PerFoot<usize>,
     /// Fewest and most physics steps of delay of each actuator group, with its joints (physical).
     pub delays: Vec<([u32; 2], Vec<usize>)>,
     /// The most physics steps by which events of the task delay targets on top of that.

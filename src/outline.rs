@@ -181,14 +181,18 @@ impl Sim {
     /// `[envs, bodies, 3]`.
     pub fn contact_forces(&mut self, index: usize) -> Vec<f64> {
         let envs = self.env_ids(index);
-        let width = 3 * self.morphologies().get(index).map_or(0, |model| model.topology.num_bodies);
+        let Some(model) = self.morphologies().get(index) else {
+            return Vec::new();
+        };
+        let (bodies, feet) = (model.topology.num_bodies, model.feet);
+        let width = 3 * bodies;
         let mut forces = vec![0.0; envs.len() * width];
         let world = self.world_mut();
-        for (env, net) in world.query_filtered::<(&EnvId, &ContactForces), With<Robot>>().iter(world) {
+        for (env, touching) in world.query_filtered::<(&EnvId, &ContactForces), With<Robot>>().iter(world) {
             let env = env.0 as usize;
             if envs.contains(&env) {
                 let row = env - envs.start;
-                copy(&mut forces[row * width..(row + 1) * width], net.net.iter().flatten());
+                copy(&mut forces[row * width..(row + 1) * width], touching.net(bodies, &feet).as_flattened().iter());
             }
         }
         forces

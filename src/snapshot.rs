@@ -15,7 +15,7 @@ use crate::morphology::Morphologies;
 use crate::systems::{Logs, load_engine, mirror_all, save_engine, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 6;
+const FORMAT: u32 = 7;
 /// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 

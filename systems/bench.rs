@@ -2,7 +2,7 @@
 
 use super::physics::{PhysicsRows, get, get_arrays, history_length, put, state_numbers};
 use super::terminate::{StateLimits, StateNumbers};
-use crate::components::ContactImpulse;
+use crate::components::{ContactImpulse, PerFoot};
 use crate::dynamics::lanes::Kernel;
 use crate::dynamics::{Drive, Lanes, Parameters, Real, Report, State, Workspace};
 use crate::morphology::MorphologyModel;
@@ -19,6 +19,10 @@ pub(super) struct Bench<L> {
     pub(super) work: Workspace<L>,
     /// Which of the state's impulses are pressing.
     presses: Vec<bool>,
+    /// The contact bodies that are feet.
+    feet: PerFoot<usize>,
+    /// The others that the pack had touched something with.
+    touching: Vec<usize>,
 }
 
 impl<L: Lanes> Bench<L> {
@@ -30,6 +34,8 @@ impl<L: Lanes> Bench<L> {
             origin: [L::zero(); 2],
             nominal: nominal.clone(),
             presses: vec![false; state.impulse.len()],
+            feet: model.feet,
+            touching: Vec::new(),
             state,
             drive: Drive::zeros(topology, history_length(model.max_delay(), decimation)),
             report: Report::zeros(topology, decimation),
@@ -63,7 +69,10 @@ impl<L: Lanes> Bench<L> {
             for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
                 put(targets, from, lane);
             }
-            put(&mut drive.delay, &rows.delays[row].0, lane);
+            // without a history no actuator sees a delay
+            if drive.targets.len() > 1 {
+                put(&mut drive.delay, &rows.delays[row].0, lane);
+            }
             put(&mut drive.base_force, &rows.wrenches[row].force, lane);
             put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
         }
@@ -81,10 +90,10 @@ impl<L: Lanes> Bench<L> {
     }
 
     /// Writes the lanes to rows.
-    pub(super) fn scatter(&self, rows: &mut PhysicsRows, order: &[usize]) {
-        let (state, report) = (&self.state, &self.report);
-        let bodies = report.touched.len();
-        let touched = (0..bodies).filter(|&body| report.touched[body]);
+    pub(super) fn scatter(&mut self, rows: &mut PhysicsRows, order: &[usize]) {
+        let Self { state, report, feet, touching, .. } = self;
+        touching.clear();
+        touching.extend((0..report.touched.len()).filter(|body| report.touched[*body] && !feet.contains(body)));
         for (lane, &row) in order.iter().enumerate() {
             rows.write_motion(row, state, lane);
             let contacts = &mut rows.impulses[row].contacts;
@@ -100,15 +109,9 @@ impl<L: Lanes> Bench<L> {
             get(&state.bound_impulse, &mut rows.impulses[row].bounds, lane);
             get(&report.joint_effort, &mut rows.efforts[row].applied, lane);
             get(&report.joint_acceleration, &mut rows.efforts[row].acceleration, lane);
-            let forces = &mut rows.forces[row];
-            forces.net.fill([0.0; 3]);
-            forces.normal.fill(0.0);
-            for body in touched.clone() {
-                get(&report.body_force[body], &mut forces.net[body], lane);
-                for (step, normal) in report.normal_force.iter().enumerate() {
-                    forces.normal[step * bodies + body] = normal[body].lane_f32(lane);
-                }
-            }
+            let net = |body: usize| report.body_force[body].map(|force| force.lane_f32(lane));
+            let normal = |step: usize, body: usize| report.normal_force[step][body].lane_f32(lane);
+            rows.forces[row].set(feet, touching, net, normal);
             get_arrays(&report.site_position, &mut rows.feet[row].position, lane);
             get_arrays(&report.site_velocity, &mut rows.feet[row].velocity, lane);
         }

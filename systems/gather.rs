@@ -126,11 +126,7 @@ impl StateField {
             Self::JointAcc => joints(out, &r.effort.acceleration),
             Self::JointEffort => joints(out, &r.effort.applied),
             Self::DefaultJointPos => joints(out, &r.stance.default_position),
-            Self::ContactForces => {
-                for (foot, &body) in out.chunks_exact_mut(3).zip(&r.morphology.feet) {
-                    foot.copy_from_slice(&forces.net[body]);
-                }
-            }
+            Self::ContactForces => out.copy_from_slice(forces.feet.as_flattened()),
             Self::FeetPos => out.copy_from_slice(r.feet.position.as_flattened()),
             Self::FeetVel => out.copy_from_slice(r.feet.velocity.as_flattened()),
             Self::FeetAirTime => out.copy_from_slice(&r.contacts.air_time),

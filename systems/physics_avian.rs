@@ -7,6 +7,7 @@ use super::broken::Evidence;
 use super::physics::{Engine, PhysicsRows, get, get_arrays, state_numbers};
 use super::terminate::StateLimits;
 use crate::avian::{self, EngineError, JointField};
+use crate::components::PerFoot;
 use crate::config::TaskConfig;
 use crate::dynamics::step::report_sites;
 use crate::dynamics::{Parameters, Plane, Report, State, Topology, Workspace};
@@ -33,6 +34,12 @@ struct Block {
     state: State<f64>,
     /// Joint velocities before the last physics step, `[count * joints]`.
     before: Vec<f64>,
+    /// The contact bodies that are feet, and those that are not.
+    feet: PerFoot<usize>,
+    others: Vec<usize>,
+    /// Normal forces on the contact bodies, N: `normal[(row * physics steps + physics step) * bodies + body]`.
+    normal: Vec<f32>,
+    decimation: usize,
     dt: f64,
 }
 
@@ -106,7 +113,7 @@ impl Engine for AvianRobots {
                     block.remember_velocities();
                 }
                 block.engine.step(workers, &block.explicit, true, 1);
-                block.note_forces(&mut mine, substep);
+                block.note_forces(substep);
             }
             let broken = if watched[morphology] { block.first_broken(limits) } else { None };
             let first_env = block.first_env;
@@ -148,6 +155,10 @@ impl Block {
             report: Report::zeros(&topology, decimation),
             state: State::zeros(&topology),
             before: vec![0.0; count * topology.num_joints()],
+            feet: model.feet,
+            others: (0..topology.num_bodies).filter(|body| !model.feet.contains(body)).collect(),
+            normal: vec![0.0; count * decimation * topology.num_bodies],
+            decimation,
             topology,
             dt: settings.dt,
         })
@@ -195,11 +206,10 @@ impl Block {
         }
     }
 
-    fn note_forces(&self, rows: &mut PhysicsRows, substep: usize) {
+    fn note_forces(&mut self, substep: usize) {
         for row in 0..self.count {
-            let force = self.engine.force(row);
-            let normal = &mut rows.forces[row].normal[substep * force.len()..(substep + 1) * force.len()];
-            for (to, f) in normal.iter_mut().zip(force) {
+            let first = (row * self.decimation + substep) * self.topology.num_bodies;
+            for (to, f) in self.normal[first..].iter_mut().zip(self.engine.force(row)) {
                 // what carries a robot is mostly level
                 *to = f[2].abs() as f32;
             }
@@ -224,7 +234,11 @@ impl Block {
             for ((to, new), old) in rows.efforts[row].acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
                 *to = ((new - old) / self.dt) as f32;
             }
-            get_arrays(self.engine.force(row), &mut rows.forces[row].net, 0);
+            let force = self.engine.force(row);
+            let net = |body: usize| force[body].map(|x| x as f32);
+            let first = |step: usize| (row * self.decimation + step) * self.topology.num_bodies;
+            let normal = |step: usize, body: usize| self.normal[first(step) + body];
+            rows.forces[row].set(&self.feet, &self.others, net, normal);
             report_sites(&self.topology, self.engine.parameters(row), state, &mut self.report, &mut self.work);
             get_arrays(&self.report.site_position, &mut rows.feet[row].position, 0);
             get_arrays(&self.report.site_velocity, &mut rows.feet[row].velocity, 0);

@@ -182,12 +182,9 @@ pub(super) fn reset_envs(
             efforts[i].acceleration.fill(0.0);
             impulses[i].contacts.clear();
             impulses[i].bounds.fill(0.0);
-            feet[i].velocity.fill([0.0; 3]);
-            feet[i].position.fill([0.0; 3]);
-            feet[i].height.fill(0.0);
+            feet[i] = Feet::default();
 
-            forces[i].net.fill([0.0; 3]);
-            forces[i].normal.fill(0.0);
+            forces[i].clear();
             contacts[i].clear();
             imus[i] = measure(pose, velocity, &bodies[i].0.com[0]);
             if let Some(scan) = scans.0.get_mut(i) {
@@ -210,11 +207,9 @@ pub(super) fn reset_envs(
 
 impl ContactSensor {
     fn clear(&mut self) {
-        self.peak_force.fill(0.0);
-        for times in [&mut self.contact_time, &mut self.air_time, &mut self.last_contact_time, &mut self.last_air_time]
-        {
-            times.fill(0.0);
-        }
+        let mut peak_force = std::mem::take(&mut self.peak_force);
+        peak_force.fill(0.0);
+        *self = Self { peak_force, ..Self::default() };
     }
 }
 

@@ -5,7 +5,8 @@ use bevy_ecs::prelude::*;
 use super::command::heading;
 use super::terms::CompiledTask;
 use crate::components::{
-    BasePose, BaseVelocity, Body, ContactForces, ContactSensor, EnvOrigin, Feet, HeightScan, Imu, Morphology, Robot,
+    BasePose, BaseVelocity, Body, ContactForces, ContactSensor, EnvOrigin, FORCE_HISTORY, Feet, HeightScan, Imu,
+    Morphology, PerFoot, Robot,
 };
 use crate::config::HeightScannerConfig;
 use crate::dynamics::lanes::Kernel;
@@ -14,8 +15,6 @@ use crate::morphology::Morphologies;
 use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
 use crate::world::Ground;
 
-/// Physics steps that a contact force is remembered for.
-const HISTORY: usize = 3;
 /// Normal force from which a body counts as in contact, N.
 const FORCE_THRESHOLD: f32 = 1.0;
 
@@ -71,46 +70,35 @@ impl Kernel<f32> for SensorRows<'_> {
 impl ContactSensor {
     /// The forces of a control step; `feet` are the contact bodies that are feet.
     #[inline(always)]
-    fn read(&mut self, forces: &ContactForces, feet: &[usize], dt: f32) {
-        let Self { peak_force, contact_time, air_time, last_contact_time, last_air_time } = self;
-        let steps = forces.normal.chunks_exact(peak_force.len().max(1));
-        let mut recent = steps.clone().skip(steps.len().saturating_sub(HISTORY));
-        match recent.next() {
-            // as if it began with zeros
-            Some(first) => raise(peak_force, first, |_| 0.0),
-            None => peak_force.fill(0.0),
-        }
-        for normal in recent {
-            raise(peak_force, normal, |peak| peak);
-        }
-        let last = last_contact_time.iter_mut().zip(last_air_time);
-        let times = contact_time.iter_mut().zip(air_time).zip(last);
-        for (&body, ((contact, air), (last_contact, last_air))) in feet.iter().zip(times) {
-            for normal in steps.clone() {
-                // by selection: which foot stands when is hard to foresee
-                let stands = normal[body] > FORCE_THRESHOLD;
-                let (longer_contact, longer_air) = (*contact + dt, *air + dt);
-                *last_air = if stands & (*air > 0.0) { longer_air } else { *last_air };
-                *last_contact = if !stands & (*contact > 0.0) { longer_contact } else { *last_contact };
-                *contact = if stands { longer_contact } else { 0.0 };
-                *air = if stands { 0.0 } else { longer_air };
+    fn read(&mut self, forces: &ContactForces, feet: &PerFoot<usize>, dt: f32) {
+        let larger = |x: f32, other: f32| if other > x { other } else { x };
+        let mut peaks = PerFoot::default();
+        let steps = &forces.feet_normal[..];
+        for normal in &steps[steps.len().saturating_sub(FORCE_HISTORY)..] {
+            for (peak, normal) in peaks.iter_mut().zip(normal) {
+                *peak = larger(*peak, *normal);
             }
         }
-    }
-}
-
-/// Raises numbers, from what `start` makes of them, to others where those are larger.
-#[inline(always)]
-fn raise(numbers: &mut [f32], others: &[f32], start: impl Fn(f32) -> f32) {
-    let larger = |x: f32, other: f32| if other > x { other } else { x };
-    let ((groups, rest), (other_groups, other_rest)) = (numbers.as_chunks_mut::<4>(), others.as_chunks::<4>());
-    for (group, others) in groups.iter_mut().zip(other_groups) {
-        for k in 0..4 {
-            group[k] = larger(start(group[k]), others[k]);
+        self.peak_force.fill(0.0);
+        for (&body, peak) in feet.iter().zip(peaks) {
+            self.peak_force[body] = peak;
         }
-    }
-    for (x, &other) in rest.iter_mut().zip(other_rest) {
-        *x = larger(start(*x), other);
+        for force in &forces.others {
+            self.peak_force[force.body as usize] = force.normal.into_iter().fold(0.0, larger);
+        }
+        let Self { contact_time: contact, air_time: air, last_contact_time, last_air_time, .. } = self;
+        for normal in steps {
+            // by selection: which foot stands when is hard to foresee
+            for foot in 0..normal.len() {
+                let stands = normal[foot] > FORCE_THRESHOLD;
+                let (longer_contact, longer_air) = (contact[foot] + dt, air[foot] + dt);
+                last_air_time[foot] = if stands & (air[foot] > 0.0) { longer_air } else { last_air_time[foot] };
+                last_contact_time[foot] =
+                    if !stands & (contact[foot] > 0.0) { longer_contact } else { last_contact_time[foot] };
+                contact[foot] = if stands { longer_contact } else { 0.0 };
+                air[foot] = if stands { 0.0 } else { longer_air };
+            }
+        }
     }
 }
 

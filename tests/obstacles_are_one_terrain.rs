@@ -4,6 +4,7 @@ mod common;
 
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
+use common::upward_force;
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId, EnvRng, Feet};
 use polypod::dynamics::HeightGrid;
 use polypod::world::{Ground, below};
@@ -101,7 +102,7 @@ fn stand(task: &str, place: &Place, steps: usize) -> Vec<(BasePose, f32, f64)> {
         .query::<(&EnvId, &BasePose, &ContactForces, &Body, &Feet)>()
         .iter(world)
         .map(|(env, pose, forces, body, feet)| {
-            let up: f64 = forces.net.iter().map(|f| f64::from(f[2])).sum();
+            let up = upward_force(forces);
             let lowest = feet.position.iter().map(|p| p[2]).fold(f32::MAX, f32::min);
             (env.0, (*pose, lowest, up / f64::from(body.0.total_mass()) / 9.81))
         })

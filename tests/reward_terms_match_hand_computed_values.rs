@@ -274,17 +274,21 @@ fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], whe
     for (id, (pose, velocity, body, joints), (effort, action, feet, forces)) in query.iter(world) {
         let env = id.0 as usize;
         let robot = &robots[env / ENVS_PER_ROBOT];
-        let (sensor, bodies) = (&sensors[env], robot.body_groups.len());
-        let substeps: Vec<&[f32]> = forces.normal.chunks_exact(bodies).collect();
-        assert_eq!(substeps.len(), 4);
-        for normal in &substeps {
-            for (foot, &body) in robot.feet.iter().enumerate() {
-                timers[env].advance(foot, normal[body] > 1.0);
+        let sensor = &sensors[env];
+        assert_eq!(forces.feet_normal.len(), 4);
+        for normal in &forces.feet_normal {
+            for (foot, normal) in normal.iter().enumerate() {
+                timers[env].advance(foot, *normal > 1.0);
             }
         }
         timers[env].check(sensor, &format!("{when}, env {env}"));
-        let peaks: Vec<f64> =
-            (0..bodies).map(|body| substeps[1..].iter().fold(0.0, |m: f64, n| m.max(f64::from(n[body])))).collect();
+        let mut peaks = vec![0.0f64; robot.body_groups.len()];
+        for (foot, &body) in robot.feet.iter().enumerate() {
+            peaks[body] = forces.feet_normal[1..].iter().fold(0.0, |most, normal| most.max(f64::from(normal[foot])));
+        }
+        for force in &forces.others {
+            peaks[force.body as usize] = force.normal.iter().fold(0.0, |most, normal| most.max(f64::from(*normal)));
+        }
         let rotation = pose.rotation.map(f64::from);
         let angular = velocity.angular.map(f64::from);
         let of_origin = rotate_back(rotation, velocity.linear.map(f64::from));

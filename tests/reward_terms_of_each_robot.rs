@@ -8,7 +8,7 @@ use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
 use polypod::systems::RobotView;
 use polypod::{Sim, SimOptions};
-use smallvec::{SmallVec, smallvec};
+use smallvec::smallvec;
 
 /// Unweighted values for a robot that walks, told to go at (0.6, -0.8) m/s and 0.5 rad/s, and for one that is to stand.
 ///
@@ -113,7 +113,6 @@ fn twelve(x: f32) -> PerJoint {
 }
 
 fn hand(model: &MorphologyModel, walks: bool) -> Hand {
-    let four = |x: [f32; 4]| -> SmallVec<[f32; 4]> { x.into_iter().collect() };
     let mut peak_force = smallvec![0.0; model.body_groups.len()];
     let mut touch = |body: usize, force: f32| peak_force[body] = force;
     touch(model.feet[1], 50.0);
@@ -141,16 +140,12 @@ fn hand(model: &MorphologyModel, walks: bool) -> Hand {
         action: Action { current: twelve(0.3), previous: twelve(0.1) },
         contacts: ContactSensor {
             peak_force,
-            contact_time: four([0.0, 0.02, 0.4, 0.0]),
-            air_time: four([0.2, 0.0, 0.0, 0.1]),
-            last_contact_time: four([0.5, 0.1, 0.3, 0.8]),
-            last_air_time: four([0.6, 0.7, 0.3, 0.2]),
+            contact_time: [0.0, 0.02, 0.4, 0.0],
+            air_time: [0.2, 0.0, 0.0, 0.1],
+            last_contact_time: [0.5, 0.1, 0.3, 0.8],
+            last_air_time: [0.6, 0.7, 0.3, 0.2],
         },
-        feet: Feet {
-            position: positions.into_iter().collect(),
-            velocity: velocities.into_iter().collect(),
-            height: positions.iter().map(|foot| foot[2]).collect(),
-        },
+        feet: Feet { position: positions, velocity: velocities, height: positions.map(|foot| foot[2]) },
     }
 }
 

@@ -1,5 +1,8 @@
 //! Each robot, holding its default pose, keeps standing for 10 s, and its contact forces add up to its weight.
 
+mod common;
+
+use common::upward_force;
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId};
 use polypod::{Sim, SimOptions};
 
@@ -40,8 +43,8 @@ fn every_robot_stands_for_ten_seconds_and_weighs_what_it_weighs() {
     {
         let robot = &robots[env.0 as usize];
         let weight = f64::from(body.0.total_mass()) * gravity;
-        let up: f64 = forces.net.iter().map(|f| f64::from(f[2])).sum();
-        let feet: Vec<f64> = robot.feet.iter().map(|&b| f64::from(forces.net[b][2]) / weight).collect();
+        let up = upward_force(forces);
+        let feet = forces.feet.map(|f| f64::from(f[2]) / weight);
         let speed = velocity.linear.iter().map(|v| v * v).sum::<f32>().sqrt();
         let [w, x, y, _] = pose.rotation;
         println!(

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{assert_all_same, busy, step};
+use common::{assert_all_same, busy, step, upward_force};
 use polypod::components::{BasePose, BaseVelocity, ContactForces, EnvId, Feet};
 use polypod::{Sim, SimOptions};
 
@@ -32,7 +32,7 @@ fn robots_stand_as_on_the_articulated_engine() {
             .query::<(&EnvId, &BasePose, &ContactForces, &Feet)>()
             .iter(world)
             .map(|(env, pose, forces, feet)| {
-                let up: f64 = forces.net.iter().map(|f| f64::from(f[2])).sum();
+                let up = upward_force(forces);
                 let lowest = feet.position.iter().map(|p| p[2]).fold(f32::MAX, f32::min);
                 (*env, (pose.position[2], up, lowest))
             })

@@ -94,7 +94,8 @@ fn turned_extent<S: Real>(rotation: &Mat3<S>, half: &Vec3<S>) -> Vec3<S> {
     extent
 }
 
-/// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts.
+/// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts. `first`: whether the
+/// bodies may be others than those of the physics step before.
 #[inline(always)]
 pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -102,13 +103,14 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
     settings: &ContactSettings,
     dt: S,
     state: &State<S>,
+    first: bool,
     work: &mut Workspace<S>,
 ) {
     if topology.pairs.is_empty() {
         return;
     }
     let Workspace { links, factor, colliders, collider_boxes, contact: rows, .. } = work;
-    box_links(topology, parameters, links, collider_boxes);
+    box_links(topology, parameters, links, first, collider_boxes);
     let inverse_dt = S::one() / dt;
     for group in &topology.pair_groups {
         let [a, b] = group.links;
@@ -168,15 +170,17 @@ fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_
     squared_reach.mul_add(dot(&velocity.ang, &velocity.ang), dot(&point, &point))
 }
 
-/// Puts a box around the colliders of each link, and finds how fast any point of it moves, now or freely.
+/// Puts a box around the colliders of each link, and finds how fast any point of it moves, now or freely. The base, from which all is
+/// seen, stays as the `first` physics step of these bodies left it.
 #[inline(always)]
 fn box_links<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
     parameters: B,
     links: &[LinkState<S>],
+    first: bool,
     boxes: &mut [ColliderBox<S>],
 ) {
-    for (link, (at, out)) in links.iter().zip(boxes).enumerate() {
+    for (link, (at, out)) in links.iter().zip(boxes).enumerate().skip(usize::from(!first)) {
         if topology.colliders_of(link).is_empty() {
             continue;
         }
@@ -185,7 +189,6 @@ fn box_links<S: Real, B: BodyNumbers<S>>(
         out.centre = add(&at.position, &mul_vec(&at.rotation, &[cx, cy, cz]));
         out.extent = turned_extent(&at.rotation, &half);
         out.placed = false;
-        // the base is where the others are seen from
         if link > 0 {
             let squared_reach = dot(&half, &half);
             let now = half_squared_speed(&at.velocity.minus(&links[0].velocity), &out.centre, squared_reach);
@@ -337,7 +340,7 @@ mod tests {
             forward_kinematics(&topology, &parameters, &[3.0 * random()], &[0.0], &Spatial::zero(), &mut work);
             place_colliders(&topology, &parameters, &mut work);
             let mut boxes = vec![ColliderBox::zero(); topology.num_links()];
-            box_links(&topology, &parameters, &work.links, &mut boxes);
+            box_links(&topology, &parameters, &work.links, true, &mut boxes);
             for (p, pair) in topology.pairs.iter().enumerate() {
                 let gap = pair_gap(&topology, &work, p);
                 let [a, b] = pair.colliders;

@@ -228,7 +228,7 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     kinematics::free_links(topology, &work.rhs_joint, &mut work.links);
     let free_base = Spatial::from_array(free_base);
     contact::build_contacts(topology, parameters, &settings.contact, terrain, dt, state, &free_base, work);
-    self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, work);
+    self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, substep == 0, work);
     work.contact.base = work.contact.moved_base;
     work.contact.joints.copy_from_slice(&work.contact.moved_joints);
     {

@@ -5,7 +5,8 @@ use std::ops::Range;
 use std::process;
 
 use polypod::components::{
-    BasePose, BaseVelocity, Body, Command, ContactSensor, EnvId, Episode, EpisodeSums, Feet, JointEffort, JointState,
+    BasePose, BaseVelocity, Body, Command, ContactForces, ContactSensor, EnvId, Episode, EpisodeSums, Feet,
+    JointEffort, JointState,
 };
 use polypod::{Sim, SimOptions};
 
@@ -29,6 +30,12 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
         .to_vec(),
         ..SimOptions::new("velocity_flat", num_envs)
     }
+}
+
+/// The sum of the contact forces on a robot in the last physics step, along the world's z, N.
+pub fn upward_force(forces: &ContactForces) -> f64 {
+    let others = forces.others.iter().map(|force| &force.net);
+    forces.feet.iter().chain(others).map(|net| f64::from(net[2])).sum()
 }
 
 /// The command line program.
