@@ -459,6 +459,41 @@ mod tests {
     }
 
     #[test]
+    fn contact_forces_are_those_of_every_body() {
+        let feet = [2, 5, 6, 0];
+        // of seven bodies 1 touched nothing, 3 pressed in the first physics step alone, and 4 in the last
+        let net = |body: usize| if [1, 3].contains(&body) { [0.0; 3] } else { [0.5, -1.0, body as f32] };
+        for decimation in [1, 2, 4] {
+            let normal = |step: usize, body: usize| match body {
+                1 => 0.0,
+                3 => f32::from(u8::from(step == 0)),
+                4 => f32::from(u8::from(step + 1 == decimation)),
+                _ => (10 * step + body) as f32,
+            };
+            let mut forces = ContactForces::zeros(decimation);
+            for _ in 0..2 {
+                forces.set(&feet, &[1, 3, 4], net, normal);
+                let expected: Vec<[f32; 3]> = (0..7).map(net).collect();
+                assert_eq!(forces.net(7, &feet), expected);
+                for (step, found) in forces.feet_normal.iter().enumerate() {
+                    assert_eq!(*found, feet.map(|foot| normal(step, foot)));
+                }
+                let others: Vec<(u32, [f32; 3])> =
+                    forces.others.iter().map(|force| (force.body, force.normal)).collect();
+                let expected: &[(u32, [f32; 3])] = match decimation {
+                    1 => &[(3, [1.0, 0.0, 0.0]), (4, [1.0, 0.0, 0.0])],
+                    2 => &[(3, [1.0, 0.0, 0.0]), (4, [0.0, 1.0, 0.0])],
+                    _ => &[(4, [0.0, 0.0, 1.0])],
+                };
+                assert_eq!(others, expected, "{decimation} physics steps");
+            }
+            forces.clear();
+            assert_eq!(forces.net(7, &feet), [[0.0; 3]; 7]);
+            assert_eq!((forces.feet_normal.len(), forces.others.len()), (decimation, 0));
+        }
+    }
+
+    #[test]
     fn numbers_drawn_together_are_those_drawn_one_by_one() {
         let (mut one, mut other) = (EnvRng::new(5, 9), EnvRng::new(5, 9));
         for count in [0, 1, 3, 63, 64, 65, 187] {
