@@ -189,6 +189,7 @@ fn box_links<S: Real, B: BodyNumbers<S>>(
         out.centre = add(&at.position, &mul_vec(&at.rotation, &[cx, cy, cz]));
         out.extent = turned_extent(&at.rotation, &half);
         out.placed = false;
+        // seen from itself, the base does not move
         if link > 0 {
             let squared_reach = dot(&half, &half);
             let now = half_squared_speed(&at.velocity.minus(&links[0].velocity), &out.centre, squared_reach);
