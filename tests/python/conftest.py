@@ -1,5 +1,9 @@
 """What the tests share."""
 
+import contextlib
+import logging
+import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -8,18 +12,57 @@ from typing import Any
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 import polypod
-from common import TASK
+import polypod.__main__
+from common import FLAT_POLICY, ROBOTS, TASK, TINY
+
+Finished = subprocess.CompletedProcess[str]
+
+# pytest runs a worker per core. Torch reads this when it is imported, here and in processes that tests start.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
+    """Accepts the options that `pyproject.toml` passes to pytest-xdist where it is absent or switched off."""
+    if not pluginmanager.hasplugin("xdist"):
+        for option in ("--numprocesses", "--dist"):
+            parser.addoption(option, help="ignored without pytest-xdist")
+
+
+@pytest.fixture(autouse=True)
+def same_start() -> Iterator[None]:
+    """Every test starts with the same random stream of torch, whatever ran before it in this process."""
+    if torch := sys.modules.get("torch"):
+        torch.manual_seed(0)
+    with same_process():
+        yield
+
+
+@contextlib.contextmanager
+def same_process() -> Iterator[None]:
+    """Takes back what a command changes in its process: environment, logging, number of torch's threads."""
+    environ, root = dict(os.environ), logging.getLogger()
+    handlers, level = list(root.handlers), root.level
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(environ)
+        root.handlers[:] = handlers
+        root.setLevel(level)
+        if torch := sys.modules.get("torch"):
+            torch.set_num_threads(1)
 
 
 @pytest.fixture
 def make() -> Iterator[Callable[..., polypod.VectorEnv]]:
-    """`polypod.make` with small defaults; the envs are closed afterwards."""
+    """`polypod.make` with small defaults, `robots=None` for all of the task; the envs are closed afterwards."""
     envs = []
 
     def build(num_envs: int = 16, seed: int = 1, **arguments: Any) -> polypod.VectorEnv:
-        env = polypod.make(TASK, num_envs=num_envs, seed=seed, **arguments)
+        env = polypod.make(TASK, num_envs=num_envs, seed=seed, **{"robots": ROBOTS, **arguments})
         envs.append(env)
         return env
 
@@ -40,11 +83,78 @@ def actions() -> Callable[..., np.ndarray]:
 
 
 @pytest.fixture
-def cli(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Runs `polypod` with the given arguments in a temporary directory, or in `cwd`."""
+def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Finished]:
+    """Runs `polypod` with the given arguments in this process, in a temporary directory or in `cwd`.
 
-    def run(*arguments: str, cwd: Path = tmp_path) -> subprocess.CompletedProcess[str]:
+    It saves the seconds that a new process takes to import torch. `cli_process` starts a process.
+    """
+
+    def run(*arguments: str, cwd: Path = tmp_path) -> Finished:
+        capsys.readouterr()
+        with same_process(), monkeypatch.context() as patch:
+            patch.chdir(cwd)
+            patch.setattr(sys, "argv", ["polypod", *arguments])
+            try:
+                code = polypod.__main__.main()
+            except SystemExit as left:
+                code = left.code
+        assert code is None or isinstance(code, int), code
+        return subprocess.CompletedProcess(sys.argv, code or 0, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def cli_process(tmp_path: Path) -> Callable[..., Finished]:
+    """Runs `polypod` as `cli` does, in a process of its own."""
+
+    def run(*arguments: str, cwd: Path = tmp_path) -> Finished:
         command = [sys.executable, "-m", "polypod", *arguments]
         return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=170, check=False)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def built_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Returns a folder that the first worker to ask for it fills and that all workers read."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+
+    def folder(name: str, fill: Callable[[Path], object]) -> Path:
+        done = base / f"{name}.done"
+        with FileLock(base / f"{name}.lock"):
+            if not done.exists():
+                (base / name).mkdir(exist_ok=True)
+                fill(base / name)
+                done.touch()
+        return base / name
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def trained_run(built_once: Callable[..., Path]) -> Path:
+    """The checkpoint of a training of one iteration with the options `common.TINY`."""
+    from polypod.training import run_dir, session
+
+    def train(folder: Path) -> None:
+        options = session.Options(log_dir=folder, device="cpu", logger="none", max_iterations=1, **TINY)
+        with same_process():
+            assert session.train(options) == 0
+
+    return run_dir.find_checkpoint(built_once("trained_run", train), "latest")
+
+
+@pytest.fixture(scope="session")
+def exported_policy(built_once: Callable[..., Path]) -> tuple[Path, Any]:
+    """The folder of the shipped flat policy's export, a graph per robot included, and `export_checkpoint`'s result."""
+    from polypod.export import export_checkpoint
+
+    def export(folder: Path) -> None:
+        done = export_checkpoint(FLAT_POLICY, folder / "policy", fold=True)
+        (folder / "done.pickle").write_bytes(pickle.dumps(done))
+
+    folder = built_once("exported_policy", export)
+    return folder / "policy", pickle.loads((folder / "done.pickle").read_bytes())

@@ -48,10 +48,10 @@ def test_only_the_text_between_the_marks_changes(tmp_path: Path) -> None:
 
 
 def test_a_document_without_marks_is_refused_before_anything_is_measured(
-    cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+    cli_process: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
     (tmp_path / "notes.md").write_text("no marks\n")
-    done = cli("accuracy", "--out", "notes.md")
+    done = cli_process("accuracy", "--out", "notes.md")
     assert done.returncode == 2
     assert report.BEGIN in done.stderr
     assert done.stdout == ""

@@ -20,21 +20,17 @@ QUICK = ("--num-envs", "64", "--max-iterations", "2", "--logger", "none", "--set
 
 
 @pytest.fixture
-def main(tmp_path, monkeypatch, capsys):
-    """Runs a command in this process and a temporary directory; returns exit code, output and errors."""
-    monkeypatch.chdir(tmp_path)
+def main(cli):
+    """Runs a command; returns exit code, output and errors."""
 
     def run(*arguments):
-        try:
-            code = polypod.cli.main(arguments)
-        except SystemExit as exit_:
-            code = exit_.code
-        return code, *capsys.readouterr()
+        done = cli(*arguments)
+        return done.returncode, done.stdout, done.stderr
 
     return run
 
 
-def test_train_resume_and_eval(cli, tmp_path):
+def test_train_resume_and_eval(cli, cli_process, tmp_path):
     done = cli("train", *QUICK, "--robots", "spot,unitree_a1", "--run-name", "mine")
     assert done.returncode == 0, done.stderr
     assert "iteration 2/2" in done.stdout
@@ -54,7 +50,8 @@ def test_train_resume_and_eval(cli, tmp_path):
     assert manifest["policy"]["num_obs"] == sum(entry["size"] for entry in manifest["observation_layout"])
     assert set(manifest["robot_info"]) == {"spot", "unitree_a1"}
 
-    done = cli("train", "--resume", "--max-iterations", "1")
+    # what a run needs to go on is in its directory: another process resumes it
+    done = cli_process("train", "--resume", "--max-iterations", "1")
     assert done.returncode == 0, done.stderr
     assert "iteration 3/3" in done.stdout
     assert (run / "model_3.pt").exists()

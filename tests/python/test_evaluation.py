@@ -11,7 +11,7 @@ import pytest
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY, SHORT, TASK
+from common import FLAT_POLICY, SHORT, SMALL_TERRAIN, TASK
 from polypod import evaluation
 from polypod.evaluation import measures, plot, seeds
 from polypod.evaluation.results import robot_result
@@ -253,7 +253,9 @@ def test_an_evaluation_survives_its_file():
     found = evaluation.evaluate(still, TASK, robots=["spot"], num_envs=4, steps=5, grid=(2, 2, 1))
     again = evaluation.Evaluation.from_dict(json.loads(json.dumps(found.as_dict(), allow_nan=False)))
     assert again == found
-    rough = evaluation.evaluate(still, "velocity_rough", robots=["spot"], num_envs=10, steps=5)
+    arguments = {"num_envs": 10, "steps": 5, "overrides": SMALL_TERRAIN}
+    rough = evaluation.evaluate(still, "velocity_rough", robots=["spot"], **arguments)
+    assert rough.robots["spot"].terrain
     assert evaluation.Evaluation.from_dict(json.loads(json.dumps(rough.as_dict()))) == rough
 
 
@@ -345,7 +347,8 @@ def test_several_checkpoints_are_summarised(tmp_path, capsys):
 
 
 def test_the_picture_shows_tiles_and_seeds(tmp_path):
-    rough = evaluation.evaluate(still, "velocity_rough", robots=["spot", "anymal_d"], num_envs=20, steps=5)
+    arguments = {"num_envs": 20, "steps": 5, "overrides": SMALL_TERRAIN}
+    rough = evaluation.evaluate(still, "velocity_rough", robots=["spot", "anymal_d"], **arguments)
     summary = evaluation.summarize([rough, dataclasses.replace(rough, seed=1)])
     for name in ("tiles.png", "tiles.svg"):
         plot.picture(summary, tmp_path / name)

@@ -14,10 +14,10 @@ from tensordict import TensorDict
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY, ROUGH_POLICY
+from common import FLAT_POLICY, PLAY_TERRAIN, ROUGH_POLICY
 from polypod.evaluation import load_policy
 from polypod.evaluation.policies import load_network
-from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
+from polypod.export import OnnxPolicy, interfaces, onnx_graph
 from polypod.export.checkpoint import compare
 from polypod.export.robot import OUTPUTS
 from polypod.export.torch_graph import RobotPolicy
@@ -29,12 +29,6 @@ ROBOTS = [entry["name"] for entry in polypod.robots()]
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory):
-    out = tmp_path_factory.mktemp("exported")
-    return out, export_checkpoint(FLAT_POLICY, out, fold=True)
-
-
-@pytest.fixture(scope="module")
 def trained():
     return load_policy(run_dir.load_checkpoint(FLAT_POLICY), run_dir.read_manifest(FLAT_POLICY)["policy"])
 
@@ -43,8 +37,8 @@ def read(path):
     return json.loads(path.read_text())
 
 
-def test_every_robot_gets_its_files(exported):
-    out, done = exported
+def test_every_robot_gets_its_files(exported_policy):
+    out, done = exported_policy
     names = ["policy", *(f"policy_{robot}" for robot in ROBOTS)]
     assert {path.name for path in out.iterdir()} == {
         f"{name}.{kind}" for name in names for kind in ("onnx", "pt", "json")
@@ -53,8 +47,8 @@ def test_every_robot_gets_its_files(exported):
     assert done.difference <= 1e-5
 
 
-def test_the_network_acts_as_torch_does(exported, trained):
-    out, _ = exported
+def test_the_network_acts_as_torch_does(exported_policy, trained):
+    out, _ = exported_policy
     observations = np.random.default_rng(1).normal(size=(500, 83)).astype(np.float32)
     wanted = trained(observations)
     np.testing.assert_allclose(OnnxPolicy(out / "policy.onnx")(obs=observations)["actions"], wanted, atol=1e-5)
@@ -77,9 +71,9 @@ def test_the_rust_test_expects_these_actions(trained):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_a_folded_graph_goes_from_sensors_to_targets(exported, trained, robot):
+def test_a_folded_graph_goes_from_sensors_to_targets(exported_policy, trained, robot):
     """On states of the simulator: its observation and its targets are the reference."""
-    out, _ = exported
+    out, _ = exported_policy
     sim = polypod.VecSim(TASK, 8, robots=[robot], seed=3, threads=1)
     random = np.random.default_rng(0)
     action = np.zeros((8, 12), dtype=np.float32)
@@ -132,8 +126,8 @@ def quaternion_to_matrix(quaternion):
     )
 
 
-def test_the_manifest_says_what_a_deployment_needs(exported):
-    manifest = read(exported[0] / "policy.json")
+def test_the_manifest_says_what_a_deployment_needs(exported_policy):
+    manifest = read(exported_policy[0] / "policy.json")
     assert manifest["checkpoint"]["sha256"] == hashlib.sha256(FLAT_POLICY.read_bytes()).hexdigest()
     layout = manifest["observation_layout"]
     assert sum(entry["size"] for entry in layout) == manifest["num_obs"] == 83
@@ -210,7 +204,7 @@ def test_a_term_that_cannot_be_folded_is_named():
 def test_a_graph_folded_on_rough_ground_takes_heights(overrides):
     """What the task does to its terms is in the graph: the simulator's own observation is the reference."""
     state, manifest = run_dir.load_checkpoint(ROUGH_POLICY), run_dir.read_manifest(ROUGH_POLICY)
-    manifest = {**manifest, "overrides": [*manifest["overrides"], *overrides]}
+    manifest = {**manifest, "overrides": [*manifest["overrides"], *PLAY_TERRAIN, *overrides]}
     robot = interfaces(manifest, ["unitree_b2"])["unitree_b2"]
     network = load_network(state, manifest["policy"])
     sim = polypod.VecSim(

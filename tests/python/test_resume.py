@@ -5,9 +5,8 @@ import torch
 
 import polypod
 import polypod.evaluation
+from common import TINY
 from polypod.training import run_dir, session
-
-OPTIONS = {"num_envs": 64, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
 
 
 def train(log_dir, **options):
@@ -29,8 +28,8 @@ def differences(first, second, where=""):
 
 
 def test_four_iterations_equal_two_and_two(tmp_path):
-    whole = train(tmp_path / "whole", max_iterations=4, **OPTIONS)
-    half = train(tmp_path / "halves", max_iterations=2, **OPTIONS)
+    whole = train(tmp_path / "whole", max_iterations=4, **TINY)
+    half = train(tmp_path / "halves", max_iterations=2, **TINY)
     resumed = train(tmp_path / "halves", max_iterations=2, resume=str(half))
     assert (half.name, resumed.name) == ("model_2.pt", "model_4.pt")
     assert half.parent == resumed.parent
@@ -41,33 +40,31 @@ def test_four_iterations_equal_two_and_two(tmp_path):
     assert differences(expected, run_dir.load_checkpoint(half)) != []
 
 
-def test_the_same_seed_trains_the_same_policy(tmp_path):
-    first = run_dir.load_checkpoint(train(tmp_path / "first", max_iterations=1, **OPTIONS))
-    second = run_dir.load_checkpoint(train(tmp_path / "second", max_iterations=1, **OPTIONS))
+def test_the_same_seed_trains_the_same_policy(trained_run, tmp_path):
+    first = run_dir.load_checkpoint(trained_run)
+    second = run_dir.load_checkpoint(train(tmp_path, max_iterations=1, **TINY))
     assert differences(first["actor_state_dict"], second["actor_state_dict"]) == []
 
 
-def test_evaluation_is_deterministic(tmp_path):
-    checkpoint = train(tmp_path, max_iterations=1, **OPTIONS)
-    first, second = (polypod.evaluation.evaluate_checkpoint(checkpoint, num_envs=32, steps=40) for _ in range(2))
+def test_evaluation_is_deterministic(trained_run):
+    first, second = (polypod.evaluation.evaluate_checkpoint(trained_run, num_envs=32, steps=40) for _ in range(2))
     assert first == second
 
 
-def test_a_run_may_begin_with_another_runs_networks(tmp_path):
-    first = train(tmp_path / "first", max_iterations=1, **OPTIONS)
+def test_a_run_may_begin_with_another_runs_networks(trained_run, tmp_path):
+    first = trained_run
     # a learning rate of zero would leave them as they are; one iteration leaves them near
-    second = train(tmp_path / "second", max_iterations=1, init=first, **{**OPTIONS, "seed": 6})
-    fresh = train(tmp_path / "fresh", max_iterations=1, **{**OPTIONS, "seed": 6})
+    second = train(tmp_path / "second", max_iterations=1, init=first, **{**TINY, "seed": 6})
+    fresh = train(tmp_path / "fresh", max_iterations=1, **{**TINY, "seed": 6})
     weights = [run_dir.load_checkpoint(path)["actor_state_dict"]["mlp.0.weight"] for path in (first, second, fresh)]
     assert (weights[0] - weights[1]).abs().mean() < 0.1 * (weights[0] - weights[2]).abs().mean()
     assert second.parent != first.parent
     assert second.name == "model_1.pt"
 
 
-def test_networks_that_do_not_fit_are_refused(tmp_path):
-    first = train(tmp_path / "first", max_iterations=1, **OPTIONS)
-    other = {**OPTIONS, "task": "velocity_flat_universal"}
+def test_networks_that_do_not_fit_are_refused(trained_run, tmp_path):
+    other = {**TINY, "task": "velocity_flat_universal"}
     with pytest.raises(polypod.ConfigError, match="--init"):
-        train(tmp_path / "second", max_iterations=1, init=first, **other)
+        train(tmp_path, max_iterations=1, init=trained_run, **other)
     with pytest.raises(polypod.ConfigError, match="--init"):
-        train(tmp_path / "first", resume=str(first), init=first)
+        train(tmp_path, resume=str(trained_run), init=trained_run)

@@ -39,7 +39,7 @@ def test_without_a_seed_the_streams_go_on(make):
 
 
 def test_thread_count_does_not_matter(make, actions):
-    one, two = make(num_envs=40, threads=1), make(num_envs=40, threads=2)
+    one, two = (make(robots=None, num_envs=40, threads=threads) for threads in (1, 2))
     assert rollout(one, actions, seed=7).tobytes() == rollout(two, actions, seed=7).tobytes()
 
 

@@ -8,7 +8,7 @@ import torch
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY, ROUGH_POLICY
+from common import FLAT_POLICY, PLAY_TERRAIN, ROUGH_POLICY, SMALL_TERRAIN
 from polypod import sim2sim
 from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network
@@ -20,12 +20,15 @@ from polypod.training import run_dir
 TASK = "Velocity-Flat-Universal-Play-v0"
 
 
-def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK):
+def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, overrides=()):
     manifest, state = run_dir.read_manifest(checkpoint), run_dir.load_checkpoint(checkpoint)
+    manifest = {**manifest, "overrides": [*manifest["overrides"], *overrides]}
     network = load_network(state, manifest["policy"])
     interface = interfaces(manifest, [robot])[robot]
     policy = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
-    sim = polypod.VecSim(task, num_envs, robots=[robot], seed=5, threads=1, autoreset="disabled")
+    sim = polypod.VecSim(
+        task, num_envs, robots=[robot], seed=5, threads=1, autoreset="disabled", overrides=list(overrides)
+    )
     described = accuracy_robot.of(sim, robot, robot)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
     made = twin.Twin(
@@ -152,7 +155,8 @@ def test_it_walks_in_both_simulators(tmp_path, capsys):
 
 def test_the_ground_is_the_tasks_own(capsys):
     """What MuJoCo's rays hit is what polypod's robots stand on, and what the twin's scanner says."""
-    sim, mujoco, policy = make_twin("unitree_go1", 16, checkpoint=ROUGH_POLICY, task="velocity_rough_universal_play")
+    rough = {"checkpoint": ROUGH_POLICY, "task": "velocity_rough_universal_play", "overrides": SMALL_TERRAIN}
+    sim, mujoco, policy = make_twin("unitree_go1", 16, **rough)
     for _ in range(3):
         sim.step(np.zeros((16, 12), dtype=np.float32))
     mujoco.reset(sim.qpos("unitree_go1"), sim.qvel("unitree_go1"))
@@ -165,7 +169,7 @@ def test_the_ground_is_the_tasks_own(capsys):
     engine, model, hit = mujoco._mj, mujoco.reference.model, np.zeros(1, dtype=np.int32)
     ground = np.flatnonzero(model.geom_type == engine.mjtGeom.mjGEOM_HFIELD)
     random = np.random.default_rng(0)
-    for at in random.uniform(-20.0, 20.0, size=(300, 2)):
+    for at in random.uniform([-8.0, -40.0], [8.0, 40.0], size=(300, 2)):
         above, down = np.array([*at, 30.0]), np.array([0.0, 0.0, -1.0])
         distance = engine.mj_ray(model, mujoco._data[0], above, down, None, 1, -1, hit, None)
         if hit[0] == ground[0]:
@@ -177,7 +181,9 @@ def test_the_ground_is_the_tasks_own(capsys):
 
 
 def test_it_climbs_in_both_simulators():
-    options = sim2sim.Options(envs_per_robot=6, steps=250, overrides=("scene.terrain.max_init_terrain_level=2",))
+    options = sim2sim.Options(
+        envs_per_robot=6, steps=250, overrides=(*PLAY_TERRAIN, "scene.terrain.max_init_terrain_level=2")
+    )
     found = sim2sim.compare(ROUGH_POLICY, ["unitree_go1"], options)
     assert found.physics.dt == 0.002
     robot = found.robots["unitree_go1"]

@@ -7,13 +7,15 @@ from tensordict import TensorDict
 
 import polypod
 import polypod.rsl_rl
+from common import SMALL_TERRAIN
 from polypod.training.symmetry import Mirror
 
 TASKS = ["velocity_flat_play", "velocity_flat_universal_play", "velocity_rough_play"]
 
 
 def mirror_of(task: str) -> tuple[polypod.rsl_rl.VecEnv, Mirror]:
-    env = polypod.rsl_rl.VecEnv(polypod.make(task, num_envs=16, seed=3))
+    overrides = SMALL_TERRAIN if "rough" in task else ()
+    env = polypod.rsl_rl.VecEnv(polypod.make(task, num_envs=16, seed=3, overrides=overrides))
     return env, Mirror(env, "cpu")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import polypod
+from common import SMALL_TERRAIN
 from polypod.training.config import tomllib
 
 TERMS = {
@@ -21,8 +22,8 @@ ANYMALS = ["anymal_d", "anymal_c", "anymal_b"]
 SMALL = ["unitree_a1", "unitree_go1", "unitree_go2"]
 
 
-def config(task="velocity_flat"):
-    env = polypod.make(task, num_envs=8, seed=1)
+def config(task="velocity_flat", overrides=()):
+    env = polypod.make(task, num_envs=8, seed=1, overrides=overrides)
     found = tomllib.loads(env.sim.resolved_config())
     env.close()
     return found
@@ -41,7 +42,7 @@ def reference():
 def test_observation_terms(make, flat):
     policy = flat["task"]["observations"]["policy"]
     assert {entry["term"]: entry.get("noise", 0.0) for entry in policy} == {name: n for name, (_, n) in TERMS.items()}
-    env = make(autoreset="disabled", overrides=["observations.enable_noise=false"])
+    env = make(robots=None, autoreset="disabled", overrides=["observations.enable_noise=false"])
     assert env.observation_layout == [(name, size) for name, (size, _) in TERMS.items()]
     env.reset(seed=2)
     still = np.zeros(env.action_space.shape, dtype=np.float32)
@@ -56,8 +57,8 @@ def test_observation_terms(make, flat):
 
 def test_noise_is_uniform_and_as_wide_as_said(make):
     """Noise is the last that a reset draws: with and without it the same seed gives the same state."""
-    with_noise = make(num_envs=4000).reset(seed=4)[0]
-    without = make(num_envs=4000, overrides=["observations.enable_noise=false"]).reset(seed=4)[0]
+    with_noise = make(robots=None, num_envs=4000).reset(seed=4)[0]
+    without = make(robots=None, num_envs=4000, overrides=["observations.enable_noise=false"]).reset(seed=4)[0]
     noise = with_noise.astype(np.float64) - without
     column = 0
     for size, width in TERMS.values():
@@ -156,7 +157,7 @@ def test_commands(make, flat):
     assert (drawn["rel_heading_envs"], drawn["heading_control_stiffness"]) == (1.0, 0.5)
     assert drawn["heading_command"]
     assert drawn["heading"] == pytest.approx([-np.pi, np.pi])
-    env = make(num_envs=8000)
+    env = make(robots=None, num_envs=8000)
     observations, _ = env.reset(seed=4)
     command = env.sim.command
     np.testing.assert_array_equal(observations[:, 9:12], command)
@@ -232,7 +233,7 @@ def test_surfaces(flat, reference):
 
 def test_rough_rewards():
     """What rough ground changes, and nothing else."""
-    flat, rough = config()["task"]["rewards"], config("velocity_rough")["task"]["rewards"]
+    flat, rough = config()["task"]["rewards"], config("velocity_rough", SMALL_TERRAIN)["task"]["rewards"]
     changed = {
         (group, term, key): (rough[group][term][key], value)
         for group, terms in flat.items()
