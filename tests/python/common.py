@@ -36,7 +36,7 @@ SMALL_TERRAIN = ("scene.terrain.num_rows=2", "scene.terrain.num_cols=10", "scene
 PLAY_TERRAIN = ("scene.terrain.num_rows=5", "scene.terrain.num_cols=10", "scene.terrain.border_width=2.0")
 """The tiles of the Play variants of rough ground without the wide border, for tests of what is sensed of the ground."""
 
-TINY: dict[str, Any] = {"num_envs": 64, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
+TINY: dict[str, Any] = {"num_envs": 64, "robots": ROBOTS, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
 """Options of a training that takes about a second."""
 
 _POLICIES = Path(__file__).parents[2] / "assets" / "policies"

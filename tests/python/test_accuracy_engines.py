@@ -5,14 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from polypod.accuracy import engines, robot
+from common import size
+from polypod.accuracy import engines, motion, robot
 
 ROBOT = "unitree_go2"
 
 
 @pytest.fixture(scope="module")
 def both() -> engines.Engines:
-    return engines.compare_engines(robot.load(ROBOT))
+    with pytest.MonkeyPatch.context() as patch:
+        # the answers of MuJoCo's RK4 differ in the fifth digit
+        patch.setattr(motion, "CONVERGED", size(2.0, 1.0) * motion.CONVERGED)
+        return engines.compare_engines(robot.load(ROBOT))
 
 
 def test_both_engines_stand_alike(both: engines.Engines) -> None:

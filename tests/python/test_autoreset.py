@@ -4,9 +4,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from common import SHORT
+from common import SHORT, size
 
-STEPS = 60
+STEPS = size(60, 600)
 
 
 def test_same_step_equals_disabled_with_masked_resets(make, actions):

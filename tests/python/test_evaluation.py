@@ -11,7 +11,7 @@ import pytest
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY, SHORT, SMALL_TERRAIN, TASK
+from common import FLAT_POLICY, SHORT, SMALL_TERRAIN, TASK, size
 from polypod import evaluation
 from polypod.evaluation import measures, plot, seeds
 from polypod.evaluation.results import robot_result
@@ -45,8 +45,8 @@ def test_figures_are_those_of_the_simulation():
     env.reset(seed=4)
     columns = {"base_lin_vel": 0, "base_ang_vel": 3, "velocity_commands": 9}
     start = 0
-    for term, size in env.observation_layout:
-        columns[term], start = start, start + size
+    for term, width in env.observation_layout:
+        columns[term], start = start, start + width
     velocity, turn, command = (columns[name] for name in ("base_lin_vel", "base_ang_vel", "velocity_commands"))
     errors, rewards, joints, feet = [[] for _ in range(8)], [0.0] * 8, [[] for _ in range(8)], [[] for _ in range(8)]
     running, fallen = set(range(8)), set()
@@ -278,7 +278,7 @@ def test_an_interval_by_hand():
 
 def test_intervals_hold_the_mean_as_often_as_they_say():
     random = np.random.default_rng(0)
-    draws = random.normal(3.0, 2.0, size=(4000, 3))
+    draws = random.normal(3.0, 2.0, size=(size(4000, 40_000), 3))
     held = [found.low <= 3.0 <= found.high for found in map(seeds.interval, draws)]
     assert np.mean(held) == pytest.approx(0.95, abs=0.015)
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import polypod
+from common import size
+from polypod.accuracy import motion, standing
 from polypod.accuracy.motion import compare_step_responses
 from polypod.accuracy.reference import Reference
 from polypod.accuracy.robot import load, names
@@ -14,6 +16,16 @@ from polypod.accuracy.standing import FIRM, compare_drop, compare_standing
 HEIGHT = 0.005
 """m."""
 PITCH = math.radians(0.5)
+
+
+@pytest.fixture(autouse=True)
+def converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The core tier takes twice the steps of the converged references.
+
+    MuJoCo's RK4 answers then differ in the fifth digit. The landings differ by less than a third of the bounds.
+    """
+    monkeypatch.setattr(motion, "CONVERGED", size(2.0, 1.0) * motion.CONVERGED)
+    monkeypatch.setattr(standing, "CONVERGED", size(2.0, 1.0) * standing.CONVERGED)
 
 
 @pytest.mark.parametrize("name", names())
@@ -43,10 +55,10 @@ def test_at_the_tasks_step_a_robot_with_firm_legs_stands_where_mujocos_does(name
 
 @pytest.mark.parametrize("name", names())
 def test_standing_feet_carry_what_mujocos_carry(name: str) -> None:
-    standing = compare_standing(load(name))
-    assert len(standing.normal) == 4
-    assert standing.normal_error < 0.02
-    assert standing.normal.sum() == pytest.approx(standing.weight, rel=1e-3)
+    found = compare_standing(load(name))
+    assert len(found.normal) == 4
+    assert found.normal_error < 0.02
+    assert found.normal.sum() == pytest.approx(found.weight, rel=1e-3)
 
 
 WHIP = (

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import polypod
+from common import size
 from polypod import _core
 from polypod.new_robot import new_robot
 
@@ -135,7 +136,7 @@ def test_the_urdfs_that_come_along_make_robots_that_stand(tmp_path, robot):
     assert made.gain_factor == 1.0
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=size(8, 100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     mass=st.floats(4.0, 90.0),
     thigh=st.floats(0.12, 0.4),

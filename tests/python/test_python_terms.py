@@ -5,10 +5,10 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import polypod
-from common import SHORT
+from common import SHORT, size
 from polypod.terms import CustomTerms, Reward
 
-STEPS = 40
+STEPS = size(40, 400)
 WIDTHS = {
     "base_pos": 3,
     "base_quat": 4,

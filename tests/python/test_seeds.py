@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from common import SHORT
+from common import SHORT, size
+
+STEPS = size(30, 300)
 
 
-def rollout(env, actions, seed, steps=30):
+def rollout(env, actions, seed, steps=STEPS):
     observations, _ = env.reset(seed=seed)
     trace = [observations.copy()]
     for step in range(steps):

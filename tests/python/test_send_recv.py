@@ -7,12 +7,13 @@ import pytest
 from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError
 
 import polypod
+from common import ROBOTS, size
 
-STEPS = 30
+STEPS = size(30, 300)
 
 
 def envs(count: int):
-    return [polypod.make("velocity_flat", num_envs=16, seed=3, copy=True) for _ in range(count)]
+    return [polypod.make("velocity_flat", num_envs=16, robots=ROBOTS, seed=3, copy=True) for _ in range(count)]
 
 
 def test_two_halves_give_what_a_step_gives() -> None:

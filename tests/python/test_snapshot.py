@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from common import SHORT
+from common import SHORT, size
 
 
 def test_restore_goes_on_as_if_nothing_happened(make, actions):
@@ -13,7 +13,7 @@ def test_restore_goes_on_as_if_nothing_happened(make, actions):
     state = env.sim.snapshot()
     other.sim.restore(state)
     np.testing.assert_array_equal(env.sim.observation, other.sim.observation)
-    for step in range(15, 60):
+    for step in range(15, size(60, 600)):
         drawn = actions(env, step)
         for expected, found in zip(env.step(drawn)[:4], other.step(drawn)[:4], strict=True):
             assert expected.tobytes() == found.tobytes()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polypod
-from common import SMALL_TERRAIN
+from common import SMALL_TERRAIN, size
 from polypod.training.config import tomllib
 
 TERMS = {
@@ -57,13 +57,14 @@ def test_observation_terms(make, flat):
 
 def test_noise_is_uniform_and_as_wide_as_said(make):
     """Noise is the last that a reset draws: with and without it the same seed gives the same state."""
-    with_noise = make(robots=None, num_envs=4000).reset(seed=4)[0]
-    without = make(robots=None, num_envs=4000, overrides=["observations.enable_noise=false"]).reset(seed=4)[0]
+    num_envs = size(4000, 40_000)
+    with_noise = make(robots=None, num_envs=num_envs).reset(seed=4)[0]
+    without = make(robots=None, num_envs=num_envs, overrides=["observations.enable_noise=false"]).reset(seed=4)[0]
     noise = with_noise.astype(np.float64) - without
     column = 0
-    for size, width in TERMS.values():
-        block = noise[:, column : column + size]
-        column += size
+    for columns, width in TERMS.values():
+        block = noise[:, column : column + columns]
+        column += columns
         if width == 0.0:
             assert not block.any()
             continue
@@ -157,7 +158,7 @@ def test_commands(make, flat):
     assert (drawn["rel_heading_envs"], drawn["heading_control_stiffness"]) == (1.0, 0.5)
     assert drawn["heading_command"]
     assert drawn["heading"] == pytest.approx([-np.pi, np.pi])
-    env = make(robots=None, num_envs=8000)
+    env = make(robots=None, num_envs=size(8000, 80_000))
     observations, _ = env.reset(seed=4)
     command = env.sim.command
     np.testing.assert_array_equal(observations[:, 9:12], command)

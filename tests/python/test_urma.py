@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 import polypod
 import polypod.rsl_rl
+from common import ROBOTS
 from polypod import networks
 from polypod.evaluation import evaluate_checkpoint, load_network
 from polypod.export import OnnxPolicy, export_checkpoint, onnx_graph
@@ -226,7 +227,7 @@ def small(tmp_path):
 
 
 def train(log_dir, train_config, **options):
-    arguments = {"seed": 5, "overrides": ["sim.episode_length_s=1.0"], "train_config": train_config}
+    arguments = {"robots": ROBOTS, "seed": 5, "overrides": ["sim.episode_length_s=1.0"], "train_config": train_config}
     arguments = {"log_dir": log_dir, "device": "cpu", "logger": "none", **arguments, **options}
     assert session.train(session.Options(**arguments)) == 0
     return run_dir.find_checkpoint(log_dir, "latest")
@@ -249,7 +250,7 @@ def test_rsl_rls_own_runner_finds_it_by_its_name(small):
 def test_it_trains_resumes_exports_and_is_evaluated_like_any_other(tmp_path, small):
     whole = train(tmp_path / "whole", small, max_iterations=2)
     half = train(tmp_path / "halves", small, max_iterations=1)
-    resumed = train(tmp_path / "halves", None, max_iterations=1, resume=str(half), seed=None, overrides=[])
+    resumed = train(tmp_path / "halves", None, max_iterations=1, resume=str(half), robots=None, seed=None, overrides=[])
     states = [run_dir.load_checkpoint(path)["actor_state_dict"] for path in (whole, resumed, half)]
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
     assert any(not torch.equal(states[0][key], states[2][key]) for key in states[0])
