@@ -2,8 +2,16 @@
 
 import pytest
 
+from common import size
+from polypod.accuracy import sweeps
 from polypod.accuracy.robot import load, names
 from polypod.accuracy.sweeps import COUNTS, USUAL, compare_sweeps
+
+
+@pytest.fixture(autouse=True)
+def converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The core tier takes half the sweeps of the converged solution, which changes `left` over `step` by 1.5 %."""
+    monkeypatch.setattr(sweeps, "CONVERGED", size(sweeps.CONVERGED // 2, sweeps.CONVERGED))
 
 
 @pytest.mark.parametrize("name", names())
