@@ -22,7 +22,13 @@ endif
 unexport CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR CONDA_PREFIX
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-RUST_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets/robots -type f 2>/dev/null)
+LIBRARY_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets/robots workspace-hack -type f 2>/dev/null)
+PROGRAM_SOURCES := $(LIBRARY_SOURCES) $(shell find polypod-sim -type f 2>/dev/null)
+
+# `make demo WHEEL=dist/....whl` runs from an installed wheel, in a new environment outside the checkout.
+WHEEL ?=
+# Of cargo-nextest, which `make test` uses where it is installed; `cargo test` runs the same tests.
+NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 
 # The policy that comes along, and how it is filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
@@ -33,33 +39,77 @@ FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 
-.PHONY: help build train eval demo film film-rough test bench soak accuracy lint format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended test-rust test-python wheel wheel-venv bench soak accuracy lint doc package format lock clean
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
 
 build: $(VENV)/.extension target/release/polypod-sim ## Build the Python package (into .venv) and target/release/polypod-sim
 
-train: build ## Train one policy over all robots (ARGS="..." is passed on), then evaluate it
+train: $(VENV)/.extension ## Train one policy over all robots (ARGS="..." is passed on), then evaluate it
 	$(BIN)/polypod train --train-config quick $(ARGS)
 
-eval: build ## Evaluate a checkpoint: make eval ARGS="--checkpoint logs/.../model_300.pt"
+eval: $(VENV)/.extension ## Evaluate a checkpoint: make eval ARGS="--checkpoint logs/.../model_300.pt"
 	$(BIN)/polypod eval $(ARGS)
 
-demo: build ## Play the policy that comes along: evaluate it on all eight robots and film them, without a display
-	$(BIN)/polypod eval --checkpoint $(SHIPPED) --num-envs 128
-	$(BIN)/polypod play --checkpoint $(SHIPPED) --headless --seconds 20 --command 0.5 0 0
-	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video logs/demo/eight_robots.gif
+# Installs the wheel $(1) with what training and playing need into a new environment, $(2). Versions are those of the lock.
+define install_wheel
+@if [ -e $(VENV)/.base-torch ]; then \
+	$(PYTHON) -m venv --system-site-packages "$(2)"; install="$(2)/bin/python -m pip install --quiet"; \
+else \
+	$(PYTHON) -m venv "$(2)"; install="$(BIN)/uv pip install --python $(2)/bin/python"; \
+fi; \
+$$install --constraint $(VENV)/requirements.txt "$$(realpath "$(1)")[train,play]"
+endef
 
-film: build ## Film the eight robots anew for the README
+# Three commands of an installed polypod, $(1).
+define play_shipped
+$(1) eval --checkpoint $(abspath $(SHIPPED)) --num-envs 128
+$(1) play --checkpoint $(abspath $(SHIPPED)) --headless --seconds 20 --command 0.5 0 0
+$(1) play --checkpoint $(abspath $(SHIPPED)) $(FILM) --video $(abspath logs/demo/eight_robots.gif)
+endef
+
+ifeq ($(WHEEL),)
+demo: $(VENV)/.extension ## Play the policy that comes along: evaluate it on all eight robots and film them, without a display
+	$(call play_shipped,$(BIN)/polypod)
+else
+# A new environment in a folder of its own: nothing of the checkout but the policy is in reach.
+demo: export POLYPOD_HOME := $(shell mktemp -d)
+demo: $(VENV)/.requirements
+	$(call install_wheel,$(WHEEL),$$POLYPOD_HOME/venv)
+	$(call play_shipped,cd $$POLYPOD_HOME && venv/bin/polypod)
+	rm -rf "$$POLYPOD_HOME"
+endif
+
+film: $(VENV)/.extension ## Film the eight robots anew for the README
 	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video docs/media/eight_robots.gif
 
-film-rough: build ## Film the eight robots on rough ground anew for docs/terrain.md
+film-rough: $(VENV)/.extension ## Film the eight robots on rough ground anew for docs/terrain.md
 	$(BIN)/polypod play --checkpoint $(SHIPPED_ROUGH) $(FILM_ROUGH) --video docs/media/rough_robots.gif
 
-test: build ## Run the tests of Rust and of Python
-	cargo test --release --locked
+test: test-rust test-python ## Run the tests of Rust and of Python
+
+test-extended: export POLYPOD_TEST_TIER := extended
+test-extended: test-rust test-python ## The same tests with larger sizes: about two hours
+
+test-rust:
+ifneq ($(NEXTEST),)
+	cargo nextest run --release --locked --workspace
+	cargo test --release --locked --doc
+else
+	cargo test --release --locked --workspace
+endif
+
+test-python: build wheel
 	$(BIN)/pytest
+
+wheel: $(VENV)/.extension ## Build the wheel: dist/*.whl
+	rm -rf dist
+	$(BIN)/maturin build --release --locked --out dist
+
+# What `make demo WHEEL=...` installs, into the environment INTO.
+wheel-venv: $(VENV)/.requirements
+	$(call install_wheel,$(WHEEL),$(INTO))
 
 bench: build ## Measure the speed, beside MuJoCo in the same run (ARGS="--quick" takes a minute)
 	$(BIN)/polypod bench $(ARGS)
@@ -70,13 +120,20 @@ accuracy: build ## Compare the physics with MuJoCo and write the tables
 soak: build ## Step all robots for an hour of simulated time under random targets; about an hour on 2 cores
 	target/release/polypod-sim soak $(ARGS)
 
-lint: $(VENV)/.dependencies ## Check formatting, lints and types
-	cargo fmt --check
-	cargo clippy --release --locked --all-targets -- -D warnings
-	cargo clippy --release --locked --lib --no-default-features --features python -- -D warnings
+lint: $(VENV)/.dependencies ## Check formatting, lints, types, documentation
+	cargo fmt --all --check
+	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
 	$(BIN)/ruff check python tests/python
 	$(BIN)/ruff format --check python tests/python
 	$(BIN)/mypy
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+
+doc: ## Build the documentation of the Rust crates: target/doc/polypod/index.html
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
+
+package: ## Pack the crates as `cargo publish` would: target/package
+	cargo package --locked --no-verify --allow-dirty --package polypod-dynamics --package polypod
 
 format: $(VENV)/.dependencies ## Format all code
 	cargo fmt
@@ -104,17 +161,21 @@ $(VENV)/.venv:
 	@touch $@
 
 # The lock is complete, so nothing is resolved: with the base's torch, torch and its GPU libraries are left out of it.
-$(VENV)/.dependencies: $(VENV)/.venv $(LOCK)
+$(VENV)/.requirements: $(VENV)/.venv $(LOCK)
 	@if [ -e $(VENV)/.base-torch ]; then grep -vE '^(torch|triton|nvidia-|cuda-)' $(LOCK); else cat $(LOCK); fi \
 		> $(VENV)/requirements.txt
+	@touch $@
+
+$(VENV)/.dependencies: $(VENV)/.requirements
 	$(BIN)/uv pip install --python $(BIN)/python --no-deps --compile-bytecode --requirement $(VENV)/requirements.txt
 	@touch $@
 
-# The extension and the binary share target/ and the release profile, so that their dependencies are built once.
-$(VENV)/.extension: $(VENV)/.dependencies pyproject.toml $(RUST_SOURCES)
+# The extension, the program and the tests share target/, the release profile and the features of workspace-hack, so that
+# dependencies are built once.
+$(VENV)/.extension: $(VENV)/.dependencies pyproject.toml $(LIBRARY_SOURCES)
 	$(BIN)/maturin develop --release --locked --uv
 	@touch $@
 
-target/release/polypod-sim: $(VENV)/.extension
-	cargo build --release --locked --bin polypod-sim
+target/release/polypod-sim: $(PROGRAM_SOURCES)
+	cargo build --release --locked --package polypod-sim
 	@touch $@

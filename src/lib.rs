@@ -11,15 +11,10 @@ pub mod config;
 mod crew;
 pub mod draft;
 pub mod dump;
-pub mod dynamics;
 pub mod mirrors;
 pub mod morphology;
 mod obstacles;
 pub mod outline;
-#[cfg(feature = "onnx")]
-pub mod policy;
-#[cfg(feature = "python")]
-mod python;
 pub mod robot;
 pub mod rows;
 pub mod simulation;
@@ -30,5 +25,14 @@ pub mod terrain;
 pub mod variation;
 pub mod world;
 
+pub use polypod_dynamics as dynamics;
+
 pub use app::{Sim, SimError, SimOptions};
+pub use avian::SUBSTEPS as AVIAN_SUBSTEPS;
 pub use simulation::{Control, Simulation, SimulationError, SimulationOptions};
+
+/// The Rust blocks of the pages, which `cargo test --doc` compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+#[doc = include_str!("../docs/write-a-term.md")]
+struct Pages;

@@ -13,9 +13,8 @@
 //! of the size.
 
 use crate::components::Stance;
-use crate::dynamics::kinematics::forward_kinematics;
 use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
-use crate::dynamics::{Parameters, Topology, Workspace};
+use crate::dynamics::{Parameters, Scalar, Topology, Workspace};
 use crate::morphology::MorphologyModel;
 use crate::robot::UNLIMITED;
 
@@ -249,7 +248,7 @@ fn spawn_height(model: &MorphologyModel, p: &Parameters<f64>, position: &[f32], 
     let topology = &model.topology;
     let q: Vec<f64> = position.iter().map(|&q| f64::from(q)).collect();
     let mut work = Workspace::new(topology);
-    forward_kinematics(topology, p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
+    f64::forward_kinematics(topology, p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
     let lowest = (0..4).map(|leg| {
         let link = &work.links[topology.sites[leg]];
         let foot = mul_vec(&link.rotation, &p.site_position[leg]);

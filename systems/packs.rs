@@ -12,8 +12,7 @@ use super::line_up::{DemandBits, LineUp};
 use super::own_numbers::OwnNumbers;
 use super::physics::{Engine, PhysicsRows};
 use super::terminate::StateLimits;
-use crate::dynamics::lanes::Lanes;
-use crate::dynamics::{ControlStep, HeightGrid, Parameters, StepSettings, Terrain};
+use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, StepSettings, Terrain};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::{Pool, SplitRows, Workers};
 
@@ -46,7 +45,7 @@ struct Scratch<L> {
 }
 
 /// All robots.
-pub(super) struct Packs<L: Lanes> {
+pub(super) struct Packs<L: Kernels> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
     /// Of each morphology.
@@ -58,7 +57,7 @@ pub(super) struct Packs<L: Lanes> {
     scratch: Pool<Scratch<L>>,
 }
 
-impl<L: Lanes> Packs<L> {
+impl<L: Kernels> Packs<L> {
     /// Robots of some morphologies, `counts[m]` of kind `m` in contiguous blocks.
     pub(super) fn new(
         settings: StepSettings,
@@ -118,7 +117,7 @@ impl<L: Lanes> Packs<L> {
     }
 }
 
-impl<L: Lanes> Engine for Packs<L> {
+impl<L: Kernels> Engine for Packs<L> {
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
         if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {

@@ -9,8 +9,7 @@ use super::terminate::StateLimits;
 use crate::avian::{self, EngineError, JointField};
 use crate::components::PerFoot;
 use crate::config::TaskConfig;
-use crate::dynamics::step::report_sites;
-use crate::dynamics::{Parameters, Plane, Report, State, Topology, Workspace};
+use crate::dynamics::{Parameters, Plane, Report, Scalar, State, Topology, Workspace};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::obstacles::{self, Part};
 use crate::rows::{SplitRows, Workers};
@@ -239,7 +238,7 @@ impl Block {
             let first = |step: usize| (row * self.decimation + step) * self.topology.num_bodies;
             let normal = |step: usize, body: usize| self.normal[first(step) + body];
             rows.forces[row].set(&self.feet, &self.others, net, normal);
-            report_sites(&self.topology, self.engine.parameters(row), state, &mut self.report, &mut self.work);
+            f64::report_sites(&self.topology, self.engine.parameters(row), state, &mut self.report, &mut self.work);
             get_arrays(&self.report.site_position, &mut rows.feet[row].position, 0);
             get_arrays(&self.report.site_velocity, &mut rows.feet[row].velocity, 0);
         }

@@ -9,8 +9,8 @@ use crate::components::{
     Morphology, PerFoot, Robot,
 };
 use crate::config::HeightScannerConfig;
+use crate::dynamics::LARGE_GROUP;
 use crate::dynamics::lanes::Kernel;
-use crate::dynamics::terrain::LARGE_GROUP;
 use crate::morphology::Morphologies;
 use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
 use crate::world::Ground;

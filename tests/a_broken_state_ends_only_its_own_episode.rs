@@ -1,13 +1,12 @@
 //! A state that is not finite, or runs away, ends the episode of its env and touches no other.
 
-mod common;
-
 use bevy_ecs::prelude::Mut;
-use common::{assert_same, busy, step};
 use polypod::components::{BasePose, BaseVelocity, EnvId, Episode, JointState};
 use polypod::morphology::Morphologies;
 use polypod::systems::{CompiledTask, Logs};
 use polypod::{Sim, SimOptions};
+
+use crate::common::{assert_same, busy, step};
 
 const NUM_ENVS: usize = 40;
 const ROBOTS: [&str; 2] = ["anymal_d", "spot"];

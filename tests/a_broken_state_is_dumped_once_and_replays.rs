@@ -1,17 +1,16 @@
 //! The first state of each robot that breaks is dumped to a file that steps there again, bit for bit.
 
-mod common;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use common::{assert_all_same, busy, step};
 use polypod::components::{ActuatorDelay, BasePose, BaseVelocity, Body, EnvId, JointState};
 use polypod::dump::Dump;
 use polypod::dynamics::Simd;
 use polypod::systems::{Autoreset, Quantity};
 use polypod::{Sim, SimOptions};
+
+use crate::common::{assert_all_same, busy, step};
 
 const ROBOTS: [&str; 3] = ["anymal_d", "spot", "unitree_a1"];
 const NUM_ENVS: usize = 60;
@@ -54,7 +53,7 @@ fn dumps(dir: &Path) -> Vec<String> {
 }
 
 fn replay(arguments: &[&str]) -> Output {
-    common::polypod_sim(&["replay"]).args(arguments).output().unwrap()
+    crate::polypod_sim(&["replay"]).args(arguments).output().unwrap()
 }
 
 /// Breaks one env and replays the dump on every instruction set; returns the first replay's output.

@@ -1,9 +1,8 @@
 //! `is_terminated` is 1 in the step in which an episode fails and 0 in all others, at a time-out too.
 
-mod common;
-
-use common::{busy, step};
 use polypod::Sim;
+
+use crate::common::{busy, step};
 
 const STEPS: usize = 150;
 

@@ -1,10 +1,9 @@
 //! A target is the default pose plus the scaled action, joint by joint, unclipped; the first one after a reset fills the history.
 
-mod common;
-
-use common::{ROBOTS, busy, noise};
 use polypod::Sim;
 use polypod::components::{EnvId, JointTargets};
+
+use crate::common::{ROBOTS, busy, noise};
 
 fn targets(sim: &mut Sim) -> Vec<JointTargets> {
     let world = sim.world_mut();

@@ -1,17 +1,14 @@
 //! The engine `avian`: robots stand, survive rough handling, and move as the articulated engine has them; bits depend on
 //! nothing but the state.
 
-mod common;
-
-use common::{ROBOTS, noise};
 use polypod::config::Library;
-use polypod::dynamics::kinematics::forward_kinematics;
 use polypod::dynamics::math::Spatial;
-use polypod::dynamics::self_contact::{pair_gap, place_colliders};
-use polypod::dynamics::{Parameters, Workspace};
+use polypod::dynamics::{Parameters, Scalar, Workspace};
 use polypod::morphology::MorphologyModel;
 use polypod::simulation::Precision;
 use polypod::{Control, Simulation, SimulationOptions};
+
+use crate::common::{ROBOTS, noise};
 
 const GRAVITY: f64 = 9.81;
 
@@ -281,10 +278,10 @@ fn deepest_overlap(robot: &str, self_collision: bool) -> [f64; 3] {
         sim.step(&hold(&targets), 1).unwrap();
         assert!(is_finite(&sim), "{robot}: step {step}");
         let q = sim.qpos();
-        forward_kinematics(topology, &parameters, &q[7..], &still, &Spatial::zero(), &mut work);
-        place_colliders(topology, &parameters, &mut work);
+        f64::forward_kinematics(topology, &parameters, &q[7..], &still, &Spatial::zero(), &mut work);
+        f64::place_colliders(topology, &parameters, &mut work);
         for pair in 0..topology.pairs.len() {
-            deepest = deepest.max(-pair_gap(topology, &work, pair));
+            deepest = deepest.max(-f64::pair_gap(topology, &work, pair));
         }
         let forces = sim.contact_forces();
         largest = largest.max(most(forces.iter().copied()));

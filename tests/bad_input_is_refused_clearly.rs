@@ -1,12 +1,11 @@
 //! Bad input gives an error that names the element and says what to do; the command line says it in one line.
 
-mod common;
-
 use std::process::Output;
 
-use common::busy;
 use polypod::config::ConfigErrorKind;
 use polypod::{Sim, SimError, SimOptions};
+
+use crate::common::{self, busy};
 
 fn error(change: impl FnOnce(&mut SimOptions)) -> SimError {
     let mut options = busy(&["anymal_c", "spot"], 4);
@@ -112,7 +111,7 @@ fn a_refused_call_leaves_the_simulation_as_it_was() {
 }
 
 fn polypod_sim(arguments: &[&str]) -> Output {
-    common::polypod_sim(arguments).env("RUST_BACKTRACE", "1").output().unwrap()
+    crate::polypod_sim(arguments).env("RUST_BACKTRACE", "1").output().unwrap()
 }
 
 #[test]

@@ -1,13 +1,12 @@
 //! What happens in an env depends on the seed, its robot, its place among that robot's envs and its actions, and on no
 //! other env or robot.
 
-mod common;
-
 use bevy_ecs::component::{Component, Mutable};
-use common::{assert_same, busy, env_bits, step, step_with};
 use polypod::components::{Body, EnvId, EnvRng};
 use polypod::dynamics::Parameters;
 use polypod::{Sim, SimOptions};
+
+use crate::common::{self, assert_same, busy, env_bits, step, step_with};
 
 const STEPS: usize = 120;
 

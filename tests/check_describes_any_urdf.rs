@@ -1,16 +1,14 @@
 //! `polypod-sim check` prints what a URDF is read as, quadruped or not, and refuses with exit code 2 what is none.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
 fn run(arguments: &[&str]) -> Output {
-    common::polypod_sim(&["check"]).args(arguments).output().unwrap()
+    crate::polypod_sim(&["check"]).args(arguments).output().unwrap()
 }
 
 fn data(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/urdf").join(name).display().to_string()
+    Path::new(crate::ROOT).join("tests/data/urdf").join(name).display().to_string()
 }
 
 fn printed(arguments: &[&str]) -> String {
@@ -69,7 +67,7 @@ fn a_quadruped_is_told_with_its_legs() {
             "warnings: 13\n",
         ],
     );
-    let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots/spot/robot.urdf");
+    let robot = Path::new(crate::ROOT).join("assets/robots/spot/robot.urdf");
     assert_words(&printed(&[robot.to_str().unwrap()]), &["\nquadruped\n"]);
 }
 

@@ -5,9 +5,8 @@ use std::f64::consts::FRAC_PI_3;
 use std::path::PathBuf;
 
 use glam::{DMat3, DQuat, DVec3};
-use polypod::dynamics::contact::candidate_gaps;
 use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Parameters, Plane, Report, State, StepSettings, Workspace,
+    ContactSettings, ControlStep, Drive, Parameters, Plane, Report, Scalar, State, StepSettings, Workspace,
 };
 use polypod::robot::{Articulation, Body, Geometry, Link, Model, Pose, Shape};
 use rand::{RngExt, SeedableRng};
@@ -262,7 +261,7 @@ impl Bench {
 
     fn gap(&mut self, state: &State<f32>) -> f64 {
         let topology = &self.articulation.topology;
-        let gaps = candidate_gaps(topology, &self.parameters, &self.settings, state, &mut self.work);
+        let gaps = f32::candidate_gaps(topology, &self.parameters, &self.settings, state, &mut self.work);
         assert_eq!(gaps.len(), topology.contacts.len());
         gaps.into_iter().fold(f64::INFINITY, |least, gap| least.min(f64::from(gap)))
     }

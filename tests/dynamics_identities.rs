@@ -4,13 +4,11 @@
 //! `inverse_dynamics` is the independent witness: Newton's and Euler's equations in ordinary vectors, link by link, share
 //! nothing with the mass matrix, its factors and the spatial algebra of a step.
 
-#[path = "common/trees.rs"]
-mod trees;
-
 use glam::{DMat3, DQuat, DVec3};
-use polypod::dynamics::{Dynamics, Real, State, Workspace};
+use polypod::dynamics::{Dynamics, Scalar, State, Workspace};
 use proptest::prelude::*;
-use trees::{Case, ask, fixed_cases, largest, largest_difference, moving_robot, state_as, to_f64, tree};
+
+use crate::trees::{Case, ask, fixed_cases, largest, largest_difference, moving_robot, state_as, to_f64, tree};
 
 const GRAVITY: [f64; 3] = [1.5, -2.0, -9.0];
 
@@ -29,19 +27,19 @@ fn magnitude(m: &[f64], v: &[f64]) -> f64 {
     m.chunks_exact(v.len()).map(|row| row.iter().zip(v).map(|(a, b)| (a * b).abs()).sum()).fold(0.0, f64::max)
 }
 
-fn identities<S: Real>(case: &Case, tolerance: f64) -> Result<(), TestCaseError> {
+fn identities<S: Scalar>(case: &Case, tolerance: f64) -> Result<(), TestCaseError> {
     let topology = case.topology();
     let (parameters, state) = (case.parameters_as::<S>(), case.state_as::<S>());
     let mut work = Workspace::new(topology);
-    let mut body = Dynamics { topology, parameters: &parameters, state: &state, gravity: GRAVITY, work: &mut work };
+    let body = &mut Dynamics { topology, parameters: &parameters, state: &state, gravity: GRAVITY, work: &mut work };
     let nv = Dynamics::<S>::num_dofs(topology);
     prop_assert_eq!(nv, case.force.len());
     let force: Vec<S> = case.force.iter().map(|&x| S::splat(x)).collect();
     let qvel = case.qvel();
 
-    let m = to_f64(&body.mass_matrix());
-    let bias = to_f64(&body.bias_force());
-    let caused = body.forward_dynamics(&force);
+    let m = to_f64(&S::mass_matrix(body));
+    let bias = to_f64(&S::bias_force(body));
+    let caused = S::forward_dynamics(body, &force);
     let factor = &body.work.factor;
     let base_diagonal = if topology.floating { &factor.base_root[..] } else { &[] };
     let mut diagonal = factor.root.iter().chain(base_diagonal).flatten().map(|d| d.lane(0));
@@ -50,19 +48,19 @@ fn identities<S: Real>(case: &Case, tolerance: f64) -> Result<(), TestCaseError>
 
     // rounding is relative to the terms of the equation of motion, which may cancel
     let scale = magnitude(&m, &to_f64(&caused)) + largest(&bias) + largest(&force);
-    let back = to_f64(&body.inverse_dynamics(&caused));
+    let back = to_f64(&S::inverse_dynamics(body, &caused));
     close("RNEA(ABA(force)) = force", largest_difference(&back, &force), scale, tolerance)?;
     let sum: Vec<f64> = matrix_vector(&m, &to_f64(&caused)).iter().zip(&bias).map(|(a, b)| a + b).collect();
     close("M qacc + bias = force", largest_difference(&sum, &force), scale, tolerance)?;
 
     let zero = vec![S::zero(); nv];
-    let still = to_f64(&body.inverse_dynamics(&zero));
+    let still = to_f64(&S::inverse_dynamics(body, &zero));
     close("bias = RNEA(0)", largest_difference(&still, &bias), largest(&bias), tolerance)?;
     let columns: Vec<Vec<f64>> = (0..nv)
         .map(|i| {
             let mut unit = zero.clone();
             unit[i] = S::one();
-            let moved = to_f64(&body.inverse_dynamics(&unit));
+            let moved = to_f64(&S::inverse_dynamics(body, &unit));
             moved.iter().zip(&still).map(|(a, b)| a - b).collect()
         })
         .collect();
@@ -77,17 +75,17 @@ fn identities<S: Real>(case: &Case, tolerance: f64) -> Result<(), TestCaseError>
 
     // momentum and kinetic energy by the mass matrix
     let with_rotors = matrix_vector(&m, &qvel);
-    let (kinetic, _) = body.energy();
+    let (kinetic, _) = S::energy(body);
     let by_matrix = 0.5 * with_rotors.iter().zip(&qvel).map(|(p, v)| p * v).sum::<f64>();
     let scale = magnitude(&m, &qvel) * qvel.iter().map(|v| v.abs()).sum::<f64>();
     close("2 T = qvel M qvel", (kinetic.lane(0) - by_matrix).abs(), scale, tolerance)?;
     if topology.floating {
-        let (linear, angular) = body.momentum();
+        let (linear, angular) = S::momentum(body);
         let (linear, angular) =
             (DVec3::from_array(linear.map(|x| x.lane(0))), DVec3::from_array(angular.map(|x| x.lane(0))));
         let [w, x, y, z] = state.rotation.map(|x| x.lane(0));
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w));
-        let arm = DVec3::from_array(body.center_of_mass().map(|x| x.lane(0)))
+        let arm = DVec3::from_array(S::center_of_mass(body).map(|x| x.lane(0)))
             - DVec3::from_array(state.position.map(|x| x.lane(0)));
         let about_base = rotation.transpose() * (angular + arm.cross(linear));
         let mut momentum = linear.to_array().to_vec();
@@ -98,8 +96,8 @@ fn identities<S: Real>(case: &Case, tolerance: f64) -> Result<(), TestCaseError>
     // links: the last one, and a few on the way
     for link in (0..topology.num_links()).rev().step_by(7) {
         let point = [0.1, -0.2, 0.3].map(S::splat);
-        let jacobian = to_f64(&body.jacobian(link, &[S::zero(); 3]));
-        let (linear, angular) = body.link_velocity(link);
+        let jacobian = to_f64(&S::jacobian(body, link, &[S::zero(); 3]));
+        let (linear, angular) = S::link_velocity(body, link);
         let velocity = to_f64(&[linear, angular].concat());
         let scale = magnitude(&jacobian, &qvel) + 1e-3;
         close(
@@ -108,8 +106,8 @@ fn identities<S: Real>(case: &Case, tolerance: f64) -> Result<(), TestCaseError>
             scale,
             tolerance,
         )?;
-        let jacobian = to_f64(&body.jacobian(link, &point));
-        let (_, rotation) = body.link_pose(link);
+        let jacobian = to_f64(&S::jacobian(body, link, &point));
+        let (_, rotation) = S::link_pose(body, link);
         let rotation = DMat3::from_cols_array_2d(&rotation.map(|row| row.map(|x| x.lane(0)))).transpose();
         let arm = rotation * DVec3::from_array(point.map(|x| x.lane(0)));
         let carried = DVec3::from_slice(&velocity) + DVec3::from_slice(&velocity[3..]).cross(arm);
@@ -154,11 +152,12 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
     let rate: f64 = 1.0 + qvel.iter().map(|v| v.abs()).sum::<f64>();
     let step = 1e-3 / rate;
     let pose = |link: usize, t: f64| {
-        let (position, r) = ask(topology, parameters, &moved(case, &qvel, t), GRAVITY, |body| body.link_pose(link));
+        let (position, r) =
+            ask(topology, parameters, &moved(case, &qvel, t), GRAVITY, |body| f64::link_pose(body, link));
         (position, DMat3::from_cols_array_2d(&r).transpose())
     };
     for link in (0..topology.num_links()).rev().step_by(7) {
-        let (linear, angular) = ask(topology, parameters, &case.state, GRAVITY, |body| body.link_velocity(link));
+        let (linear, angular) = ask(topology, parameters, &case.state, GRAVITY, |body| f64::link_velocity(body, link));
         let by_difference = derivative(step, |t| pose(link, t).0);
         let reach = largest(&pose(link, 0.0).0) + 1.0;
         close(
@@ -194,19 +193,20 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
     rest.state.linear_velocity = [0.0; 3];
     rest.state.angular_velocity = [0.0; 3];
     rest.state.joint_velocity.fill(0.0);
-    let gravity_force = ask(topology, parameters, &rest.state, GRAVITY, |body| body.bias_force());
-    let (_, potential) = ask(topology, parameters, &rest.state, GRAVITY, |body| body.energy());
+    let gravity_force = ask(topology, parameters, &rest.state, GRAVITY, |body| f64::bias_force(body));
+    let (_, potential) = ask(topology, parameters, &rest.state, GRAVITY, |body| f64::energy(body));
     let scale = largest(&gravity_force) + potential.abs();
     for i in 0..gravity_force.len() {
         let mut unit = vec![0.0; gravity_force.len()];
         unit[i] = 1.0;
-        let [slope] =
-            derivative(1e-3, |t| [ask(topology, parameters, &moved(&rest, &unit, t), GRAVITY, |body| body.energy()).1]);
+        let [slope] = derivative(1e-3, |t| {
+            [ask(topology, parameters, &moved(&rest, &unit, t), GRAVITY, |body| f64::energy(body)).1]
+        });
         close("dV / dq = bias at rest", (slope - gravity_force[i]).abs(), scale, DERIVATIVE)?;
     }
 
     // the work of the applied force is the change of energy
-    let qacc = ask(topology, parameters, &case.state, GRAVITY, |body| body.forward_dynamics(&case.force));
+    let qacc = ask(topology, parameters, &case.state, GRAVITY, |body| f64::forward_dynamics(body, &case.force));
     let rate = rate + qacc.iter().map(|a| a.abs().sqrt()).sum::<f64>();
     let [power] = derivative(1e-3 / rate, |t| {
         let mean: Vec<f64> = qvel.iter().zip(&qacc).map(|(v, a)| v + 0.5 * t * a).collect();
@@ -220,11 +220,11 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
             &end[..]
         };
         state.joint_velocity.copy_from_slice(joints);
-        let (kinetic, potential) = ask(topology, parameters, &state, GRAVITY, |body| body.energy());
+        let (kinetic, potential) = ask(topology, parameters, &state, GRAVITY, |body| f64::energy(body));
         [kinetic + potential]
     });
     let given: f64 = case.force.iter().zip(&qvel).map(|(f, v)| f * v).sum();
-    let (kinetic, potential) = ask(topology, parameters, &case.state, GRAVITY, |body| body.energy());
+    let (kinetic, potential) = ask(topology, parameters, &case.state, GRAVITY, |body| f64::energy(body));
     let scale = (kinetic + potential.abs()) * rate + largest(&case.force) * rate;
     close("power of the force = d energy / dt", (power - given).abs(), scale, DERIVATIVE)
 }

@@ -1,15 +1,13 @@
 //! A passive double pendulum keeps its energy up to an error of first order in the step, and loses it to joint damping at
 //! the rate that damping has.
 
-#[path = "common/passive.rs"]
-mod passive;
-
 use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
-use passive::move_freely;
-use polypod::dynamics::{Dynamics, Parameters, State, Topology, Workspace};
+use polypod::dynamics::{Dynamics, Parameters, Scalar, State, Topology, Workspace};
 use polypod::robot::{Articulation, Joint, JointKind, Link, Model, Pose};
+
+use crate::passive::move_freely;
 
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 
@@ -55,7 +53,8 @@ fn start(topology: &Topology) -> State<f64> {
 
 fn energy(topology: &Topology, parameters: &Parameters<f64>, state: &State<f64>) -> f64 {
     let mut work = Workspace::new(topology);
-    let (kinetic, potential) = Dynamics { topology, parameters, state, gravity: GRAVITY, work: &mut work }.energy();
+    let (kinetic, potential) =
+        f64::energy(&mut Dynamics { topology, parameters, state, gravity: GRAVITY, work: &mut work });
     kinetic + potential
 }
 

@@ -1,19 +1,18 @@
 //! Envs are shared out evenly in contiguous blocks, and every entity is tagged with its env and its kind of robot.
 
-mod common;
-
 use std::collections::BTreeMap;
 
 use bevy_ecs::component::{Component, Mutable};
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
-use common::{ROBOTS, busy, step};
 use polypod::Sim;
 use polypod::app::distribute;
 use polypod::components::{
     BasePose, ContactSensor, Env, EnvId, EnvRng, Episode, Imu, JointState, Morphology, MountedOn, Robot,
 };
 use polypod::rows::read_rows;
+
+use crate::common::{ROBOTS, busy, step};
 
 #[test]
 fn equal_shares_and_the_remainder_to_the_first() {

@@ -1,12 +1,11 @@
 //! Every instruction set that this machine has gives the same bits.
 
-mod common;
-
 use std::process::Output;
 
-use common::{ROBOTS, assert_all_same, busy, ended, step};
 use polypod::dynamics::Simd;
 use polypod::{Sim, SimOptions};
+
+use crate::common::{ROBOTS, assert_all_same, busy, ended, step};
 
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
@@ -42,7 +41,7 @@ fn every_instruction_set_gives_the_same_bits() {
 
 fn rollout(simd: &str) -> Output {
     let arguments = ["rollout", "--num-envs", "40", "--steps", "60", "--set", "sim.episode_length_s=0.5"];
-    common::polypod_sim(&arguments).env("POLYPOD_SIMD", simd).output().unwrap()
+    crate::polypod_sim(&arguments).env("POLYPOD_SIMD", simd).output().unwrap()
 }
 
 #[test]

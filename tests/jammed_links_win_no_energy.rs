@@ -1,9 +1,9 @@
 //! Links of one robot that got wedged by random targets, in each other or between a joint limit and the ground, do not fly apart when the joints
 //! go passive, nor press with forces that nothing asked for.
 
-mod common;
-
 use polypod::{Control, Simulation, SimulationOptions};
+
+use crate::common;
 
 const ENVS: usize = 64;
 const ROBOTS: [&str; 3] = ["anymal_b", "anymal_c", "unitree_b2"];
@@ -52,7 +52,7 @@ fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
 #[test]
 fn contacts_win_no_energy() {
     let arguments = ["soak", "--robots", &ROBOTS.join(","), "--num-envs", "96", "--minutes", "3"];
-    let soak = common::polypod_sim(&arguments).output().unwrap();
+    let soak = crate::polypod_sim(&arguments).output().unwrap();
     println!("{}", String::from_utf8_lossy(&soak.stdout));
     assert!(soak.status.success(), "{}", String::from_utf8_lossy(&soak.stderr));
 }

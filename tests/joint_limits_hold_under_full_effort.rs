@@ -1,8 +1,8 @@
 //! A joint that is driven into its limit with all the actuator has stops there, in the air and against the ground.
 
-mod common;
-
 use polypod::{Control, Simulation, SimulationOptions};
+
+use crate::common;
 
 const ENVS: usize = 16;
 const STEPS: usize = 400;

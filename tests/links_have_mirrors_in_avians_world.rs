@@ -1,17 +1,16 @@
 //! With `physics.mirror_links` rays, events and bodies of Avian's world meet the robots, each env its own, and the robots
 //! do not notice.
 
-mod common;
-
 use avian3d::prelude::*;
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemState;
 use bevy_math::{Dir3, Vec3};
-use common::{assert_all_same, busy, step};
 use polypod::components::{BasePose, BaseVelocity, Body, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
 use polypod::mirrors::{LinkMirror, LinkMirrors};
 use polypod::world::ObstacleCollider;
 use polypod::{Sim, SimOptions};
+
+use crate::common::{self, assert_all_same, busy, step};
 
 fn mirrored(mut options: SimOptions, spacing: f64) -> SimOptions {
     options.overrides.push("physics.mirror_links=true".into());

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use polypod::dynamics::contact::MAX_DEPTH;
+use polypod::dynamics::MAX_DEPTH;
 use polypod::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Workspace};
 use polypod::robot::{Articulation, Geometry, LoadOptions, Model, RobotError, Site, check, detect, load, load_str};
 use proptest::prelude::*;

@@ -1,14 +1,11 @@
 //! A floating tree that nothing touches keeps its momentum and energy, up to the integrator's error.
 
-#[path = "common/passive.rs"]
-mod passive;
-#[path = "common/trees.rs"]
-mod trees;
-
 use glam::DVec3;
-use passive::move_freely;
+use polypod::dynamics::Scalar;
 use proptest::prelude::*;
-use trees::{Case, ask, fixed_cases, tree};
+
+use crate::passive::move_freely;
+use crate::trees::{Case, ask, fixed_cases, tree};
 
 /// How far linear momentum, angular momentum about the centre of mass, and energy are off after 0.1 s, each relative to
 /// its own scale.
@@ -16,9 +13,9 @@ fn drift(case: &Case, gravity: [f64; 3], steps: usize) -> [f64; 3] {
     let time = 0.1;
     let (topology, parameters) = (case.topology(), &case.articulation.parameters);
     let mut state = case.state.clone();
-    let before = ask(topology, parameters, &state, gravity, |body| (body.momentum(), body.energy()));
+    let before = ask(topology, parameters, &state, gravity, |body| (f64::momentum(body), f64::energy(body)));
     move_freely(topology, parameters, &mut state, gravity, time / steps as f64, steps);
-    let after = ask(topology, parameters, &state, gravity, |body| (body.momentum(), body.energy()));
+    let after = ask(topology, parameters, &state, gravity, |body| (f64::momentum(body), f64::energy(body)));
     let ((linear, angular), (kinetic, potential)) = before;
     let ((linear_after, angular_after), (kinetic_after, potential_after)) = after;
     let change = |a: [f64; 3], b: [f64; 3]| DVec3::from_array(b) - DVec3::from_array(a);

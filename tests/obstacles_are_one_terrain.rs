@@ -1,14 +1,13 @@
 //! The grid that the articulated engine stands on is what Avian's rays see, and robots stand on what it holds.
 
-mod common;
-
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
-use common::upward_force;
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId, EnvRng, Feet};
 use polypod::dynamics::HeightGrid;
 use polypod::world::{Ground, below};
 use polypod::{Control, Sim, SimOptions, Simulation, SimulationOptions};
+
+use crate::common::{self, upward_force};
 
 /// One env per robot, at rest in the default pose, nothing random.
 fn calm(task: &str) -> Sim {

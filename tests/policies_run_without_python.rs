@@ -1,14 +1,11 @@
 //! An exported policy acts in Rust as it does in Python, and walks.
-#![cfg(feature = "onnx")]
-
-mod common;
 
 use std::path::PathBuf;
 use std::process::Output;
 
-use polypod::policy::{Policy, PolicyManifest};
 use polypod::systems::Autoreset;
 use polypod::{Sim, SimOptions};
+use polypod_sim::policy::{Policy, PolicyManifest};
 use serde::Deserialize;
 
 /// Observations of the simulator and the actions that torch gives on them; written by `tests/python/test_export.py`.
@@ -19,7 +16,7 @@ struct Expected {
 }
 
 fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+    PathBuf::from(crate::ROOT)
 }
 
 fn shipped() -> PathBuf {
@@ -89,7 +86,7 @@ fn a_task_that_observes_something_else_is_refused() {
 }
 
 fn play(arguments: &[&str]) -> Output {
-    common::polypod_sim(&["play"]).args(arguments).output().unwrap()
+    crate::polypod_sim(&["play"]).args(arguments).output().unwrap()
 }
 
 #[test]

@@ -1,9 +1,6 @@
 //! Every reward term of every set, recomputed in double precision from its formula and the state of the step.
 
-mod common;
-
 use bevy_ecs::prelude::*;
-use common::noise;
 use polypod::components::{
     Action, BasePose, BaseVelocity, Body, Command, ContactForces, ContactSensor, EnvId, EpisodeSums, Feet, JointEffort,
     JointState,
@@ -12,6 +9,8 @@ use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
 use polypod::systems::Autoreset;
 use polypod::{Sim, SimOptions};
+
+use crate::common::noise;
 
 const STEPS: usize = 300;
 const ENVS_PER_ROBOT: usize = 6;

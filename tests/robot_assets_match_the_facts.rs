@@ -1,18 +1,16 @@
 //! The built-in robots are what their makers' descriptions say, as read by other means (tests/data/robot_facts.json).
 
-mod common;
-
 use std::collections::BTreeMap;
 
-use common::{ROBOTS, noise};
 use glam::DVec3;
 use polypod::config::Library;
-use polypod::dynamics::kinematics::{forward_kinematics, point_motion};
 use polypod::dynamics::math::Spatial;
-use polypod::dynamics::{Parameters, Real, Workspace};
+use polypod::dynamics::{Parameters, Scalar, Workspace, point_motion};
 use polypod::morphology::MorphologyModel;
 use polypod::robot::{CANONICAL_JOINT_NAMES, LEGS, ROLES};
 use serde::Deserialize;
+
+use crate::common::{ROBOTS, noise};
 
 #[derive(Deserialize)]
 struct Facts {
@@ -125,7 +123,7 @@ fn joint_roles_follow_from_geometry() {
 }
 
 /// The engine's base-aligned view puts the feet where the URDF's frames put them, at any joint positions.
-fn assert_engine_agrees<S: Real + Into<f64>>(robot: &MorphologyModel, trial: usize, tolerance: f64) {
+fn assert_engine_agrees<S: Scalar + Into<f64>>(robot: &MorphologyModel, trial: usize, tolerance: f64) {
     let (model, topology) = (&robot.model, &robot.topology);
     let turn = |joint: usize| f64::from(noise(1, trial, 0, joint)) * std::f64::consts::PI;
     let q: Vec<f64> = (0..model.joints.len()).map(turn).collect();
@@ -133,7 +131,7 @@ fn assert_engine_agrees<S: Real + Into<f64>>(robot: &MorphologyModel, trial: usi
     let mut work = Workspace::new(topology);
     let positions: Vec<S> = q.iter().map(|&x| S::splat(x)).collect();
     let still = vec![S::zero(); q.len()];
-    forward_kinematics(topology, &parameters, &positions, &still, &Spatial::zero(), &mut work);
+    S::forward_kinematics(topology, &parameters, &positions, &still, &Spatial::zero(), &mut work);
     let links = model.forward_kinematics(&q);
     assert_eq!(topology.sites.len(), LEGS.len());
     for (leg, &link) in topology.sites.iter().enumerate() {

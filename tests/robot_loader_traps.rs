@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use polypod::dynamics::contact::MAX_DEPTH;
+use polypod::dynamics::MAX_DEPTH;
 use polypod::robot::{Geometry, JointKind, LoadOptions, Model, RobotError, detect, load, load_str};
 
 const MASS: &str = r#"<inertial><mass value="1"/>

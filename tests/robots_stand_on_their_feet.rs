@@ -1,10 +1,9 @@
 //! Each robot, holding its default pose, keeps standing for 10 s, and its contact forces add up to its weight.
 
-mod common;
-
-use common::upward_force;
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId};
 use polypod::{Sim, SimOptions};
+
+use crate::common::upward_force;
 
 /// The flat task's Play variant, one env per robot, all at rest in the default pose.
 fn calm() -> Sim {

@@ -1,7 +1,5 @@
 //! Generated terrain: its figures, the grid that the articulated engine stands on, and what robots meet of it.
 
-mod common;
-
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
 use polypod::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, EnvRng, Feet, HeightScan};
@@ -10,6 +8,8 @@ use polypod::dynamics::HeightGrid;
 use polypod::terrain::{TerrainLayout, generate};
 use polypod::world::{Ground, below};
 use polypod::{Sim, SimOptions};
+
+use crate::common;
 
 fn config() -> TerrainConfig {
     Library::new(Vec::new()).task("velocity_rough", &[]).unwrap().config.scene.terrain.unwrap()

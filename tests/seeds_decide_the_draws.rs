@@ -1,10 +1,9 @@
 //! The seed, the robot and the env's place among that robot's envs decide what is drawn for it.
 
-mod common;
-
-use common::{ROBOTS, assert_all_same, assert_same, busy, env_bits, step};
 use polypod::components::{Command, EnvId};
 use polypod::{Sim, SimError, SimOptions};
+
+use crate::common::{ROBOTS, assert_all_same, assert_same, busy, env_bits, step};
 
 /// Heading commands: drawn at every reset.
 fn headings(sim: &mut Sim) -> Vec<f32> {

@@ -1,15 +1,13 @@
 //! Links of a robot that may touch each other do not pass through each other, and what pushes them apart is internal.
 
-mod common;
-
 use polypod::config::Library;
-use polypod::dynamics::kinematics::forward_kinematics;
 use polypod::dynamics::math::Spatial;
-use polypod::dynamics::self_contact::{pair_gap, place_colliders};
 use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Topology, Workspace,
+    ContactSettings, ControlStep, Drive, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace,
 };
 use polypod::morphology::MorphologyModel;
+
+use crate::common;
 
 fn robot(name: &str) -> MorphologyModel {
     MorphologyModel::new(&Library::new(Vec::new()).robot(name).unwrap()).unwrap()
@@ -66,9 +64,16 @@ impl Body {
     fn overlap(&mut self, pairs: &Topology) -> f64 {
         let still = vec![0.0; pairs.num_joints()];
         let mut work = Workspace::new(pairs);
-        forward_kinematics(pairs, &self.parameters, &self.state.joint_position, &still, &Spatial::zero(), &mut work);
-        place_colliders(pairs, &self.parameters, &mut work);
-        (0..pairs.pairs.len()).map(|p| -pair_gap(pairs, &work, p)).fold(0.0, f64::max)
+        f64::forward_kinematics(
+            pairs,
+            &self.parameters,
+            &self.state.joint_position,
+            &still,
+            &Spatial::zero(),
+            &mut work,
+        );
+        f64::place_colliders(pairs, &self.parameters, &mut work);
+        (0..pairs.pairs.len()).map(|p| -f64::pair_gap(pairs, &work, p)).fold(0.0, f64::max)
     }
 }
 

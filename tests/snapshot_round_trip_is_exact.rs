@@ -1,9 +1,8 @@
 //! A restored snapshot goes on as the simulation that it was taken from, to the last bit; nothing else is restored.
 
-mod common;
-
-use common::{ROBOTS, assert_all_same, busy, env_bits, step};
 use polypod::{Sim, SimError, SimOptions};
+
+use crate::common::{ROBOTS, assert_all_same, busy, env_bits, step};
 
 /// A simulation somewhere in the middle of its episodes.
 fn under_way(options: &SimOptions) -> Sim {

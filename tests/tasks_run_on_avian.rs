@@ -1,10 +1,9 @@
 //! Every task runs unchanged on Avian's rigid bodies.
 
-mod common;
-
-use common::{assert_all_same, busy, step, upward_force};
 use polypod::components::{BasePose, BaseVelocity, ContactForces, EnvId, Feet};
 use polypod::{Sim, SimOptions};
+
+use crate::common::{self, assert_all_same, busy, step, upward_force};
 
 fn on_avian(mut options: SimOptions) -> SimOptions {
     options.overrides.push("physics.engine=avian".into());

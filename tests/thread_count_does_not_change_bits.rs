@@ -1,9 +1,8 @@
 //! One, two or four threads: the same bits, at every step.
 
-mod common;
-
-use common::{ROBOTS, assert_all_same, busy, ended, step};
 use polypod::{Sim, SimOptions};
+
+use crate::common::{ROBOTS, assert_all_same, busy, ended, step};
 
 #[test]
 fn one_two_and_four_threads_give_the_same_bits() {

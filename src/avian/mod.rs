@@ -22,7 +22,7 @@ use bevy_math::{Mat3, Vec3};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
-use crate::dynamics::{JointMotion, Parameters, Plane, State, Topology, Workspace, kinematics};
+use crate::dynamics::{JointMotion, Parameters, Plane, Scalar, State, Topology, Workspace};
 use crate::obstacles::Part;
 use crate::robot::Model;
 use crate::rows::Workers;
@@ -63,7 +63,7 @@ pub(crate) enum JointField {
 }
 
 /// Substeps of a physics step that are usual.
-pub(crate) const SUBSTEPS: usize = 8;
+pub const SUBSTEPS: usize = 8;
 
 /// What all envs share.
 #[derive(Clone, Copy)]
@@ -481,7 +481,7 @@ pub(crate) fn forward(
         Spatial::zero()
     };
     let (position, velocity) = (&state.joint_position, &state.joint_velocity);
-    kinematics::forward_kinematics(topology, parameters, position, velocity, &base, work);
+    f64::forward_kinematics(topology, parameters, position, velocity, &base, work);
     matrix(&rotation)
 }
 

@@ -26,11 +26,20 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
             "write a finite number; leave the key out where no limit is meant",
         ));
     }
-    serde_path_to_error::deserialize(params.clone()).map_err(|error| {
+    let mut track = serde_path_to_error::Track::new();
+    // Erased, so that the compiler does not repeat what follows the path for every type of every term.
+    let mut erased =
+        <dyn erased_serde::Deserializer>::erase(serde_path_to_error::Deserializer::new(params.clone(), &mut track));
+    let parsed = erased_serde::deserialize(&mut erased);
+    drop(erased);
+    parsed.map_err(|error| {
         // A path of no segments is shown as a lone dot.
-        let path = error.path().to_string();
+        let path = track.path().to_string();
         let path = if path == "." { "" } else { path.as_str() };
-        let (kind, problem, remedy) = explain(error.inner().message(), find(params, path).as_ref());
+        // what follows on other lines is where, which the path says
+        let message = error.to_string();
+        let message = message.lines().next().unwrap_or_default();
+        let (kind, problem, remedy) = explain(message, find(params, path).as_ref());
         let element = if path.is_empty() && element.is_empty() { "top level".to_owned() } else { join(path) };
         ConfigError::invalid(file, element, problem, remedy).of_kind(kind)
     })

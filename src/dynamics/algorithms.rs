@@ -1,5 +1,6 @@
 //! Quantities of rigid-body dynamics for whoever asks: mass matrix, bias force, forward and inverse dynamics, Jacobians,
-//! energy, momentum. A step does not use them; they allocate and recompute the kinematics at each call.
+//! energy, momentum. A step does not use them; they allocate and recompute the kinematics at each call. [`Scalar`](super::Scalar) hands
+//! them out.
 //!
 //! Generalised vectors are in the order of `qvel`: linear velocity of the base's origin in world axes (3), angular
 //! velocity of the base in base axes (3), joints; a fixed base has joints only. Accelerations are the time derivatives of
@@ -110,8 +111,8 @@ impl<S: Real> Dynamics<'_, S> {
         }
     }
 
-    /// Mass matrix, armature included: symmetric, row-major `[nv, nv]`.
-    pub fn mass_matrix(&mut self) -> Vec<S> {
+    /// See [`Scalar::mass_matrix`](super::Scalar::mass_matrix).
+    pub(super) fn mass_matrix(&mut self) -> Vec<S> {
         self.equations_of_motion();
         let topology = self.topology;
         let nv = Self::num_dofs(topology);
@@ -155,18 +156,14 @@ impl<S: Real> Dynamics<'_, S> {
         m
     }
 
-    /// Bias force `c`, `[nv]`: `M qacc + c = force`. Holds gravity and the velocity terms (MuJoCo's `qfrc_bias`), no
-    /// passive damping.
-    pub fn bias_force(&mut self) -> Vec<S> {
+    /// See [`Scalar::bias_force`](super::Scalar::bias_force).
+    pub(super) fn bias_force(&mut self) -> Vec<S> {
         self.equations_of_motion();
         self.to_qvel(&self.work.bias_base, &self.work.bias_joint)
     }
 
-    /// Acceleration `[nv]` that a generalised force `[nv]` causes without contacts, joint bounds, damping and friction.
-    ///
-    /// # Panics
-    /// If `force` is shorter than [`num_dofs`](Self::num_dofs).
-    pub fn forward_dynamics(&mut self, force: &[S]) -> Vec<S> {
+    /// See [`Scalar::forward_dynamics`](super::Scalar::forward_dynamics).
+    pub(super) fn forward_dynamics(&mut self, force: &[S]) -> Vec<S> {
         self.equations_of_motion();
         let (angular, linear, joints) = self.split(force);
         let given = [angular[0], angular[1], angular[2], linear[0], linear[1], linear[2]];
@@ -183,15 +180,12 @@ impl<S: Real> Dynamics<'_, S> {
         self.to_qvel(&base, &joint)
     }
 
-    /// Generalised force `[nv]` that causes an acceleration `[nv]` in the present state, armature included.
+    /// See [`Scalar::inverse_dynamics`](super::Scalar::inverse_dynamics).
     ///
     /// Newton's and Euler's equations link by link (J. Luh, M. Walker, R. Paul, On-Line Computational Scheme for
     /// Mechanical Manipulators, 1980), with ordinary accelerations and moments about each link's origin: shares neither
     /// the mass matrix nor the spatial algebra of the step.
-    ///
-    /// # Panics
-    /// If `qacc` is shorter than [`num_dofs`](Self::num_dofs).
-    pub fn inverse_dynamics(&mut self, qacc: &[S]) -> Vec<S> {
+    pub(super) fn inverse_dynamics(&mut self, qacc: &[S]) -> Vec<S> {
         self.kinematics();
         let topology = self.topology;
         let (angular, linear, joints) = self.split(qacc);
@@ -263,12 +257,8 @@ impl<S: Real> Dynamics<'_, S> {
         self.to_qvel(&[m[0], m[1], m[2], f[0], f[1], f[2]], &effort)
     }
 
-    /// Jacobian of a point of a link, row-major `[6, nv]`: its linear velocity, then the link's angular velocity, both in
-    /// world axes. `point` is in the link's (base-aligned) axes about its origin, m.
-    ///
-    /// # Panics
-    /// If there is no such link.
-    pub fn jacobian(&mut self, link: usize, point: &Vec3<S>) -> Vec<S> {
+    /// See [`Scalar::jacobian`](super::Scalar::jacobian).
+    pub(super) fn jacobian(&mut self, link: usize, point: &Vec3<S>) -> Vec<S> {
         self.kinematics();
         let topology = self.topology;
         let nv = Self::num_dofs(topology);
@@ -302,21 +292,15 @@ impl<S: Real> Dynamics<'_, S> {
         out
     }
 
-    /// Origin of a link in the world, m, and the turn from its (base-aligned) axes to world axes.
-    ///
-    /// # Panics
-    /// If there is no such link.
-    pub fn link_pose(&mut self, link: usize) -> (Vec3<S>, Mat3<S>) {
+    /// See [`Scalar::link_pose`](super::Scalar::link_pose).
+    pub(super) fn link_pose(&mut self, link: usize) -> (Vec3<S>, Mat3<S>) {
         self.kinematics();
         let (rotation, at) = (&self.work.base_rotation, &self.work.links[link]);
         (add(&self.state.position, &mul_vec(rotation, &at.position)), mul_mat(rotation, &at.rotation))
     }
 
-    /// Velocity of a link's origin, m/s, and angular velocity of the link, rad/s, both in world axes.
-    ///
-    /// # Panics
-    /// If there is no such link.
-    pub fn link_velocity(&mut self, link: usize) -> (Vec3<S>, Vec3<S>) {
+    /// See [`Scalar::link_velocity`](super::Scalar::link_velocity).
+    pub(super) fn link_velocity(&mut self, link: usize) -> (Vec3<S>, Vec3<S>) {
         self.kinematics();
         let rotation = &self.work.base_rotation;
         let at = &self.work.links[link];
@@ -324,9 +308,8 @@ impl<S: Real> Dynamics<'_, S> {
         (mul_vec(rotation, &linear), mul_vec(rotation, &at.velocity.ang))
     }
 
-    /// Kinetic energy, that of the rotors (armature) included, and potential energy in uniform gravity, zero for a mass
-    /// at the world's origin, J.
-    pub fn energy(&mut self) -> (S, S) {
+    /// See [`Scalar::energy`](super::Scalar::energy).
+    pub(super) fn energy(&mut self) -> (S, S) {
         self.kinematics();
         let gravity = self.gravity.map(S::splat);
         let mut double_kinetic = S::zero();
@@ -343,8 +326,8 @@ impl<S: Real> Dynamics<'_, S> {
         (double_kinetic * S::splat(0.5), -dot(&gravity, &moment))
     }
 
-    /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, in world axes; without rotors.
-    pub fn momentum(&mut self) -> (Vec3<S>, Vec3<S>) {
+    /// See [`Scalar::momentum`](super::Scalar::momentum).
+    pub(super) fn momentum(&mut self) -> (Vec3<S>, Vec3<S>) {
         self.kinematics();
         let mut total = Spatial::zero();
         for (at, inertia) in self.link_inertias() {
@@ -356,8 +339,8 @@ impl<S: Real> Dynamics<'_, S> {
         (mul_vec(rotation, &total.lin), mul_vec(rotation, &about_com))
     }
 
-    /// Centre of mass in the world, m.
-    pub fn center_of_mass(&mut self) -> Vec3<S> {
+    /// See [`Scalar::center_of_mass`](super::Scalar::center_of_mass).
+    pub(super) fn center_of_mass(&mut self) -> Vec3<S> {
         self.kinematics();
         add(&self.state.position, &mul_vec(&self.work.base_rotation, &self.base_com()))
     }

@@ -81,7 +81,7 @@ pub struct EffortTable {
 impl EffortTable {
     /// The limit at a position, N m.
     #[inline(always)]
-    pub(crate) fn limit_at(&self, position: f32) -> f32 {
+    pub fn limit_at(&self, position: f32) -> f32 {
         let last = self.limits.len() - 1;
         // a NaN becomes 0 in the cast
         let x = ((position - self.start) * self.inverse_step).clamp(0.0, last as f32);

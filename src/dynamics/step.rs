@@ -3,6 +3,7 @@
 use super::articulation::{EffortTable, Topology};
 use super::blocks::{BLOCK, gather};
 use super::contact::{self, ContactSettings};
+use super::kernels::Kernels;
 use super::kinematics;
 use super::lanes::{Kernel, Lanes, Real};
 use super::math::{
@@ -50,9 +51,16 @@ pub struct ControlStep<'a, S> {
     pub work: &'a mut Workspace<S>,
 }
 
-impl<L: Lanes> ControlStep<'_, L> {
+impl<L: Kernels> ControlStep<'_, L> {
     /// Makes the step, on the lanes' instruction set.
     pub fn run(self) {
+        L::control_step(self);
+    }
+}
+
+impl<L: Lanes> ControlStep<'_, L> {
+    /// The same, compiled where it is called: [`kernels`](super::kernels) does so once.
+    pub(super) fn compute(self) {
         let parameters = self.parameters;
         match self.kind {
             Some(kind) if L::READS_ALIKE => {
@@ -284,7 +292,7 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
 
 /// Positions and velocities of the sites at the end of the control step.
 #[inline(always)]
-pub(crate) fn report_sites<S: Real, B: BodyNumbers<S>>(
+pub(super) fn report_sites<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
     parameters: B,
     state: &State<S>,

@@ -18,7 +18,7 @@ const PAGE_POINTS: usize = EDGE * EDGE;
 /// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner looks at.
 const GROUP: usize = 16;
 /// See [`GROUP`].
-pub(crate) const LARGE_GROUP: usize = 64;
+pub const LARGE_GROUP: usize = 64;
 
 /// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut from the first to the last
 /// corner; beyond the rectangle its edge goes on.
@@ -242,7 +242,7 @@ impl HeightGrid {
 
     /// Heights below the first of a group of places, m, as many as there is room for.
     #[inline(always)]
-    pub(crate) fn heights_below<const N: usize>(&self, x: &[f32; N], y: &[f32; N], heights: &mut [f32]) {
+    pub fn heights_below<const N: usize>(&self, x: &[f32; N], y: &[f32; N], heights: &mut [f32]) {
         let mut found = Samples::<N>::zeros();
         self.sample_group(x, y, heights.len(), &mut found);
         heights.copy_from_slice(&found.height[..heights.len()]);

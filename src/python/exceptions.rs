@@ -5,11 +5,11 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
-use crate::app::SimError;
-use crate::config::{ConfigError, ConfigErrorKind};
-use crate::morphology::MorphologyError;
-use crate::simulation::SimulationError;
-use crate::systems::TermError;
+use polypod::app::SimError;
+use polypod::config::{ConfigError, ConfigErrorKind};
+use polypod::morphology::MorphologyError;
+use polypod::simulation::SimulationError;
+use polypod::systems::TermError;
 
 struct Exceptions {
     polypod: Py<PyType>,
@@ -83,7 +83,8 @@ pub(super) fn simulation_error(py: Python<'_>, error: SimulationError) -> PyErr 
     let class = match &error {
         SimulationError::Config(error) => config_class(all, error),
         SimulationError::Robot(_) => &all.robot,
-        SimulationError::Argument { .. } | SimulationError::Simd(_) | SimulationError::Snapshot(_) => &all.config,
+        // arguments, instruction sets, snapshots
+        _ => &all.config,
     };
     PyErr::from_type(class.bind(py).clone(), error.to_string())
 }

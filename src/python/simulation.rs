@@ -11,9 +11,9 @@ use pyo3::types::PyBytes;
 
 use super::exceptions::{simulation_error, type_error, value_error};
 use super::vec_sim::tuple;
-use crate::avian::SUBSTEPS;
-use crate::dynamics::{SWEEPS, Simd};
-use crate::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationError, SimulationOptions};
+use polypod::AVIAN_SUBSTEPS;
+use polypod::dynamics::{SWEEPS, Simd};
+use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationError, SimulationOptions};
 
 #[pyclass(module = "polypod._core")]
 pub(super) struct Simulation {
@@ -147,7 +147,7 @@ fn numbers_of_any_length(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f
 }
 
 // the signature below must say them in figures: Python prints names as `...`
-const _: () = assert!(SWEEPS == 4 && SUBSTEPS == 8);
+const _: () = assert!(SWEEPS == 4 && AVIAN_SUBSTEPS == 8);
 
 #[pymethods]
 impl Simulation {

@@ -5,10 +5,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::exceptions::to_python;
-use crate::app::SimError;
-use crate::config::{Library, TaskConfig};
-use crate::terrain::{Mesh, TerrainLayout, border, generate};
-use crate::world::{self, Ground};
+use polypod::app::SimError;
+use polypod::config::{Library, TaskConfig};
+use polypod::terrain::{Mesh, TerrainLayout, border, generate};
+use polypod::world::{self, Ground};
 
 #[pyfunction]
 #[pyo3(signature = (task, overrides=Vec::new()))]

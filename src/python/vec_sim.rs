@@ -12,13 +12,13 @@ use pyo3::types::{PyBytes, PyDict};
 
 use super::exceptions::{to_python, type_error, value_error};
 use super::terrain;
-use crate::app::{Sim, SimOptions};
-use crate::components::{Command, EnvId, EnvOrigin, Episode};
-use crate::morphology::Morphologies;
-use crate::robot::CANONICAL_JOINT_NAMES;
-use crate::rows::Workers;
-use crate::systems::{Autoreset, CompiledTask, Logs, StateField};
-use crate::world::Ground;
+use polypod::app::{Sim, SimOptions};
+use polypod::components::{Command, EnvId, EnvOrigin, Episode};
+use polypod::morphology::Morphologies;
+use polypod::robot::CANONICAL_JOINT_NAMES;
+use polypod::rows::Workers;
+use polypod::systems::{Autoreset, CompiledTask, Logs, StateField};
+use polypod::world::Ground;
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {
@@ -128,7 +128,7 @@ impl VecSim {
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
         let names: Vec<&str> = self.sim.morphologies().iter().map(|m| m.name()).collect();
         names.iter().position(|name| *name == robot).ok_or_else(|| {
-            let error = crate::config::ConfigError::unknown_robot_of_run(robot, &names);
+            let error = polypod::config::ConfigError::unknown_robot_of_run(robot, &names);
             to_python(py, error.into())
         })
     }
@@ -419,7 +419,7 @@ impl VecSim {
         let stats = world.resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
             logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), clear)
         });
-        let entry = |s: crate::systems::EpisodeStats| {
+        let entry = |s: polypod::systems::EpisodeStats| {
             let level = s.terrain_level.map(|level| ("terrain_level", level));
             let stats = [
                 ("episodes", s.episodes as f64),

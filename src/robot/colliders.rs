@@ -7,10 +7,8 @@ use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 
 use super::model::{Geometry, Model, Shape};
-use crate::dynamics::kinematics::forward_kinematics;
 use crate::dynamics::math::Spatial;
-use crate::dynamics::self_contact::{pair_gap, place_colliders};
-use crate::dynamics::{ColliderTopology, Parameters, Topology, Workspace};
+use crate::dynamics::{ColliderTopology, Parameters, Scalar, Topology, Workspace};
 
 /// Joint positions that are tried in the search for pairs that can meet at all.
 const SAMPLES: usize = 2048;
@@ -98,13 +96,13 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
     let mut work = Workspace::new(topology);
     let still = vec![0.0; topology.num_joints()];
     let mut pose = |q: &[f64], look: &mut dyn FnMut(&Workspace<f64>)| {
-        forward_kinematics(topology, parameters, q, &still, &Spatial::zero(), &mut work);
-        place_colliders(topology, parameters, &mut work);
+        f64::forward_kinematics(topology, parameters, q, &still, &Spatial::zero(), &mut work);
+        f64::place_colliders(topology, parameters, &mut work);
         look(&work);
     };
     let mut apart = Vec::new();
     pose(reference, &mut |work| {
-        let gaps = (0..topology.pairs.len()).map(|pair| pair_gap(topology, work, pair));
+        let gaps = (0..topology.pairs.len()).map(|pair| f64::pair_gap(topology, work, pair));
         apart = gaps.map(|gap| gap > TOUCHES_BY_DESIGN).collect();
     });
     let mut open: Vec<usize> = (0..topology.pairs.len()).filter(|&pair| apart[pair]).collect();
@@ -119,7 +117,7 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
         }
         pose(&q, &mut |work| {
             open.retain(|&pair| {
-                meet[pair] = pair_gap(topology, work, pair) < NEVER_NEAR;
+                meet[pair] = f64::pair_gap(topology, work, pair) < NEVER_NEAR;
                 !meet[pair]
             });
         });

@@ -12,7 +12,7 @@ use super::pose::Pose;
 use super::shapes::bodies;
 use super::tree::Tree;
 use super::urdf::LoadOptions;
-use crate::dynamics::contact::MAX_DEPTH;
+use crate::dynamics::MAX_DEPTH;
 
 /// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
 pub(super) const LARGEST: f64 = 1e9;

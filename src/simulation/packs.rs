@@ -2,8 +2,10 @@
 
 use super::rows::{EnvIds, Rows};
 pub(super) use crate::avian::JointField;
-use crate::dynamics::lanes::{self, Lanes, Real};
-use crate::dynamics::{ControlStep, Drive, Parameters, Report, Simd, State, StepSettings, Topology, Workspace};
+use crate::dynamics::lanes::{self, Real};
+use crate::dynamics::{
+    ControlStep, Drive, Kernels, Parameters, Report, Simd, State, StepSettings, Topology, Workspace,
+};
 use crate::rows::Workers;
 
 /// Physics steps that packs make in one go; their contact reports grow with it.
@@ -90,7 +92,7 @@ struct LanePacks<L> {
     workspaces: Vec<Workspace<L>>,
 }
 
-impl<L: Lanes> LanePacks<L> {
+impl<L: Kernels> LanePacks<L> {
     fn new(topology: &Topology, nominal: &Parameters<f64>, num_envs: usize, chunks: usize) -> Self {
         let parameters = Parameters::<L>::from_scalars(topology, nominal);
         let packs = (0..num_envs)
@@ -134,7 +136,7 @@ fn put<L: Real>(to: &mut [L], from: &[f64], lane: usize) {
     }
 }
 
-impl<L: Lanes> Packs for LanePacks<L> {
+impl<L: Kernels> Packs for LanePacks<L> {
     fn read_state(&self, env: usize, state: &mut State<f64>) {
         let (pack, lane) = self.at(env);
         let from = &pack.state;
@@ -228,7 +230,7 @@ impl<L: Lanes> Packs for LanePacks<L> {
     }
 }
 
-impl<L: Lanes> Pack<L> {
+impl<L: Kernels> Pack<L> {
     fn joints_mut(&mut self, field: JointField) -> &mut [L] {
         match field {
             JointField::Target => &mut self.drive.targets[0],

@@ -8,10 +8,8 @@ use super::Simulation;
 use super::options::SimulationError;
 use super::parameters::LinkId;
 use super::rows::Rows;
-use crate::dynamics::algorithms::Dynamics;
-use crate::dynamics::contact::candidate_gaps;
 use crate::dynamics::math::{Spatial, mul_vec, mul_vec_transposed, quat_to_mat};
-use crate::dynamics::{Parameters, State, Workspace, kinematics};
+use crate::dynamics::{Dynamics, Parameters, Scalar, State, Workspace, point_motion};
 use crate::rows::MatrixRows;
 
 /// Where the links are, in the world.
@@ -92,7 +90,7 @@ impl Simulation {
             let rotation = link_states(body);
             let (linear, angular) = out.split_at_mut(3 * links);
             for (l, link) in body.work.links.iter().enumerate() {
-                let (_, velocity) = kinematics::point_motion(link, &[0.0; 3]);
+                let (_, velocity) = point_motion(link, &[0.0; 3]);
                 linear[3 * l..3 * l + 3].copy_from_slice(&mul_vec(&rotation, &velocity));
                 angular[3 * l..3 * l + 3].copy_from_slice(&mul_vec(&rotation, &link.velocity.ang));
             }
@@ -103,12 +101,12 @@ impl Simulation {
 
     /// Mass matrix, armature included, `[num_envs, nv, nv]`.
     pub fn mass_matrix(&self) -> Vec<f64> {
-        self.query(self.nv() * self.nv(), |body, _, out| out.copy_from_slice(&body.mass_matrix()))
+        self.query(self.nv() * self.nv(), |body, _, out| out.copy_from_slice(&f64::mass_matrix(body)))
     }
 
     /// Bias force `c` of `M qacc + c = force`, gravity included, `[num_envs, nv]`.
     pub fn bias_force(&self) -> Vec<f64> {
-        self.query(self.nv(), |body, _, out| out.copy_from_slice(&body.bias_force()))
+        self.query(self.nv(), |body, _, out| out.copy_from_slice(&f64::bias_force(body)))
     }
 
     /// Accelerations, `[num_envs, nv]`, that generalised forces cause: one per joint or degree of freedom, for all envs or
@@ -124,7 +122,7 @@ impl Simulation {
         Ok(self.query(nv, |body, env, out| {
             let force: Vec<f64> =
                 (0..nv).map(|k| (k + width).checked_sub(nv).map_or(0.0, |k| rows.get(env, k))).collect();
-            out.copy_from_slice(&body.forward_dynamics(&force));
+            out.copy_from_slice(&f64::forward_dynamics(body, &force));
         }))
     }
 
@@ -137,7 +135,7 @@ impl Simulation {
         let rows = Rows::vectors("qacc", qacc, nv, self.num_envs)?;
         Ok(self.query(nv, |body, env, out| {
             let qacc: Vec<f64> = (0..nv).map(|k| rows.get(env, k)).collect();
-            out.copy_from_slice(&body.inverse_dynamics(&qacc));
+            out.copy_from_slice(&f64::inverse_dynamics(body, &qacc));
         }))
     }
 
@@ -150,7 +148,7 @@ impl Simulation {
         let link = self.link_index(link)?;
         Rows::vectors("point", &point, 3, 1)?;
         let point = (self.robot.align[link] * DVec3::from_array(point)).to_array();
-        Ok(self.query(6 * self.nv(), |body, _, out| out.copy_from_slice(&body.jacobian(link, &point))))
+        Ok(self.query(6 * self.nv(), |body, _, out| out.copy_from_slice(&f64::jacobian(body, link, &point))))
     }
 
     /// Distance of each link's shapes from the ground, m, negative inside it, `[num_envs, links]`; infinite for a link
@@ -159,7 +157,7 @@ impl Simulation {
         let topology = &self.robot.topology;
         self.query(self.num_links(), |body, _, out| {
             out.fill(f64::INFINITY);
-            let gaps = candidate_gaps(topology, body.parameters, &self.settings.contact, body.state, body.work);
+            let gaps = f64::candidate_gaps(topology, body.parameters, &self.settings.contact, body.state, body.work);
             for (contact, gap) in topology.contacts.iter().zip(gaps) {
                 out[contact.link] = out[contact.link].min(gap);
             }
@@ -169,20 +167,20 @@ impl Simulation {
     /// Kinetic energy, armature included, and potential energy in gravity, zero at the world's origin, J, `[num_envs]`
     /// each.
     pub fn energy(&self) -> (Vec<f64>, Vec<f64>) {
-        let rows = self.query(2, |body, _, out| (out[0], out[1]) = body.energy());
+        let rows = self.query(2, |body, _, out| (out[0], out[1]) = f64::energy(body));
         split_columns(&rows, 2, 1)
     }
 
     /// Centre of mass in the world, m, `[num_envs, 3]`.
     pub fn center_of_mass(&self) -> Vec<f64> {
-        self.query(3, |body, _, out| out.copy_from_slice(&body.center_of_mass()))
+        self.query(3, |body, _, out| out.copy_from_slice(&f64::center_of_mass(body)))
     }
 
     /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, world axes, `[num_envs, 3]` each;
     /// without rotors.
     pub fn momentum(&self) -> (Vec<f64>, Vec<f64>) {
         let rows = self.query(6, |body, _, out| {
-            let (linear, angular) = body.momentum();
+            let (linear, angular) = f64::momentum(body);
             out[..3].copy_from_slice(&linear);
             out[3..].copy_from_slice(&angular);
         });
@@ -200,7 +198,7 @@ fn link_states(body: &mut Bodies) -> [[f64; 3]; 3] {
         Spatial::zero()
     };
     let (position, velocity) = (&state.joint_position, &state.joint_velocity);
-    kinematics::forward_kinematics(body.topology, body.parameters, position, velocity, &base, body.work);
+    f64::forward_kinematics(body.topology, body.parameters, position, velocity, &base, body.work);
     rotation
 }
 

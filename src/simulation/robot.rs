@@ -7,9 +7,8 @@ use glam::{DMat3, DVec3};
 use super::options::{SimulationError, SimulationOptions, argument, check_non_negative};
 use super::rows::Rows;
 use crate::config::Library;
-use crate::dynamics::contact::MAX_DEPTH;
 use crate::dynamics::math::Spatial;
-use crate::dynamics::{ContactKind, Parameters, Topology, Workspace, kinematics};
+use crate::dynamics::{ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
 use crate::morphology::apply_actuator;
 use crate::robot::{self, Articulation, LoadOptions, Model};
 
@@ -88,7 +87,7 @@ impl Robot {
         let mut work = Workspace::new(&self.topology);
         let rest = vec![0.0; self.topology.num_joints()];
         let base = Spatial::zero();
-        kinematics::forward_kinematics(&self.topology, &self.nominal, &self.default_position, &rest, &base, &mut work);
+        f64::forward_kinematics(&self.topology, &self.nominal, &self.default_position, &rest, &base, &mut work);
         let heights = self.topology.contacts.iter().enumerate().map(|(c, contact)| {
             let link = &work.links[contact.link];
             let axes = DMat3::from_cols_array_2d(&link.rotation).transpose();

@@ -1,14 +1,22 @@
-//! What several integration tests share: a task in which much happens, reproducible actions, and envs as bits.
-#![allow(dead_code, reason = "every test is a crate of its own and uses a part of this")]
+//! What several promises share: a task in which much happens, reproducible actions, and envs as bits.
 
 use std::ops::Range;
-use std::process;
 
 use polypod::components::{
     BasePose, BaseVelocity, Body, Command, ContactForces, ContactSensor, EnvId, Episode, EpisodeSums, Feet,
     JointEffort, JointState,
 };
 use polypod::{Sim, SimOptions};
+
+/// A size of a test, such as a number of samples: `core` with `make test`, `extended` with `make test-extended`. What is asserted is
+/// the same.
+pub fn size<T>(core: T, extended: T) -> T {
+    match std::env::var("POLYPOD_TEST_TIER").as_deref() {
+        Err(_) | Ok("" | "core") => core,
+        Ok("extended") => extended,
+        Ok(other) => panic!("POLYPOD_TEST_TIER: `{other}` is not a tier; use core or extended"),
+    }
+}
 
 /// All built-in robots, in the order of the flat task.
 pub const ROBOTS: [&str; 8] =
@@ -36,13 +44,6 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
 pub fn upward_force(forces: &ContactForces) -> f64 {
     let others = forces.others.iter().map(|force| &force.net);
     forces.feet.iter().chain(others).map(|net| f64::from(net[2])).sum()
-}
-
-/// The command line program.
-pub fn polypod_sim(arguments: &[&str]) -> process::Command {
-    let mut command = process::Command::new(env!("CARGO_BIN_EXE_polypod-sim"));
-    command.args(arguments);
-    command
 }
 
 /// A number in `[-1, 1)` that depends on its arguments alone.

@@ -2,7 +2,6 @@
 
 mod check;
 mod inspect;
-#[cfg(feature = "onnx")]
 mod play;
 mod replay;
 mod rollout;
@@ -19,7 +18,7 @@ use polypod::config::Library;
 /// Exit codes: 0 success, 2 bad input, 1 anything else, such as a replay that gives something else.
 #[derive(Parser)]
 #[command(version, about, long_about = None)]
-pub(crate) struct Cli {
+pub struct Cli {
     #[command(subcommand)]
     command: Command,
 }
@@ -29,7 +28,6 @@ enum Command {
     /// Steps a task with random or zero actions and reports speed and statistics per robot.
     Rollout(rollout::Rollout),
     /// Lets an exported policy (`polypod export`) walk and reports how it follows its commands.
-    #[cfg(feature = "onnx")]
     Play(play::Play),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
@@ -44,10 +42,13 @@ enum Command {
 }
 
 impl Cli {
-    pub(crate) fn run(self) -> anyhow::Result<()> {
+    /// Runs the command.
+    ///
+    /// # Errors
+    /// Bad input, as [`SimError`] or [`PolicyError`](crate::policy::PolicyError); anything else that went wrong.
+    pub fn run(self) -> anyhow::Result<()> {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
-            #[cfg(feature = "onnx")]
             Command::Play(play) => play.run(),
             Command::Inspect(inspect) => inspect.run(),
             Command::Check(check) => check.run(),

@@ -7,11 +7,10 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use polypod::Sim;
+use polypod::robot::CANONICAL_JOINT_NAMES;
 use serde::Deserialize;
 use tract_onnx::prelude::*;
-
-use crate::app::Sim;
-use crate::robot::CANONICAL_JOINT_NAMES;
 
 /// A policy could not be read, or does not fit a simulation.
 #[derive(Debug, thiserror::Error)]

@@ -11,17 +11,17 @@ use std::path::PathBuf;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::config::Library;
-use crate::draft::{DraftOptions, draft};
-use crate::dynamics::Simd;
-use crate::morphology::MorphologyError;
-use crate::robot::{self, LoadOptions};
 use exceptions::to_python;
+use polypod::config::Library;
+use polypod::draft::{DraftOptions, draft};
+use polypod::dynamics::Simd;
+use polypod::morphology::MorphologyError;
+use polypod::robot::{self, LoadOptions};
 
 #[pyfunction]
 fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let tasks = Library::new(Vec::new()).tasks().map_err(|error| to_python(py, error.into()))?;
-    let entry = |task: crate::config::TaskEntry| {
+    let entry = |task: polypod::config::TaskEntry| {
         let dict = PyDict::new(py);
         dict.set_item("name", task.name)?;
         dict.set_item("aliases", task.aliases)?;
@@ -34,7 +34,7 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 #[pyfunction]
 fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let robots = Library::new(Vec::new()).robots().map_err(|error| to_python(py, error.into()))?;
-    let entry = |robot: crate::config::RobotEntry| {
+    let entry = |robot: polypod::config::RobotEntry| {
         let dict = PyDict::new(py);
         dict.set_item("name", robot.name)?;
         dict.set_item("title", robot.title)?;

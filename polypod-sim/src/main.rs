@@ -1,11 +1,11 @@
 //! `polypod-sim`: the simulator without Python.
 
-mod cli;
-
 use std::io::ErrorKind::BrokenPipe;
 use std::process::ExitCode;
 
 use clap::Parser;
+use polypod_sim::cli::Cli;
+use polypod_sim::policy::PolicyError;
 
 fn main() -> ExitCode {
     tracing_subscriber::fmt()
@@ -16,7 +16,7 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .without_time()
         .init();
-    match cli::Cli::parse().run() {
+    match Cli::parse().run() {
         Ok(()) => ExitCode::SUCCESS,
         // whoever reads the output has seen enough
         Err(error) if error.downcast_ref().is_some_and(|e: &std::io::Error| e.kind() == BrokenPipe) => {
@@ -31,9 +31,5 @@ fn main() -> ExitCode {
 }
 
 fn is_bad_input(error: &anyhow::Error) -> bool {
-    #[cfg(feature = "onnx")]
-    if error.is::<polypod::policy::PolicyError>() {
-        return true;
-    }
-    error.is::<polypod::SimError>()
+    error.is::<PolicyError>() || error.is::<polypod::SimError>()
 }

@@ -8,10 +8,11 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use polypod::components::{BasePose, Command, EnvId, Imu, MountedOn};
 use polypod::config::Library;
-use polypod::policy::{Policy, PolicyManifest};
 use polypod::systems::Autoreset;
 use polypod::{Sim, SimError, SimOptions};
 use serde::Serialize;
+
+use crate::policy::{Policy, PolicyManifest};
 
 /// Arguments of `play`.
 #[derive(Args)]

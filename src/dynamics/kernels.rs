@@ -1,0 +1,155 @@
+//! The border of the crate: every kernel is compiled here, once per type of number. Code of other crates calls these functions and
+//! compiles no kernel of its own, whatever types it is generic over. The unit tests of this crate test its parts and leave them out.
+
+use super::algorithms::Dynamics;
+use super::articulation::Topology;
+use super::contact::{self, ContactSettings};
+use super::kinematics;
+use super::lanes::{self, Lanes, Real};
+use super::math::{Mat3, Spatial, Vec3};
+use super::parameters::Parameters;
+use super::self_contact;
+use super::state::{Report, State, Workspace};
+use super::step::{self, ControlStep};
+
+/// A type of number that robots are stepped in: the lanes of an instruction set, or `f64`.
+pub trait Kernels: Lanes {
+    /// One control step; [`ControlStep::run`] calls it.
+    fn control_step(step: ControlStep<Self>);
+}
+
+/// Compiles the control step for types of numbers.
+macro_rules! control_step_kernels {
+    ($($(#[$attribute:meta])* $number:ty),*) => {
+        $(
+            #[cfg(not(test))]
+            $(#[$attribute])*
+            impl Kernels for $number {
+                fn control_step(step: ControlStep<Self>) {
+                    step.compute();
+                }
+            }
+        )*
+    };
+}
+
+/// States the functions of [`Scalar`] and compiles each of them for `f32` and `f64`.
+macro_rules! scalar_kernels {
+    ($(
+        $(#[$doc:meta])*
+        fn $name:ident($($argument:ident: $type:ty),*) $(-> $output:ty)? = $kernel:expr;
+    )*) => {
+        /// `f32` or `f64`: the numbers that a single body is asked about its motion in.
+        pub trait Scalar: Real {
+            $( $(#[$doc])* fn $name($($argument: $type),*) $(-> $output)?; )*
+        }
+        scalar_kernels!(@for f32, $( fn $name($($argument: $type),*) $(-> $output)? = $kernel; )*);
+        scalar_kernels!(@for f64, $( fn $name($($argument: $type),*) $(-> $output)? = $kernel; )*);
+    };
+    (@for $number:ty, $( fn $name:ident($($argument:ident: $type:ty),*) $(-> $output:ty)? = $kernel:expr; )*) => {
+        #[cfg(not(test))]
+        impl Scalar for $number {
+            $( fn $name($($argument: $type),*) $(-> $output)? { ($kernel)($($argument),*) } )*
+        }
+    };
+}
+
+control_step_kernels!(
+    #[cfg(target_arch = "x86_64")]
+    lanes::Avx512,
+    #[cfg(target_arch = "x86_64")]
+    lanes::Avx2,
+    #[cfg(target_arch = "aarch64")]
+    lanes::Neon,
+    lanes::Portable,
+    f32,
+    f64
+);
+
+scalar_kernels! {
+    /// Leaves positions, axes and velocities of all links in [`Workspace::links`].
+    ///
+    /// `position` and `velocity` are those of the joints, rad and rad/s, `[joints]`; `base_velocity` is in base axes about the base's
+    /// origin.
+    fn forward_kinematics(
+        topology: &Topology,
+        parameters: &Parameters<Self>,
+        position: &[Self],
+        velocity: &[Self],
+        base_velocity: &Spatial<Self>,
+        work: &mut Workspace<Self>
+    ) = kinematics::forward_kinematics;
+
+    /// Writes positions and velocities of the sites to the report.
+    fn report_sites(
+        topology: &Topology,
+        parameters: &Parameters<Self>,
+        state: &State<Self>,
+        report: &mut Report<Self>,
+        work: &mut Workspace<Self>
+    ) = step::report_sites;
+
+    /// Puts the colliders where the workspace has their links.
+    fn place_colliders(topology: &Topology, parameters: &Parameters<Self>, work: &mut Workspace<Self>)
+        = self_contact::place_colliders;
+
+    /// Distance of the two links of a pair of placed colliders, m, negative when they overlap.
+    fn pair_gap(topology: &Topology, work: &Workspace<Self>, pair: usize) -> Self = self_contact::pair_gap;
+
+    /// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order, negative inside the ground; empty
+    /// where there is none.
+    fn candidate_gaps(
+        topology: &Topology,
+        parameters: &Parameters<Self>,
+        settings: &ContactSettings,
+        state: &State<Self>,
+        work: &mut Workspace<Self>
+    ) -> Vec<Self> = contact::candidate_gaps;
+
+    /// Mass matrix, armature included: symmetric, row-major `[nv, nv]`.
+    fn mass_matrix(body: &mut Dynamics<Self>) -> Vec<Self> = Dynamics::mass_matrix;
+
+    /// Bias force `c`, `[nv]`: `M qacc + c = force`. Holds gravity and the velocity terms (MuJoCo's `qfrc_bias`), no passive damping.
+    fn bias_force(body: &mut Dynamics<Self>) -> Vec<Self> = Dynamics::bias_force;
+
+    /// Acceleration `[nv]` that a generalised force `[nv]` causes without contacts, joint bounds, damping and friction.
+    ///
+    /// # Panics
+    /// If `force` is shorter than [`num_dofs`](Dynamics::num_dofs).
+    fn forward_dynamics(body: &mut Dynamics<Self>, force: &[Self]) -> Vec<Self> = Dynamics::forward_dynamics;
+
+    /// Generalised force `[nv]` that causes an acceleration `[nv]` in the present state, armature included.
+    ///
+    /// # Panics
+    /// If `qacc` is shorter than [`num_dofs`](Dynamics::num_dofs).
+    fn inverse_dynamics(body: &mut Dynamics<Self>, qacc: &[Self]) -> Vec<Self> = Dynamics::inverse_dynamics;
+
+    /// Jacobian of a point of a link, row-major `[6, nv]`: its linear velocity, then the link's angular velocity, both in world axes.
+    /// `point` is in the link's (base-aligned) axes about its origin, m.
+    ///
+    /// # Panics
+    /// If there is no such link.
+    fn jacobian(body: &mut Dynamics<Self>, link: usize, point: &Vec3<Self>) -> Vec<Self> = Dynamics::jacobian;
+
+    /// Origin of a link in the world, m, and the turn from its (base-aligned) axes to world axes.
+    ///
+    /// # Panics
+    /// If there is no such link.
+    fn link_pose(body: &mut Dynamics<Self>, link: usize) -> (Vec3<Self>, Mat3<Self>) = Dynamics::link_pose;
+
+    /// Velocity of a link's origin, m/s, and angular velocity of the link, rad/s, both in world axes.
+    ///
+    /// # Panics
+    /// If there is no such link.
+    fn link_velocity(body: &mut Dynamics<Self>, link: usize) -> (Vec3<Self>, Vec3<Self>) = Dynamics::link_velocity;
+
+    /// Kinetic energy, that of the rotors (armature) included, and potential energy in uniform gravity, zero for a mass at the world's
+    /// origin, J.
+    fn energy(body: &mut Dynamics<Self>) -> (Self, Self) = Dynamics::energy;
+
+    /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, in world axes; without rotors.
+    fn momentum(body: &mut Dynamics<Self>) -> (Vec3<Self>, Vec3<Self>) = Dynamics::momentum;
+
+    /// Centre of mass in the world, m.
+    fn center_of_mass(body: &mut Dynamics<Self>) -> Vec3<Self> = Dynamics::center_of_mass;
+}

@@ -1,0 +1,43 @@
+#![doc = include_str!("README.md")]
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+#![cfg_attr(
+    test,
+    allow(dead_code, unused_imports, reason = "the kernels that use it are not compiled again for unit tests")
+)]
+#![allow(rustdoc::private_intra_doc_links, reason = "the README explains the private modules too")]
+
+mod algorithms;
+mod articulation;
+mod blocks;
+mod contact;
+mod factor;
+mod kernels;
+mod kinematics;
+pub mod lanes;
+pub mod math;
+mod numbers;
+mod parameters;
+mod proximity;
+mod rows;
+mod self_contact;
+mod solver;
+mod sparse_rows;
+mod state;
+mod step;
+mod terrain;
+
+pub use algorithms::Dynamics;
+pub use articulation::{
+    Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, PairTopology,
+    Topology,
+};
+pub use contact::{ContactSettings, MAX_DEPTH, Plane, SWEEPS};
+pub use kernels::{Kernels, Scalar};
+pub use kinematics::point_motion;
+pub use lanes::{Lanes, Real, Simd};
+pub use numbers::Numbers;
+pub use parameters::Parameters;
+pub use state::{Drive, LinkState, Report, State, Workspace};
+pub use step::{ControlStep, StepSettings};
+pub use terrain::{HeightGrid, LARGE_GROUP, Terrain};

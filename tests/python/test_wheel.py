@@ -1,0 +1,52 @@
+"""A wheel, installed into a new environment outside the checkout, is small and makes the shipped policy walk."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from common import FLAT_POLICY
+
+ROOT = Path(__file__).parents[2]
+MOST_BYTES = 10_000_000
+
+
+@pytest.fixture(scope="module")
+def wheel() -> Path:
+    wheels = sorted((ROOT / "dist").glob("polypod-*.whl"))
+    assert len(wheels) == 1, f"{wheels} in dist/: build one with `make wheel`"
+    return wheels[0]
+
+
+def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
+    assert wheel.stat().st_size <= MOST_BYTES
+    assert "-abi3-" in wheel.name
+    names = zipfile.ZipFile(wheel).namelist()
+    folders = {name.split("/")[0] for name in names}
+    assert len(folders) == 2, folders
+    assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
+    assert any(name.startswith("polypod/_core.") for name in names)
+    assert {Path(name).suffix for name in names if name.startswith("polypod/")} <= {".py", ".pyi", ".so", ".pyd", ".typed", ""}
+
+
+def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:
+    venv = tmp_path / "venv"
+    subprocess.run(["make", "-s", "-C", str(ROOT), "wheel-venv", f"WHEEL={wheel}", f"INTO={venv}"], check=True)
+    polypod = venv / ("Scripts" if os.name == "nt" else "bin") / "polypod"
+    where = "import polypod; print(polypod.__file__)"
+    python = polypod.with_name(Path(sys.executable).name)
+    environment = {key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "VIRTUAL_ENV"}}
+    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "check": True}
+    found = subprocess.run([python, "-c", where], **options).stdout
+    assert Path(found.strip()).is_relative_to(venv)
+    arguments = ["--checkpoint", FLAT_POLICY, "--num-envs", "16", "--steps", "200", "--json", "walked.json"]
+    subprocess.run([polypod, "eval", *arguments], **options)
+    robots = json.loads((tmp_path / "walked.json").read_text())["robots"]
+    assert len(robots) == 8
+    for name, robot in robots.items():
+        assert robot["fall_rate"] == 0.0, name
+        assert robot["error_vel_xy"] < 0.5 * robot["still_error_vel_xy"], name
