@@ -39,7 +39,7 @@ FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 
-.PHONY: help build train eval demo film film-rough test test-extended test-rust test-python wheel wheel-venv bench soak accuracy lint doc package format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended test-rust test-python wheel wheel-venv compile bench soak accuracy lint doc package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -164,6 +164,7 @@ $(VENV)/.venv:
 $(VENV)/.requirements: $(VENV)/.venv $(LOCK)
 	@if [ -e $(VENV)/.base-torch ]; then grep -vE '^(torch|triton|nvidia-|cuda-)' $(LOCK); else cat $(LOCK); fi \
 		> $(VENV)/requirements.txt
+	$(BIN)/uv pip install --python $(BIN)/python --no-deps "$$(grep '^maturin==' $(VENV)/requirements.txt)"
 	@touch $@
 
 $(VENV)/.dependencies: $(VENV)/.requirements
@@ -172,9 +173,15 @@ $(VENV)/.dependencies: $(VENV)/.requirements
 
 # The extension, the program and the tests share target/, the release profile and the features of workspace-hack, so that
 # dependencies are built once.
-$(VENV)/.extension: $(VENV)/.dependencies pyproject.toml $(LIBRARY_SOURCES)
+#
+# Python's packages arrive while the extension compiles, which needs maturin alone.
+$(VENV)/.extension: pyproject.toml $(LOCK) $(LIBRARY_SOURCES)
+	@$(MAKE) --no-print-directory --jobs=2 $(VENV)/.dependencies compile
 	$(BIN)/maturin develop --release --locked --uv
 	@touch $@
+
+compile: $(VENV)/.requirements
+	$(BIN)/maturin develop --release --locked --skip-install
 
 target/release/polypod-sim: $(PROGRAM_SOURCES)
 	cargo build --release --locked --package polypod-sim

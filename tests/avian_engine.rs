@@ -8,7 +8,7 @@ use polypod::morphology::MorphologyModel;
 use polypod::simulation::Precision;
 use polypod::{Control, Simulation, SimulationOptions};
 
-use crate::common::{ROBOTS, noise};
+use crate::common::{ROBOTS, noise, size};
 
 const GRAVITY: f64 = 9.81;
 
@@ -102,7 +102,7 @@ fn every_robot_survives_a_drop_and_random_targets() {
         start[2] += 0.5;
         sim.set_state(None, Some(&start), None).unwrap();
         let (mut drift, mut fastest) = (0.0_f64, 0.0_f64);
-        for step in 0..1000 {
+        for step in 0..size(1000, 10_000) {
             let moved: Vec<f64> =
                 (0..targets.len()).map(|j| targets[j] + 0.6 * f64::from(noise(3, 0, step, j))).collect();
             let asked = if step < 50 { &targets } else { &moved };

@@ -12,6 +12,8 @@ use polypod::robot::{Articulation, Body, Geometry, Link, Model, Pose, Shape};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use crate::common::size;
+
 const SEED: u64 = 1;
 const DT: f64 = 0.005;
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
@@ -359,7 +361,7 @@ fn check(sample: &Sample) -> Result<(), String> {
 #[test]
 fn one_step_of_a_hundred_thousand_bodies() {
     let mut bad = Vec::new();
-    for index in 0..100_000 {
+    for index in 0..size(100_000, 1_000_000) {
         let sample = Sample::new(index, LEVER);
         if let Err(what) = check(&sample) {
             bad.push(format!("SEED {SEED}, Sample::new({index}, {LEVER}): {what}\n{sample:?}"));
@@ -372,7 +374,7 @@ fn one_step_of_a_hundred_thousand_bodies() {
 /// takes them deeper.
 #[test]
 fn bodies_are_pushed_out() {
-    let mut samples: Vec<(u64, Sample)> = (0..4000).map(|index| (index, Sample::new(index, 0.0))).collect();
+    let mut samples: Vec<(u64, Sample)> = (0..size(4000, 40_000)).map(|index| (index, Sample::new(index, 0.0))).collect();
     samples.retain(|(_, sample)| sample.distance(&sample.state) < 0.0);
     assert!(samples.len() > 1000);
     for (index, sample) in samples {

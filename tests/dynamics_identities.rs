@@ -8,6 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use polypod::dynamics::{Dynamics, Scalar, State, Workspace};
 use proptest::prelude::*;
 
+use crate::common::size;
 use crate::trees::{Case, ask, fixed_cases, largest, largest_difference, moving_robot, state_as, to_f64, tree};
 
 const GRAVITY: [f64; 3] = [1.5, -2.0, -9.0];
@@ -238,7 +239,7 @@ const F64: f64 = 64.0 * f64::EPSILON / 2.0;
 const DERIVATIVE: f64 = 1e-10;
 
 proptest! {
-    #![proptest_config(fixed_cases(128))]
+    #![proptest_config(fixed_cases(size(128, 1280)))]
 
     #[test]
     fn trees_in_f64(case in tree(1..=64, any::<bool>())) {

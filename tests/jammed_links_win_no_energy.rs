@@ -3,7 +3,7 @@
 
 use polypod::{Control, Simulation, SimulationOptions};
 
-use crate::common;
+use crate::common::{self, size};
 
 const ENVS: usize = 64;
 const ROBOTS: [&str; 3] = ["anymal_b", "anymal_c", "unitree_b2"];
@@ -11,7 +11,6 @@ const ROBOTS: [&str; 3] = ["anymal_b", "anymal_c", "unitree_b2"];
 const RANDOM_S: f64 = 3.0;
 const TARGET_S: f64 = 0.25;
 const PASSIVE_S: f64 = 1.0;
-const BLOCKS: usize = 8;
 
 /// What passive joints win after random targets, as a height of the robot, m, and the largest contact force over its weight, with physics
 /// steps of `dt` s.
@@ -22,7 +21,7 @@ fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
     let range = sim.joint_range();
     let steps = |seconds: f64| (seconds / dt).round() as usize;
     let (mut won, mut largest) = (0.0f64, 0.0f64);
-    for block in 0..BLOCKS {
+    for block in 0..size(8, 80) {
         for turn in 0..(RANDOM_S / TARGET_S) as usize {
             let targets: Vec<f64> = (0..ENVS * joints)
                 .map(|i| {
@@ -51,7 +50,7 @@ fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
 /// By the command that does so for hours: it tells the work of contacts from what the integrator wins where a leg whips through.
 #[test]
 fn contacts_win_no_energy() {
-    let arguments = ["soak", "--robots", &ROBOTS.join(","), "--num-envs", "96", "--minutes", "3"];
+    let arguments = ["soak", "--robots", &ROBOTS.join(","), "--num-envs", "96", "--minutes", size("3", "30")];
     let soak = crate::polypod_sim(&arguments).output().unwrap();
     println!("{}", String::from_utf8_lossy(&soak.stdout));
     assert!(soak.status.success(), "{}", String::from_utf8_lossy(&soak.stderr));

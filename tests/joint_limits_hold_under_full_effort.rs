@@ -2,10 +2,9 @@
 
 use polypod::{Control, Simulation, SimulationOptions};
 
-use crate::common;
+use crate::common::{self, size};
 
 const ENVS: usize = 16;
-const STEPS: usize = 400;
 
 /// The furthest any joint gets past a limit, rad, and the share of joints that come to stand at one.
 ///
@@ -25,13 +24,14 @@ fn furthest(robot: &str, fixed_base: bool, ground: bool) -> (f64, f64) {
         })
         .collect();
     let mut worst = 0.0f64;
+    let steps = size(400, 4000);
     let mut held = 0;
-    for step in 0..STEPS {
+    for step in 0..steps {
         sim.step(&Control { torque: Some(&torque), ..Control::default() }, 1).unwrap();
         for q in sim.qpos().chunks(sim.nq()) {
             for (x, [low, high]) in q[sim.nq() - joints..].iter().zip(&range) {
                 worst = worst.max(low - x).max(x - high);
-                held += usize::from(step == STEPS - 1 && (x - low).min(high - x) < 1e-2);
+                held += usize::from(step == steps - 1 && (x - low).min(high - x) < 1e-2);
             }
         }
     }

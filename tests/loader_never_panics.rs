@@ -5,13 +5,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use polypod::dynamics::MAX_DEPTH;
-use polypod::dynamics::{ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Workspace};
+use polypod::dynamics::{ContactSettings, ControlStep, Drive, MAX_DEPTH, Parameters, Report, State, StepSettings, Workspace};
 use polypod::robot::{Articulation, Geometry, LoadOptions, Model, RobotError, Site, check, detect, load, load_str};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
+
+use crate::common::size;
 
 /// Values that a number, a name or a type is replaced by.
 const VALUES: [&str; 34] = [
@@ -450,7 +451,7 @@ impl Drop for Folder {
 }
 
 proptest! {
-    #![proptest_config(config(192))]
+    #![proptest_config(config(size(192, 1920)))]
 
     #[test]
     fn changed_robots(which in any::<Index>(), edits in edits(), end in prop::option::weighted(0.1, any::<Index>())) {

@@ -4,6 +4,7 @@ use glam::DVec3;
 use polypod::dynamics::Scalar;
 use proptest::prelude::*;
 
+use crate::common::size;
 use crate::passive::move_freely;
 use crate::trees::{Case, ask, fixed_cases, tree};
 
@@ -46,7 +47,7 @@ fn drifts_at_first_order(case: &Case, gravity: [f64; 3]) -> Result<(), TestCaseE
 }
 
 proptest! {
-    #![proptest_config(fixed_cases(64))]
+    #![proptest_config(fixed_cases(size(64, 640)))]
 
     #[test]
     fn without_gravity(case in tree(1..=16, Just(true))) {

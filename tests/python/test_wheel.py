@@ -30,7 +30,14 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert len(folders) == 2, folders
     assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
     assert any(name.startswith("polypod/_core.") for name in names)
-    assert {Path(name).suffix for name in names if name.startswith("polypod/")} <= {".py", ".pyi", ".so", ".pyd", ".typed", ""}
+    assert {Path(name).suffix for name in names if name.startswith("polypod/")} <= {
+        ".py",
+        ".pyi",
+        ".so",
+        ".pyd",
+        ".typed",
+        "",
+    }
 
 
 def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:
