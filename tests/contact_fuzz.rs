@@ -374,7 +374,8 @@ fn one_step_of_a_hundred_thousand_bodies() {
 /// takes them deeper.
 #[test]
 fn bodies_are_pushed_out() {
-    let mut samples: Vec<(u64, Sample)> = (0..size(4000, 40_000)).map(|index| (index, Sample::new(index, 0.0))).collect();
+    let mut samples: Vec<(u64, Sample)> =
+        (0..size(4000, 40_000)).map(|index| (index, Sample::new(index, 0.0))).collect();
     samples.retain(|(_, sample)| sample.distance(&sample.state) < 0.0);
     assert!(samples.len() > 1000);
     for (index, sample) in samples {

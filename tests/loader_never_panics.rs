@@ -5,7 +5,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use polypod::dynamics::{ContactSettings, ControlStep, Drive, MAX_DEPTH, Parameters, Report, State, StepSettings, Workspace};
+use polypod::dynamics::{
+    ContactSettings, ControlStep, Drive, MAX_DEPTH, Parameters, Report, State, StepSettings, Workspace,
+};
 use polypod::robot::{Articulation, Geometry, LoadOptions, Model, RobotError, Site, check, detect, load, load_str};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};

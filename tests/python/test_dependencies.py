@@ -11,14 +11,15 @@ ROOT = Path(__file__).resolve().parents[2]
 REGISTRY = "registry+https://github.com/rust-lang/crates.io-index"
 
 
-def is_allowed(expression, allowed):
+def is_allowed(expression: str, allowed: list[str]) -> bool:
     """Whether an SPDX expression can be met by the licences in `allowed`; `/` is the older way to write `OR`."""
     words = re.findall(r"[()]|[^\s()]+(?: WITH [^\s()]+)?", expression.replace("/", " OR "))
     python = {"(": "(", ")": ")", "AND": "and", "OR": "or"}
+    # nothing but True, False, and, or and parentheses is left
     return eval(" ".join(python.get(word, str(word in allowed)) for word in words))
 
 
-def test_licences_and_sources():
+def test_licences_and_sources() -> None:
     rules = tomllib.loads((ROOT / "deny.toml").read_text(encoding="utf-8"))
     host = subprocess.run(["rustc", "--print=host-tuple"], capture_output=True, text=True, check=True).stdout.strip()
     command = ["cargo", "metadata", "--locked", "--offline", "--format-version=1", f"--filter-platform={host}"]

@@ -30,7 +30,8 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert len(folders) == 2, folders
     assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
     assert any(name.startswith("polypod/_core.") for name in names)
-    assert {Path(name).suffix for name in names if name.startswith("polypod/")} <= {
+    suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
+    assert suffixes <= {
         ".py",
         ".pyi",
         ".so",
