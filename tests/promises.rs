@@ -17,6 +17,7 @@ mod collision_meshes_become_hulls;
 mod config_errors_name_file_key_and_remedy;
 mod config_layers_and_names_resolve;
 mod contact_fuzz;
+mod crates_hold_code_and_robots_alone;
 mod dry_friction_holds_what_is_at_rest;
 mod dynamics_identities;
 mod energy_drift_has_the_expected_order;
