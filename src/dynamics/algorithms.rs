@@ -175,7 +175,7 @@ impl<S: Real> Dynamics<'_, S> {
         let factor = &mut self.work.factor;
         factor.factorise(self.topology);
         factor.half_solve(self.topology, &mut base, &mut by_block);
-        factor.from_sparse(self.topology, &mut base, &mut by_block);
+        factor.to_dense(self.topology, &mut base, &mut by_block);
         scatter(blocks, &by_block, &mut joint);
         self.to_qvel(&base, &joint)
     }

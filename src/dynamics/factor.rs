@@ -312,7 +312,7 @@ impl<S: Real> Factor<S> {
 
     /// `H^-1 y`: the inverse of [`to_sparse`](Self::to_sparse).
     #[inline(always)]
-    pub fn from_sparse(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [[S; BLOCK]]) {
+    pub fn to_dense(&self, topology: &Topology, base: &mut [S; 6], joints: &mut [[S; BLOCK]]) {
         for (x, root) in base.iter_mut().zip(&self.base_root) {
             *x = *x * root[1];
         }

@@ -43,7 +43,7 @@ impl<S: Real> Capsule<S> {
 impl<S: Real> Proximity<S> {
     /// The inverse of [`Capsule::seen_from`].
     #[inline(always)]
-    pub fn from_frame(&self, origin: &Vec3<S>, rotation: &Mat3<S>) -> Self {
+    pub fn out_of_frame(&self, origin: &Vec3<S>, rotation: &Mat3<S>) -> Self {
         Self {
             gap: self.gap,
             normal: mul_vec(rotation, &self.normal),

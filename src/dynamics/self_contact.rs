@@ -284,7 +284,7 @@ impl<'a, S: Real> PairShapes<'a, S> {
             Self::Capsules([a, b]) => capsules(a, *s, b, *t),
             Self::CapsuleAndBox(capsule, solid) => {
                 let Capsule { centre, half, .. } = &solid.capsule;
-                capsule_and_box(capsule, *s, half).from_frame(centre, &solid.rotation)
+                capsule_and_box(capsule, *s, half).out_of_frame(centre, &solid.rotation)
             }
         }
     }

@@ -231,7 +231,7 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
         *rhs = *moved;
     }
     let mut free_base = *moved_base;
-    work.factor.from_sparse(topology, &mut free_base, &mut work.rhs_joint);
+    work.factor.to_dense(topology, &mut free_base, &mut work.rhs_joint);
     // `rhs_joint` now holds the free joint velocities
     kinematics::free_links(topology, &work.rhs_joint, &mut work.links);
     let free_base = Spatial::from_array(free_base);
@@ -259,9 +259,9 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     );
 
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
-    factor.from_sparse(topology, &mut contact.base, &mut contact.joints);
+    factor.to_dense(topology, &mut contact.base, &mut contact.joints);
     if contact.pushes() {
-        factor.from_sparse(topology, &mut contact.moved_base, &mut contact.moved_joints);
+        factor.to_dense(topology, &mut contact.moved_base, &mut contact.moved_joints);
     } else {
         contact.moved_base = contact.base;
         contact.moved_joints.copy_from_slice(&contact.joints);
