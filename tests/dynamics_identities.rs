@@ -194,14 +194,14 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
     rest.state.linear_velocity = [0.0; 3];
     rest.state.angular_velocity = [0.0; 3];
     rest.state.joint_velocity.fill(0.0);
-    let gravity_force = ask(topology, parameters, &rest.state, GRAVITY, |body| f64::bias_force(body));
-    let (_, potential) = ask(topology, parameters, &rest.state, GRAVITY, |body| f64::energy(body));
+    let gravity_force = ask(topology, parameters, &rest.state, GRAVITY, f64::bias_force);
+    let (_, potential) = ask(topology, parameters, &rest.state, GRAVITY, f64::energy);
     let scale = largest(&gravity_force) + potential.abs();
     for i in 0..gravity_force.len() {
         let mut unit = vec![0.0; gravity_force.len()];
         unit[i] = 1.0;
         let [slope] = derivative(1e-3, |t| {
-            [ask(topology, parameters, &moved(&rest, &unit, t), GRAVITY, |body| f64::energy(body)).1]
+            [ask(topology, parameters, &moved(&rest, &unit, t), GRAVITY, f64::energy).1]
         });
         close("dV / dq = bias at rest", (slope - gravity_force[i]).abs(), scale, DERIVATIVE)?;
     }
@@ -221,11 +221,11 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
             &end[..]
         };
         state.joint_velocity.copy_from_slice(joints);
-        let (kinetic, potential) = ask(topology, parameters, &state, GRAVITY, |body| f64::energy(body));
+        let (kinetic, potential) = ask(topology, parameters, &state, GRAVITY, f64::energy);
         [kinetic + potential]
     });
     let given: f64 = case.force.iter().zip(&qvel).map(|(f, v)| f * v).sum();
-    let (kinetic, potential) = ask(topology, parameters, &case.state, GRAVITY, |body| f64::energy(body));
+    let (kinetic, potential) = ask(topology, parameters, &case.state, GRAVITY, f64::energy);
     let scale = (kinetic + potential.abs()) * rate + largest(&case.force) * rate;
     close("power of the force = d energy / dt", (power - given).abs(), scale, DERIVATIVE)
 }
