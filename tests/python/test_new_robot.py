@@ -136,7 +136,12 @@ def test_the_urdfs_that_come_along_make_robots_that_stand(tmp_path, robot):
     assert made.gain_factor == 1.0
 
 
-@settings(max_examples=size(8, 100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=size(12, 100),
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(
     mass=st.floats(4.0, 90.0),
     thigh=st.floats(0.12, 0.4),
