@@ -74,11 +74,11 @@ demo: $(VENV)/.extension ## Play the policy that comes along: evaluate it on all
 	$(call play_shipped,$(BIN)/polypod)
 else
 # A new environment in a folder of its own: nothing of the checkout but the policy is in reach.
-demo: export POLYPOD_HOME := $(shell mktemp -d)
 demo: $(VENV)/.requirements
-	$(call install_wheel,$(WHEEL),$$POLYPOD_HOME/venv)
-	$(call play_shipped,cd $$POLYPOD_HOME && venv/bin/polypod)
-	rm -rf "$$POLYPOD_HOME"
+	$(eval folder := $(shell mktemp -d))
+	$(call install_wheel,$(WHEEL),$(folder)/venv)
+	$(call play_shipped,cd $(folder) && venv/bin/polypod)
+	rm -rf "$(folder)"
 endif
 
 film: $(VENV)/.extension ## Film the eight robots anew for the README
@@ -94,10 +94,10 @@ test-extended: test-rust test-python ## The same tests with larger sizes: about 
 
 test-rust:
 ifneq ($(NEXTEST),)
-	cargo nextest run --release --locked --workspace
+	cargo nextest run --release --locked --workspace --exclude polypod-python
 	cargo test --release --locked --doc
 else
-	cargo test --release --locked --workspace
+	cargo test --release --locked --workspace --exclude polypod-python
 endif
 
 test-python: build wheel
