@@ -90,7 +90,7 @@ film-rough: $(VENV)/.extension ## Film the eight robots on rough ground anew for
 test: test-rust test-python ## Run the tests of Rust and of Python
 
 test-extended: export POLYPOD_TEST_TIER := extended
-test-extended: test-rust test-python ## The same tests with larger sizes: about two hours
+test-extended: test-rust test-python ## The same tests with larger sizes
 
 test-rust:
 ifneq ($(NEXTEST),)
