@@ -200,9 +200,8 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
     for i in 0..gravity_force.len() {
         let mut unit = vec![0.0; gravity_force.len()];
         unit[i] = 1.0;
-        let [slope] = derivative(1e-3, |t| {
-            [ask(topology, parameters, &moved(&rest, &unit, t), GRAVITY, f64::energy).1]
-        });
+        let [slope] =
+            derivative(1e-3, |t| [ask(topology, parameters, &moved(&rest, &unit, t), GRAVITY, f64::energy).1]);
         close("dV / dq = bias at rest", (slope - gravity_force[i]).abs(), scale, DERIVATIVE)?;
     }
 
