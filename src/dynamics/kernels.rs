@@ -12,7 +12,7 @@ use super::self_contact;
 use super::state::{Report, State, Workspace};
 use super::step::{self, ControlStep};
 
-/// A type of number that robots are stepped in: the lanes of an instruction set, or `f64`.
+/// A type of number that robots are stepped in: the lanes of an instruction set, or a single number.
 pub trait Kernels: Lanes {
     /// One control step; [`ControlStep::run`] calls it.
     fn control_step(step: ControlStep<Self>);

@@ -211,145 +211,121 @@ pub trait Kernel<S: Real> {
     fn run(self) -> Self::Output;
 }
 
+/// The number of lanes in the portable fallback.
+const PORTABLE_LANES: usize = 8;
+
+/// Lanes as a plain array: the same bits on any machine, at the speed the compiler finds.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(32))]
+pub struct Portable([f32; PORTABLE_LANES]);
+
+macro_rules! portable_op {
+    ($trait:ident, $f:ident, $op:tt) => {
+        impl $trait for Portable {
+            type Output = Self;
+            #[inline(always)]
+            fn $f(self, o: Self) -> Self {
+                Portable(std::array::from_fn(|i| self.0[i] $op o.0[i]))
+            }
+        }
+    };
+}
+portable_op!(Add, add, +);
+portable_op!(Sub, sub, -);
+portable_op!(Mul, mul, *);
+portable_op!(Div, div, /);
+impl Neg for Portable {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Portable(self.0.map(|x| -x))
+    }
+}
+
+/// `a * b + c`, rounded once. A function of its own: where the machine has no such instruction, every lane is a call. Thousands of them
+/// in line would make a kernel many times as large.
+#[inline(never)]
+fn fused_multiply_add(a: &Portable, b: &Portable, c: &Portable) -> Portable {
+    Portable(std::array::from_fn(|i| a.0[i].mul_add(b.0[i], c.0[i])))
+}
+
+impl Real for Portable {
+    type Mask = [bool; PORTABLE_LANES];
+    const LANES: usize = PORTABLE_LANES;
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        Portable([x as f32; PORTABLE_LANES])
+    }
+    #[inline(always)]
+    fn mul_add(self, b: Self, c: Self) -> Self {
+        fused_multiply_add(&self, &b, &c)
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, b: Self, c: Self) -> Self {
+        fused_multiply_add(&-self, &b, &c)
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        Portable(self.0.map(f32::sqrt))
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Portable(self.0.map(f32::abs))
+    }
+    #[inline(always)]
+    fn round(self) -> Self {
+        Portable(self.0.map(f32::round_ties_even))
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> Self::Mask {
+        std::array::from_fn(|i| self.0[i] < other.0[i])
+    }
+    #[inline(always)]
+    fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
+        Portable(std::array::from_fn(|i| if mask[i] { yes.0[i] } else { no.0[i] }))
+    }
+    #[inline(always)]
+    fn any(mask: Self::Mask) -> bool {
+        mask.iter().any(|&m| m)
+    }
+    #[inline(always)]
+    fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+        std::array::from_fn(|i| a[i] | b[i])
+    }
+    #[inline(always)]
+    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+        std::array::from_fn(|i| a[i] & b[i])
+    }
+    #[inline(always)]
+    fn lane_f32(&self, lane: usize) -> f32 {
+        self.0[lane]
+    }
+    #[inline(always)]
+    fn set_lane_f32(&mut self, lane: usize, value: f32) {
+        self.0[lane] = value;
+    }
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        sin_cos_f32(self)
+    }
+}
+
 /// A lane type that packs of robots are stored in, with the way into code compiled for its instruction set.
 pub trait Lanes: Real {
     /// Runs a kernel, compiled for this lane type's instruction set.
     fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output;
 }
 
-// The compiler puts what it compiles for the types of a module into one unit: with a module for each, kernels are compiled in parallel.
-mod portable {
-    use super::{Add, Div, Kernel, Lanes, Mul, Neg, Real, Sub, sin_cos_f32};
-
-    /// The number of lanes in the portable fallback.
-    const PORTABLE_LANES: usize = 8;
-
-    /// Lanes as a plain array: the same bits on any machine, at the speed the compiler finds.
-    #[derive(Clone, Copy, Debug)]
-    #[repr(align(32))]
-    pub struct Portable(Numbers);
-
-    type Numbers = [f32; PORTABLE_LANES];
-
-    macro_rules! portable_op {
-        ($trait:ident, $f:ident, $op:tt) => {
-            impl $trait for Portable {
-                type Output = Self;
-                #[inline(always)]
-                fn $f(self, o: Self) -> Self {
-                    Portable(std::array::from_fn(|i| self.0[i] $op o.0[i]))
-                }
+macro_rules! run_as_it_is {
+    ($($t:ty),*) => {
+        $(impl Lanes for $t {
+            fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
+                kernel.run()
             }
-        };
-    }
-    portable_op!(Add, add, +);
-    portable_op!(Sub, sub, -);
-    portable_op!(Mul, mul, *);
-    portable_op!(Div, div, /);
-
-    /// `a * b + c`, rounded once. A function of its own: where the machine has no such instruction, every lane is a call, and thousands
-    /// of them in line would make a kernel many times as large.
-    #[inline(never)]
-    fn fused_multiply_add(a: &Numbers, b: &Numbers, c: &Numbers) -> Numbers {
-        std::array::from_fn(|i| a[i].mul_add(b[i], c[i]))
-    }
-
-    impl Neg for Portable {
-        type Output = Self;
-        #[inline(always)]
-        fn neg(self) -> Self {
-            Portable(self.0.map(|x| -x))
-        }
-    }
-
-    impl Real for Portable {
-        type Mask = [bool; PORTABLE_LANES];
-        const LANES: usize = PORTABLE_LANES;
-        #[inline(always)]
-        fn splat(x: f64) -> Self {
-            Portable([x as f32; PORTABLE_LANES])
-        }
-        #[inline(always)]
-        fn mul_add(self, b: Self, c: Self) -> Self {
-            Portable(fused_multiply_add(&self.0, &b.0, &c.0))
-        }
-        #[inline(always)]
-        fn neg_mul_add(self, b: Self, c: Self) -> Self {
-            Portable(fused_multiply_add(&self.0.map(|x| -x), &b.0, &c.0))
-        }
-        #[inline(always)]
-        fn sqrt(self) -> Self {
-            Portable(self.0.map(f32::sqrt))
-        }
-        #[inline(always)]
-        fn abs(self) -> Self {
-            Portable(self.0.map(f32::abs))
-        }
-        #[inline(always)]
-        fn round(self) -> Self {
-            Portable(self.0.map(f32::round_ties_even))
-        }
-        #[inline(always)]
-        fn lt(self, other: Self) -> Self::Mask {
-            std::array::from_fn(|i| self.0[i] < other.0[i])
-        }
-        #[inline(always)]
-        fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
-            Portable(std::array::from_fn(|i| if mask[i] { yes.0[i] } else { no.0[i] }))
-        }
-        #[inline(always)]
-        fn any(mask: Self::Mask) -> bool {
-            mask.iter().any(|&m| m)
-        }
-        #[inline(always)]
-        fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-            std::array::from_fn(|i| a[i] | b[i])
-        }
-        #[inline(always)]
-        fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-            std::array::from_fn(|i| a[i] & b[i])
-        }
-        #[inline(always)]
-        fn lane_f32(&self, lane: usize) -> f32 {
-            self.0[lane]
-        }
-        #[inline(always)]
-        fn set_lane_f32(&mut self, lane: usize, value: f32) {
-            self.0[lane] = value;
-        }
-        #[inline(always)]
-        fn sin_cos(self) -> (Self, Self) {
-            sin_cos_f32(self)
-        }
-    }
-
-    impl Lanes for Portable {
-        fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
-            kernel.run()
-        }
-    }
+        })*
+    };
 }
-pub use portable::Portable;
-
-mod single {
-    use super::{Kernel, Lanes};
-
-    impl Lanes for f32 {
-        fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
-            kernel.run()
-        }
-    }
-}
-
-mod double {
-    use super::{Kernel, Lanes};
-
-    impl Lanes for f64 {
-        fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
-            kernel.run()
-        }
-    }
-}
+run_as_it_is!(Portable, f32, f64);
 
 /// Defines a lane type over some native vector registers, from the intrinsics of one. Several registers hide the latency of
 /// an operation behind its neighbour's.
@@ -513,7 +489,7 @@ macro_rules! native_lanes {
 }
 
 #[cfg(target_arch = "x86_64")]
-mod avx2 {
+mod x86 {
     use super::{Add, Div, Kernel, Lanes, Mul, Neg, Real, Sub, sin_cos_f32};
     use std::arch::x86_64::*;
 
@@ -532,15 +508,6 @@ mod avx2 {
             mask: __m256
         }
     );
-}
-#[cfg(target_arch = "x86_64")]
-pub use avx2::Avx2;
-
-#[cfg(target_arch = "x86_64")]
-mod avx512 {
-    use super::{Add, Div, Kernel, Lanes, Mul, Neg, Real, Sub, sin_cos_f32};
-    use std::arch::x86_64::*;
-
     native_lanes!(
         /// Sixteen lanes in an AVX-512 register.
         Avx512, __m512, 1 x 16, "avx512f,avx512dq,avx512vl,avx2,fma", {
@@ -557,7 +524,7 @@ mod avx512 {
     );
 }
 #[cfg(target_arch = "x86_64")]
-pub use avx512::Avx512;
+pub use x86::{Avx2, Avx512};
 
 #[cfg(target_arch = "aarch64")]
 mod arm {
@@ -688,7 +655,7 @@ impl Simd {
             Simd::Avx512 => 16,
             Simd::Avx2 => 16,
             Simd::Neon => 8,
-            Simd::Portable => Portable::LANES,
+            Simd::Portable => PORTABLE_LANES,
         }
     }
 
