@@ -27,7 +27,7 @@ PROGRAM_SOURCES := $(LIBRARY_SOURCES) $(shell find polypod-sim -type f 2>/dev/nu
 
 # `make demo WHEEL=dist/....whl` runs from an installed wheel, in a new environment outside the checkout.
 WHEEL ?=
-# Of cargo-nextest, which `make test` uses where it is installed; `cargo test` runs the same tests.
+# Where cargo-nextest is, which runs the tests of Rust if it is installed; `cargo test` runs the same ones.
 NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 
 # The policy that comes along, and how it is filmed.
@@ -90,7 +90,7 @@ film-rough: $(VENV)/.extension ## Film the eight robots on rough ground anew for
 test: test-rust test-python ## Run the tests of Rust and of Python
 
 test-extended: export POLYPOD_TEST_TIER := extended
-test-extended: test-rust test-python ## The same tests with larger sizes
+test-extended: test ## The same tests with larger sizes
 
 test-rust:
 ifneq ($(NEXTEST),)
@@ -120,10 +120,9 @@ accuracy: build ## Compare the physics with MuJoCo and write the tables
 soak: build ## Step all robots for an hour of simulated time under random targets; about an hour on 2 cores
 	target/release/polypod-sim soak $(ARGS)
 
-lint: $(VENV)/.dependencies ## Check formatting, lints, types, documentation
+lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	cargo fmt --all --check
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
 	$(BIN)/ruff check python tests/python
 	$(BIN)/ruff format --check python tests/python
 	$(BIN)/mypy
