@@ -31,14 +31,7 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
     assert any(name.startswith("polypod/_core.") for name in names)
     suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
-    assert suffixes <= {
-        ".py",
-        ".pyi",
-        ".so",
-        ".pyd",
-        ".typed",
-        "",
-    }
+    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", ""}
 
 
 def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:
