@@ -186,6 +186,7 @@ impl<T> Pool<T> {
     }
 
     /// Works with a piece that no other thread has; where there are fewer than threads, after waiting for one.
+    #[inline]
     pub fn with<R>(&self, f: impl FnOnce(&mut T) -> R) -> R {
         let free = self.others.iter().find_map(|piece| piece.try_lock().ok());
         // a panic in a task ends the simulation, whatever is left in the scratch memory
@@ -198,6 +199,7 @@ impl<T> Pool<T> {
 ///
 /// [`Sim`](crate::Sim) spawns the entities of a kind in that order and with the same components, so that they lie in one
 /// table; without any such entity the slice is empty.
+#[inline]
 pub fn read_rows<'w, C: Component, F: bevy_ecs::query::ArchetypeFilter>(
     query: &'w Query<'_, '_, &'static C, F>,
 ) -> &'w [C] {
@@ -205,6 +207,7 @@ pub fn read_rows<'w, C: Component, F: bevy_ecs::query::ArchetypeFilter>(
 }
 
 /// The same, to write.
+#[inline]
 pub fn write_rows<'w, C: Component<Mutability = bevy_ecs::component::Mutable>, F: bevy_ecs::query::ArchetypeFilter>(
     query: &'w mut Query<'_, '_, &'static mut C, F>,
 ) -> &'w mut [C] {

@@ -96,6 +96,7 @@ impl SplitRows for PhysicsRows<'_> {
 }
 
 /// The numbers of a state that have a limit.
+#[inline]
 pub(super) fn state_numbers<'a, L>(state: &'a State<L>, effort: &'a [L]) -> StateNumbers<'a, L> {
     [
         &state.position,
@@ -110,6 +111,7 @@ pub(super) fn state_numbers<'a, L>(state: &'a State<L>, effort: &'a [L]) -> Stat
 
 impl PhysicsRows<'_> {
     /// Reads poses and velocities of a row into a lane.
+    #[inline]
     pub(super) fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize) {
         put(&mut state.position, &self.poses[row].position, lane);
         put(&mut state.rotation, &self.poses[row].rotation, lane);
@@ -120,6 +122,7 @@ impl PhysicsRows<'_> {
     }
 
     /// Writes poses and velocities of a lane into a row.
+    #[inline]
     pub(super) fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize) {
         get(&state.position, &mut self.poses[row].position, lane);
         get(&state.rotation, &mut self.poses[row].rotation, lane);
@@ -130,6 +133,7 @@ impl PhysicsRows<'_> {
     }
 
     /// Asks for a row's memory.
+    #[inline]
     pub(super) fn prefetch(&self, row: usize) {
         prefetch(&self.origins[row]);
         prefetch(&self.poses[row]);
@@ -292,18 +296,21 @@ pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
     1 + (max_delay as usize).div_ceil(decimation)
 }
 
+#[inline]
 pub(super) fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
     for (x, &y) in to.iter_mut().zip(from) {
         x.set_lane_f32(lane, y);
     }
 }
 
+#[inline]
 pub(super) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         *x = y.lane_f32(lane);
     }
 }
 
+#[inline]
 pub(super) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
     for (y, x) in from.iter().zip(to) {
         get(y, x, lane);

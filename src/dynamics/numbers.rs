@@ -19,6 +19,7 @@ impl<T> Deref for Numbers<T> {
 }
 
 impl<T: Clone> DerefMut for Numbers<T> {
+    #[inline]
     fn deref_mut(&mut self) -> &mut [T] {
         Arc::make_mut(&mut self.0)
     }
