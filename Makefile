@@ -99,6 +99,7 @@ ifneq ($(NEXTEST),)
 else
 	cargo test --release --locked --workspace --exclude polypod-python
 endif
+	cargo run --release --locked --target-dir target/loom --manifest-path tests/loom/Cargo.toml
 
 test-python: build wheel
 	$(BIN)/pytest
@@ -122,6 +123,7 @@ soak: build ## Step all robots for an hour of simulated time under random target
 
 lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	cargo fmt --all --check
+	cargo fmt --all --check --manifest-path tests/loom/Cargo.toml
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
 	$(BIN)/ruff check python tests/python
 	$(BIN)/ruff format --check python tests/python

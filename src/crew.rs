@@ -3,6 +3,8 @@
 //! A control step is a dozen jobs, each over in less time than a sleeping thread takes to wake. So the pool's threads are woken once:
 //! they help with jobs for as long as these follow each other closely, and go back to sleep after that.
 //!
+//! `tests/loom` runs this file under every order of its threads' steps: all that threads share is named in [`sync`](crate::sync).
+//!
 //! Besides [`lanes`](crate::dynamics::lanes) the only file of the crate with `unsafe` code: a job borrows from its caller, which the threads
 //! cannot know.
 
@@ -10,20 +12,15 @@
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, LockResult, Mutex, PoisonError, RwLock};
-use std::time::{Duration, Instant};
 
-use bevy_tasks::{TaskPool, TaskPoolBuilder};
-
-/// How long a thread waits awake for the next job: longer than what lies between two jobs of a control step, and little beside one.
-const PATIENCE: Duration = Duration::from_micros(200);
-/// Looks at what a thread waits for before it lets others have the core between two.
-const LOOKS: usize = 2000;
+use crate::sync::{
+    Arc, AtomicBool, AtomicUsize, Instant, LOOKS, LockResult, Mutex, Ordering, PATIENCE, PoisonError, Pool, RwLock,
+    pause, yield_now,
+};
 
 /// The caller's thread and helpers, which work on one job at a time.
 pub(crate) struct Crew {
-    pool: TaskPool,
+    pool: Pool,
     shared: Arc<Shared>,
     /// Whether a job is being worked on.
     busy: AtomicBool,
@@ -69,9 +66,9 @@ impl Wait {
     fn moment(&mut self) {
         if self.looks < LOOKS {
             self.looks += 1;
-            std::hint::spin_loop();
+            pause();
         } else {
-            std::thread::yield_now();
+            yield_now();
         }
     }
 
@@ -83,7 +80,7 @@ impl Wait {
 impl Crew {
     /// The caller's thread and so many helpers.
     pub(crate) fn new(helpers: usize) -> Self {
-        let pool = TaskPoolBuilder::new().num_threads(helpers).thread_name("polypod".to_string()).build();
+        let pool = Pool::new(helpers);
         let shared = Shared {
             jobs: Apart::default(),
             wanted: AtomicUsize::new(0),
@@ -126,7 +123,7 @@ impl Crew {
             if !awake.load(Ordering::Relaxed) {
                 awake.store(true, Ordering::Relaxed);
                 let shared = shared.clone();
-                self.pool.spawn(async move { shared.help(helper) }).detach();
+                self.pool.spawn(move || shared.help(helper));
             }
         }
         let mine = catch_unwind(AssertUnwindSafe(job));

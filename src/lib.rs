@@ -19,6 +19,7 @@ pub mod robot;
 pub mod rows;
 pub mod simulation;
 pub mod snapshot;
+mod sync;
 #[path = "../systems/mod.rs"]
 pub mod systems;
 pub mod terrain;

@@ -1,0 +1,31 @@
+//! What threads share, for [`crew`](crate::crew) alone. `tests/loom` puts loom's types, which try every order of steps, in place of these.
+
+pub(crate) use std::hint::spin_loop as pause;
+pub(crate) use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+pub(crate) use std::sync::{Arc, LockResult, Mutex, PoisonError, RwLock};
+pub(crate) use std::thread::yield_now;
+pub(crate) use std::time::Instant;
+
+use std::time::Duration;
+
+use bevy_tasks::{TaskPool, TaskPoolBuilder};
+
+/// How long a thread waits awake for the next job: longer than what lies between two jobs of a control step, and little beside one.
+pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
+/// Looks at what a thread waits for before it lets others have the core between two.
+pub(crate) const LOOKS: usize = 2000;
+
+/// Threads that sleep until they are given something to do.
+pub(crate) struct Pool(TaskPool);
+
+impl Pool {
+    /// So many threads.
+    pub(crate) fn new(threads: usize) -> Self {
+        Self(TaskPoolBuilder::new().num_threads(threads).thread_name("polypod".to_string()).build())
+    }
+
+    /// Has one of them call `f`.
+    pub(crate) fn spawn(&self, f: impl FnOnce() + Send + 'static) {
+        self.0.spawn(async move { f() }).detach();
+    }
+}
