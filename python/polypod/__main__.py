@@ -5,7 +5,15 @@ import sys
 from collections.abc import MutableMapping
 from importlib.util import find_spec
 
-_TRAIN_EXTRA = {"rich": "rich", "rsl_rl": "rsl-rl-lib", "tensordict": "tensordict", "torch": "torch", "tyro": "tyro"}
+_TRAIN_EXTRA = {
+    "filelock": "filelock",
+    "msgspec": "msgspec",
+    "rich": "rich",
+    "rsl_rl": "rsl-rl-lib",
+    "tensordict": "tensordict",
+    "torch": "torch",
+    "tyro": "tyro",
+}
 
 
 _SPIN_COUNT = "1000"

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -301,23 +302,48 @@ Command = (
 def main(arguments: Sequence[str]) -> int:
     """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
 
-    `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo.
+    `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo. `train` returns 143 after SIGTERM and 129
+    after SIGHUP.
     """
-    command = tyro.cli(Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments))
     try:
-        return _run(command)
+        command = tyro.cli(
+            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments) or ["--help"]
+        )
+        _check_seed(command)
+        code = _run(command)
+        sys.stdout.flush()
+        return code
     except _core.PolypodError as error:
         print(f"polypod: {_one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        sys.stderr.close()
+        _drop_output()
         return 1
+    except OSError as error:
+        _drop_output()
+        place = f" {error.filename}" if error.filename else " the output"
+        print(f"polypod: cannot read or write{place}: {error.strerror or error}; choose another place", file=sys.stderr)
+        return 2
+    except MemoryError:
+        print("polypod: out of memory; choose smaller sizes, such as --num-envs", file=sys.stderr)
+        return 2
     except Exception:
         traceback.print_exc()
         print("polypod: this is a bug; please report the lines above and the command", file=sys.stderr)
         return 1
+
+
+def _drop_output() -> None:
+    """Lets what standard output does not take go, so that Python's end does not try again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _check_seed(command: Any) -> None:
+    seed = getattr(command, "seed", None)
+    if seed is not None and not 0 <= seed < 2**64:
+        raise _core.ConfigError(f"--seed {seed} must be from 0 to 2^64 - 1")
 
 
 _DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
@@ -508,7 +534,7 @@ def _play(command: Play) -> int:
 
 
 def _write_json(path: Path | None, content: dict[str, Any]) -> None:
-    from polypod.training.run_dir import write_text
+    from polypod.files import write_text
 
     if path is None:
         return
@@ -622,7 +648,7 @@ def _positive(value: int | None, flag: str) -> int | None:
 def _with_bare_resume(arguments: Sequence[str]) -> list[str]:
     """`--resume` without a value stands for `--resume latest`."""
     completed = []
-    for argument, following in zip(arguments, [*arguments[1:], "--"], strict=True):
+    for argument, following in zip(arguments, [*arguments, "--"][1:], strict=True):
         completed.append(argument)
         if argument == "--resume" and following.startswith("-"):
             completed.append("latest")

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from polypod import _core
+from polypod.files import write_text
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -27,7 +28,7 @@ def replace(document: Path, name: str, text: str) -> None:
     head, tail = _parts(document, name)
     begin, end = marks(name)
     try:
-        document.write_text(f"{head}{begin}\n{text.strip()}\n{end}{tail}", encoding="utf-8")
+        write_text(document, f"{head}{begin}\n{text.strip()}\n{end}{tail}")
     except OSError as error:
         raise _core.ConfigError(f"cannot write {document}: {error.strerror}; choose another file") from error
 
@@ -38,6 +39,8 @@ def _parts(document: Path, name: str) -> tuple[str, str]:
         content = document.read_text(encoding="utf-8")
     except OSError as error:
         raise _core.ConfigError(f"cannot read {document}: {error.strerror}; choose another file") from error
+    except UnicodeDecodeError as error:
+        raise _core.ConfigError(f"{document} is no text in UTF-8; choose another file") from error
     first, last = marks(name)
     head, begin, rest = content.partition(first)
     _, end, tail = rest.partition(last)

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from polypod import _core, extras
+from polypod.files import write_filled
 
 
 def pyplot_for(purpose: str) -> Any:
@@ -15,7 +16,7 @@ def pyplot_for(purpose: str) -> Any:
 def save(figure: Any, out: Path, instead: str = "file") -> None:
     """Writes a figure. Raises ConfigError, with what to choose another of `instead`, where that is not possible."""
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out, dpi=110)
+        kind = out.suffix.lstrip(".") or "png"
+        write_filled(out, lambda file: figure.savefig(file, dpi=110, format=kind))
     except (OSError, ValueError) as error:
         raise _core.ConfigError(f"cannot write {out}: {error}; choose another {instead}") from error

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from polypod import _core
-from polypod.training.run_dir import write_text
+from polypod.files import write_text
 from polypod.vector_env import make
 
 TASK = "velocity_flat_play"

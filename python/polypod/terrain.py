@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core, extras
+from polypod.files import write_bytes, write_filled
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -36,13 +37,16 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
         raise _core.ConfigError(f"--out {out}: the suffix decides what is written; use .png, .stl or .npz")
     ground = _core.terrain(task, list(overrides))
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
         if suffix == ".png":
-            picture(ground).save(out)
+            image = picture(ground)
+            write_filled(out, lambda file: image.save(file, format="PNG"))
         elif suffix == ".npz":
-            np.savez_compressed(out, heights=ground["heights"], origin=ground["origin"], cell=ground["cell"])
+            origin, cell = ground["origin"], ground["cell"]
+            write_filled(
+                out, lambda file: np.savez_compressed(file, heights=ground["heights"], origin=origin, cell=cell)
+            )
         else:
-            _write_stl(ground, out)
+            write_bytes(out, _stl(ground, out))
     except OSError as error:
         raise _core.ConfigError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     heights = ground["heights"]
@@ -78,8 +82,8 @@ def picture(ground: "_core.TerrainEntry") -> "Image.Image":
     return image
 
 
-def _write_stl(ground: "_core.TerrainEntry", out: Path) -> None:
-    """Binary STL."""
+def _stl(ground: "_core.TerrainEntry", out: Path) -> bytes:
+    """The ground's triangles as binary STL."""
     if not len(ground["triangles"]):
         raise _core.ConfigError(f"--out {out}: {ground['task']} has no generated terrain to make a mesh of; use .npz")
     corners: npt.NDArray[np.float32] = ground["vertices"][ground["triangles"]]
@@ -88,5 +92,4 @@ def _write_stl(ground: "_core.TerrainEntry", out: Path) -> None:
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     facets = np.zeros(len(corners), facet)
     facets["normal"], facets["corners"] = normals / np.maximum(lengths, 1e-12), corners
-    with out.open("wb") as file:
-        file.write(b"polypod terrain".ljust(80) + np.uint32(len(facets)).tobytes() + facets.tobytes())
+    return b"polypod terrain".ljust(80) + np.uint32(len(facets)).tobytes() + facets.tobytes()

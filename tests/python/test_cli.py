@@ -36,7 +36,7 @@ def test_train_resume_and_eval(cli, cli_process, tmp_path):
     assert "iteration 2/2" in done.stdout
     assert "err xy" in done.stdout
     (run,) = tmp_path.glob("logs/rsl_rl/*/*_mine")
-    assert {path.name for path in run.iterdir()} == {"manifest.json", "params", "model_2.pt"}
+    assert {path.name for path in run.iterdir()} == {".lock", "manifest.json", "params", "model_2.pt"}
     assert {path.name for path in (run / "params").iterdir()} == {"env.toml", "agent.toml"}
     manifest = json.loads((run / "manifest.json").read_text())
     assert manifest["robots"] == ["spot", "unitree_a1"]

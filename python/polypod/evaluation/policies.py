@@ -29,7 +29,7 @@ def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
     network = build_actor(model)
     try:
         network.load_state_dict(checkpoint["actor_state_dict"])
-    except RuntimeError as error:
+    except (RuntimeError, TypeError, AttributeError) as error:
         raise _core.ConfigError(
             f"the checkpoint's weights do not fit its manifest: {str(error).splitlines()[-1].strip()}"
         ) from error
@@ -42,6 +42,11 @@ def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
     network = load_network(checkpoint, model)
 
     def policy(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        if observations.shape[1] != model["num_obs"]:
+            raise _core.ConfigError(
+                f"the policy takes observations of {model['num_obs']} numbers, and the task gives "
+                f"{observations.shape[1]}; use the task that it was trained on"
+            )
         with torch.inference_mode():
             batch = TensorDict({"policy": torch.from_numpy(observations)}, batch_size=[len(observations)])
             return network(batch).numpy()

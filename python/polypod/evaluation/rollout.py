@@ -15,6 +15,9 @@ from polypod.evaluation.results import Evaluation, robot_result
 
 ENVS_PER_ROBOT = 64
 
+MAX_GRID = 1_000_000
+"""Commands of a grid."""
+
 Grid = tuple[int, int, int]
 """How many forward velocities, left velocities and yaw rates, each evenly over the task's range."""
 
@@ -61,6 +64,8 @@ def evaluate(
     for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
         if count is not None and count < 1:
             raise _core.ConfigError(f"{name} = {count} must be at least 1")
+    if grid is not None and np.prod(grid, dtype=object) > MAX_GRID:
+        raise _core.ConfigError(f"grid = {grid} has more than {MAX_GRID:,} commands; choose fewer")
     name = play_task(task)
     named = list(robots) if robots is not None else None
     if num_envs is None:

@@ -18,6 +18,7 @@ from polypod.export import onnx_graph
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, Treatment, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, write_torchscript
+from polypod.files import write_bytes, write_text
 from polypod.training import run_dir
 
 Format = Literal["onnx", "torchscript"]
@@ -156,7 +157,7 @@ class _Writer:
             )
         self.difference = max(self.difference, difference)
         path = self.out / f"{name}.onnx"
-        run_dir.write_atomically(path, lambda file: file.write(data))
+        write_bytes(path, data)
         self.files.append(path)
 
     def _write_torchscript(self, name: str, module: torch.nn.Module, sizes: dict[str, int]) -> None:
@@ -197,7 +198,7 @@ class _Writer:
             "versions": {"polypod": _core.__version__, "torch": torch.__version__},
         }
         path = self.out / f"{name}.json"
-        run_dir.write_text(path, json.dumps(manifest, indent=2) + "\n")
+        write_text(path, json.dumps(manifest, indent=2) + "\n")
         self.files.append(path)
 
     def _robot(self, robot: RobotInterface) -> dict[str, Any]:

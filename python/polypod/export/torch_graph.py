@@ -7,7 +7,7 @@ import torch
 from rsl_rl.models import MLPModel
 
 from polypod.export.robot import RobotInterface, Treatment
-from polypod.training import run_dir
+from polypod.files import write_filled
 
 
 class RobotPolicy(torch.nn.Module):
@@ -68,4 +68,4 @@ def write_torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", DeprecationWarning)
         traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
-        run_dir.write_atomically(path, lambda file: torch.jit.save(traced, file))
+        write_filled(path, lambda file: torch.jit.save(traced, file))

@@ -20,11 +20,16 @@ def build_actor(model: Mapping[str, Any]) -> MLPModel:
     """The actor that a manifest's `policy` describes, with new weights.
 
     Raises:
-        ConfigError: for a class of network that is none of `NETWORKS`.
+        ConfigError: for a class of network that is none of `NETWORKS`, and for arguments that it does not take.
     """
     arguments = dict(model)
     num_obs, num_actions, name = (arguments.pop(key) for key in ("num_obs", "num_actions", "class_name"))
     if name not in NETWORKS:
         raise _core.ConfigError(f"the policy is a {name!r}; this version knows {', '.join(NETWORKS)}")
     like = TensorDict({"policy": torch.zeros(1, num_obs)}, batch_size=[1])
-    return NETWORKS[name](like, {"actor": ["policy"]}, "actor", num_actions, **arguments)
+    try:
+        return NETWORKS[name](like, {"actor": ["policy"]}, "actor", num_actions, **arguments)
+    except (TypeError, ValueError, RuntimeError, KeyError, AssertionError) as error:
+        raise _core.ConfigError(
+            f"the manifest's policy is no {name}: {error}; copy the manifest again from the training's run"
+        ) from error

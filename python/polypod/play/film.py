@@ -7,12 +7,14 @@ import numpy as np
 
 from polypod import _core
 from polypod.extras import package
-from polypod.training import run_dir
+from polypod.files import write_filled
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 KINDS = (".gif", ".webp", ".mp4")
+MAX_SIDE = 4096
+"""Of a frame, pixels."""
 COLORS = 64
 """Of a GIF."""
 
@@ -26,7 +28,7 @@ class Film:
         Args:
             path: ends in `.gif`, `.webp` or `.mp4`.
             fps: frames per second, from 1 to 50.
-            size: width and height, pixels; even numbers.
+            size: width and height, pixels; even numbers up to `MAX_SIDE`.
 
         Raises:
             ConfigError: for another kind of file, rate or size, and where a package is missing.
@@ -35,8 +37,10 @@ class Film:
             raise _core.ConfigError(f"--video {path}: the name ends in none of {', '.join(KINDS)}; choose another")
         if not 1 <= fps <= 50:
             raise _core.ConfigError(f"--fps {fps} is not between 1 and 50")
-        if any(side < 16 or side % 2 for side in size):
-            raise _core.ConfigError(f"--size {size[0]}x{size[1]}: the sides must be even, and at least 16 pixels")
+        if any(not 16 <= side <= MAX_SIDE or side % 2 for side in size):
+            raise _core.ConfigError(
+                f"--size {size[0]}x{size[1]}: the sides must be even, and from 16 to {MAX_SIDE} pixels"
+            )
         package("PIL.Image", "drawing pictures", "play")
         if path.suffix == ".mp4":
             package("av", "writing MP4", "play")
@@ -53,7 +57,7 @@ class Film:
             raise _core.ConfigError(f"--video {self.path}: there are no frames; ask for more --seconds")
         write = {".gif": self._write_gif, ".webp": self._write_webp, ".mp4": self._write_mp4}[self.path.suffix]
         try:
-            run_dir.write_atomically(self.path, write)
+            write_filled(self.path, write)
         except OSError as error:
             raise _core.ConfigError(f"cannot write {self.path}: {error.strerror}; choose another --video") from error
 

@@ -44,6 +44,8 @@ def play(options: Options) -> Player:
     """
     if options.envs_per_robot < 1:
         raise _core.ConfigError(f"--num-envs {options.envs_per_robot} must be at least 1")
+    if not 0 <= options.port <= 65535:
+        raise _core.ConfigError(f"--port {options.port} must be from 0 to 65535; 0 takes a free one")
     if options.record is not None and options.record.suffix not in (".html", ".viser"):
         raise _core.ConfigError(f"--record {options.record}: the name must end in .html or .viser")
     for flag, seconds in (("--seconds", options.seconds), ("--warm-up", options.warm_up)):

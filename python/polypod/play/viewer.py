@@ -8,10 +8,10 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.extras import package
+from polypod.files import write_bytes
 from polypod.play.ground import Ground
 from polypod.play.player import Frame, Player, RobotFrame
 from polypod.play.raster import COLORS, COMMAND, FORCE, FORCE_LENGTH, OBSTACLE
-from polypod.training import run_dir
 
 Array = npt.NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class Viewer:
         recording, self._recording = self._recording, None
         data = recording.as_html().encode() if path.suffix == ".html" else recording.serialize()
         try:
-            run_dir.write_atomically(path, lambda file: file.write(data))
+            write_bytes(path, data)
         except OSError as error:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --record") from error
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -136,6 +137,11 @@ def compare(
     for name, count in (("num_envs", options.envs_per_robot), ("steps", options.steps)):
         if count is not None and count < 1:
             raise _core.ConfigError(f"{name} = {count} must be at least 1")
+    for flag, value, least, most in (("--dt", options.dt, 1e-5, 0.1), ("--friction", options.friction, 0.0, 100.0)):
+        if value is not None and not least <= value <= most:
+            raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
+    if options.command is not None and not all(math.isfinite(value) for value in options.command):
+        raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
     network = load_network(state, manifest["policy"])
     sources = list(manifest["robot_sources"] if robots is None else robots)

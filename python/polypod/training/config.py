@@ -9,7 +9,13 @@ from typing import Any, get_args, get_origin
 
 from polypod import _core
 from polypod.compat import tomllib
+from polypod.files import read_bytes
+from polypod.training.manifest import MAX_LAYER, Activation, check_size
 
+MAX_BYTES = 1 << 20
+"""Of a train config."""
+MAX_EXTENDS = 100
+"""Files that a train config may extend, one after the other."""
 OBSERVATION_GROUP = "policy"
 """Name of the observation group that actor and critic read."""
 
@@ -167,13 +173,17 @@ def _load_tables(name: str, seen: tuple[str, ...]) -> dict[str, Any]:
     if name in seen:
         raise _core.ConfigError(f"train config {name!r} extends itself ({' -> '.join((*seen, name))})")
     try:
-        text = Path(name).read_text(encoding="utf-8") if name.endswith(".toml") else _core.train_config(name)
+        text = read_bytes(Path(name), MAX_BYTES).decode() if name.endswith(".toml") else _core.train_config(name)
     except OSError as error:
-        raise _core.ConfigError(f"cannot read train config {name}: {error.strerror}") from error
+        raise _core.ConfigError(f"cannot read train config {name[:80]}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise _core.ConfigError(f"train config {name} is no text in UTF-8: {error}; save it as UTF-8") from error
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise _core.ConfigError(f"train config {name} is not valid TOML: {error}") from error
+    if len(seen) > MAX_EXTENDS:
+        raise _core.ConfigError(f"train config {name} is the {MAX_EXTENDS}th of a chain of extends; shorten it")
     parent = tables.pop("extends", None)
     if parent is None:
         return tables
@@ -224,22 +234,48 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
     raise _core.ConfigError(f"{where} = {value!r} must be of type {getattr(expected, '__name__', expected)}")
 
 
+MAX_SAMPLES = 50_000_000
+"""Env-steps of an iteration, some 100 numbers each."""
+_POSITIVE = (
+    ("run", "num_envs", 2**24),
+    ("run", "num_steps_per_env", 100_000),
+    ("run", "save_interval", 2**31),
+    ("algorithm", "num_learning_epochs", 1000),
+    ("algorithm", "num_mini_batches", 2**24),
+    ("algorithm", "learning_rate", 1.0),
+    ("algorithm", "desired_kl", 100.0),
+    ("algorithm", "clip_param", 10.0),
+    ("algorithm", "max_grad_norm", 1e6),
+    ("actor", "init_std", 100.0),
+)
+"""Section, key and greatest value of numbers that are greater than 0."""
+_RANGES: tuple[tuple[str, str, float, float], ...] = (
+    ("run", "max_iterations", 0, 2**31),
+    ("algorithm", "gamma", 0.0, 1.0),
+    ("algorithm", "lam", 0.0, 1.0),
+    ("algorithm", "value_loss_coef", 0.0, 1e6),
+    ("algorithm", "entropy_coef", 0.0, 1e3),
+)
+"""Section, key, least and greatest value of the other numbers."""
+
+
 def _check_ranges(config: TrainConfig, source: str) -> None:
     run, algorithm = config.run, config.algorithm
-    positive = {
-        "[run] num_envs": run.num_envs,
-        "[run] num_steps_per_env": run.num_steps_per_env,
-        "[run] save_interval": run.save_interval,
-        "[algorithm] num_learning_epochs": algorithm.num_learning_epochs,
-        "[algorithm] num_mini_batches": algorithm.num_mini_batches,
-        "[algorithm] learning_rate": algorithm.learning_rate,
-        "[actor] init_std": config.actor.init_std,
-    }
-    for name, value in positive.items():
+    for section, key, least, most in _RANGES:
+        value = getattr(getattr(config, section), key)
+        if not least <= value <= most:
+            raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be from {least:g} to {most:g}")
+    for section, key, most in _POSITIVE:
+        value = getattr(getattr(config, section), key)
         if not value > 0:
-            raise _core.ConfigError(f"{source}: {name} = {value} must be greater than 0")
-    if run.max_iterations < 0:
-        raise _core.ConfigError(f"{source}: [run] max_iterations = {run.max_iterations} must not be negative")
+            raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be greater than 0")
+        if not value <= most:
+            raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be at most {most:g}")
+    if run.num_envs * run.num_steps_per_env > MAX_SAMPLES:
+        raise _core.ConfigError(
+            f"{source}: {run.num_envs} envs x {run.num_steps_per_env} steps are more than {MAX_SAMPLES:,} samples an "
+            "iteration; lower num_envs or num_steps_per_env"
+        )
     if run.num_envs * run.num_steps_per_env < algorithm.num_mini_batches:
         raise _core.ConfigError(
             f"{source}: {run.num_envs} envs x {run.num_steps_per_env} steps do not fill "
@@ -264,6 +300,14 @@ def _check_network(network: CriticConfig, where: str) -> None:
         raise _core.ConfigError(f"{where} class_name = {network.class_name!r} is not one of {MLP}, {URMA}")
     if not network.hidden_dims or min(network.hidden_dims) < 1:
         raise _core.ConfigError(f"{where} hidden_dims = {network.hidden_dims} must hold sizes of at least 1")
+    if max(network.hidden_dims) > MAX_LAYER:
+        raise _core.ConfigError(f"{where} hidden_dims = {network.hidden_dims} must hold sizes of at most {MAX_LAYER}")
+    check_size(network.hidden_dims, f"{where} hidden_dims")
+    if network.activation not in get_args(Activation):
+        raise _core.ConfigError(
+            f"{where} activation = {network.activation!r} is not one of {', '.join(get_args(Activation))}"
+        )
+    check_size([network.joint_dim or 1, network.num_heads or 1], f"{where} joint_dim and num_heads")
     for key in ("joint_dim", "num_heads"):
         size = getattr(network, key)
         if network.class_name == MLP and size is not None:

@@ -51,5 +51,5 @@ class RewardScale:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Takes over a `state`."""
-        for name, value in state.items():
-            getattr(self, name).copy_(value)
+        for name, value in self.state().items():
+            value.copy_(state[name])

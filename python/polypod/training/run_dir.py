@@ -1,7 +1,8 @@
 """Run directories: where they lie, what is in them, how they are found again.
 
 <log dir>/rsl_rl/<experiment>/<YYYY-mm-dd_HH-MM-SS>[_<run name>]/
-    manifest.json        what a policy of this run needs to be used elsewhere
+    manifest.json        what a policy of this run needs to be used elsewhere, and the SHA-256 of each checkpoint
+    .lock                held by the training that is at it
     params/env.toml      the resolved task and robots
     params/agent.toml    the resolved train config
     model_<n>.pt         the training's state after n iterations
@@ -10,26 +11,33 @@
 """
 
 import contextlib
+import hashlib
+import io
 import json
-import os
 import platform
 import re
 import subprocess
-import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import filelock
 import numpy as np
 import tomli_w
 import torch
 
 from polypod import _core
+from polypod.files import read_bytes, remove_stale, write_bytes, write_text
+from polypod.training import manifest
 from polypod.training.config import TrainConfig
 
 MANIFEST = "manifest.json"
+LOCK = ".lock"
+MAX_CHECKPOINT = 4 << 30
+"""Bytes of a checkpoint, at most."""
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 
 
@@ -55,12 +63,15 @@ def find_checkpoint(log_dir: Path, run: str) -> Path:
     Raises ConfigError when there is none.
     """
     path = Path(run)
-    if path.is_file():
-        return path
-    if path.is_dir():
-        return latest_checkpoint(path)
+    try:
+        if path.is_file():
+            return path
+        if path.is_dir():
+            return latest_checkpoint(path)
+    except OSError:  # a name that is none, such as one of 5000 letters
+        pass
     runs = sorted(
-        (manifest.parent for manifest in log_dir.glob(f"rsl_rl/*/*/{MANIFEST}") if _checkpoints(manifest.parent)),
+        (found.parent for found in log_dir.glob(f"rsl_rl/*/*/{MANIFEST}") if _checkpoints(found.parent)),
         key=lambda directory: (directory.name, directory.stat().st_mtime),
     )
     if run == "latest":
@@ -70,7 +81,7 @@ def find_checkpoint(log_dir: Path, run: str) -> Path:
     matching = [directory for directory in runs if directory.name == run]
     if not matching:
         raise _core.ConfigError(
-            f"{run!r} is neither a checkpoint nor a run under {log_dir / 'rsl_rl'}; "
+            f"{run[:80]!r} is neither a checkpoint nor a run under {log_dir / 'rsl_rl'}; "
             'pass a path, the name of a run, or "latest"'
         )
     return latest_checkpoint(matching[-1])
@@ -90,32 +101,103 @@ def checkpoint_path(run: Path, iterations: int) -> Path:
 
 
 def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dict[str, Any]:
-    """Reads a checkpoint; nothing in the file is executed. Raises ConfigError for a file that is none."""
+    """Reads a checkpoint; nothing in the file is executed.
+
+    Raises:
+        ConfigError: for a file that is none, that is damaged, whose SHA-256 is not that of the manifest beside it, or
+            whose weights are not all finite.
+    """
     try:
-        state = torch.load(path, map_location=map_location, weights_only=True)
+        data = read_bytes(path, MAX_CHECKPOINT)
     except OSError as error:
         raise _core.ConfigError(f"cannot read {path}: {error.strerror}") from error
+    _check_sum(path, data)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if (broken := archive.testzip()) is not None:
+                raise zipfile.BadZipFile(f"{broken} is not as it was written")
+        state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
     except Exception as error:  # torch has no common class for the ways in which a file can be broken
-        raise _core.ConfigError(f"{path} is not a checkpoint: {str(error).splitlines()[0]}") from error
-    if not isinstance(state, dict) or "actor_state_dict" not in state:
+        # of torch's own message only the first line: the rest is advice to trust the file
+        reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        raise _core.ConfigError(f"{path} is not a checkpoint: {reason.split('. This file')[0]}") from error
+    if not isinstance(state, dict) or not _are_weights(state.get("actor_state_dict")):
         raise _core.ConfigError(f"{path} is not a checkpoint of polypod: it holds no 'actor_state_dict'")
+    for name in ("actor_state_dict", "critic_state_dict"):
+        for key, value in (state.get(name) or {}).items():
+            if isinstance(value, torch.Tensor) and not bool(torch.isfinite(value).all()):
+                raise _core.ConfigError(
+                    f"{path}: {name} {key} holds a number that is not finite; use an earlier checkpoint"
+                )
     return state
+
+
+def _are_weights(state: Any) -> bool:
+    return isinstance(state, dict) and all(isinstance(key, str) for key in state)
+
+
+def _check_sum(path: Path, data: bytes) -> None:
+    """Compares a checkpoint with what the manifest beside it says, if that knows the file."""
+    beside = path.parent / MANIFEST
+    known = manifest.read(beside).get("checkpoints", {}).get(path.name) if beside.is_file() else None
+    if known is not None and known != hashlib.sha256(data).hexdigest():
+        raise _core.ConfigError(
+            f"{path} is damaged or another run's: its SHA-256 is not the one in {beside}; "
+            "copy both again, or use another checkpoint"
+        )
 
 
 def read_manifest(checkpoint: Path) -> dict[str, Any]:
     """The manifest beside a checkpoint. Raises ConfigError when it is missing or broken."""
-    path = checkpoint.parent / MANIFEST
+    return manifest.read(checkpoint.parent / MANIFEST)
+
+
+def save_checkpoint(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
+    """Writes a checkpoint, whole or not at all, and its SHA-256 to the manifest beside it.
+
+    A process may be killed at any point between: a checkpoint without an entry is read, by its own checksums alone.
+
+    Raises:
+        OSError: where it cannot be written.
+        ConfigError: where the run's directory is gone.
+    """
+    beside = path.parent / MANIFEST
+    if not beside.is_file():
+        raise _core.ConfigError(
+            f"{path.parent} is gone, and the run with it; train anew, or copy the directory back and resume"
+        )
+    buffer = io.BytesIO()
+    fill(buffer)
+    content = json.loads(beside.read_text(encoding="utf-8"))
+    sums: dict[str, str] = content.setdefault("checkpoints", {})
+    if sums.pop(path.name, None) is not None:
+        write_text(beside, json.dumps(content, indent=2) + "\n")
+    write_bytes(path, buffer.getbuffer())
+    sums[path.name] = hashlib.sha256(buffer.getbuffer()).hexdigest()
+    write_text(beside, json.dumps(content, indent=2) + "\n")
+
+
+@contextlib.contextmanager
+def locked(run: Path) -> Iterator[None]:
+    """Keeps other trainings out of a run's directory, and clears away what a killed one left half written.
+
+    Raises:
+        ConfigError: where another training is at it.
+    """
+    lock = filelock.FileLock(run / LOCK)
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        lock.acquire(blocking=False)
+    except filelock.Timeout as error:
+        raise _core.ConfigError(f"{run} is being trained by another process; wait for it, or stop it") from error
     except OSError as error:
         raise _core.ConfigError(
-            f"cannot read {path}: {error.strerror}; keep a checkpoint beside its manifest"
+            f"cannot write to {run}: {error.strerror}; copy the run to where it can be written"
         ) from error
-    except json.JSONDecodeError as error:
-        raise _core.ConfigError(f"{path} is not valid JSON: {error}") from error
-    if not isinstance(manifest, dict) or "task" not in manifest or "policy" not in manifest:
-        raise _core.ConfigError(f"{path} is not a manifest of polypod: it names no task or no policy")
-    return manifest
+    try:
+        remove_stale(run)
+        yield
+    finally:
+        lock.release()
 
 
 def write_params(
@@ -160,34 +242,6 @@ def manifest_of(
         },
         "git": _git_state(),
     }
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a file whole or not at all."""
-    write_atomically(path, lambda file: file.write(text.encode()))
-
-
-def write_atomically(path: Path, write: Callable[[BinaryIO], Any]) -> None:
-    """Lets `write` fill a temporary file beside `path`, then puts it in its place."""
-    with _temporary(path) as temporary:
-        with temporary.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-
-
-@contextlib.contextmanager
-def _temporary(path: Path) -> Iterator[Path]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        temporary.chmod(0o644)
-        yield temporary
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _checkpoints(run: Path) -> list[Path]:

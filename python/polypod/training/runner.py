@@ -24,6 +24,8 @@ from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
 from polypod.training.symmetry import Mirror
 
+STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
+"""Ctrl-C; what Slurm, Docker and spot machines send; a closed terminal."""
 STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
 
@@ -59,7 +61,8 @@ class Runner(OnPolicyRunner):
         )
         self.run = run
         self.reporter = reporter
-        self.interrupted = False
+        self.stopped_by: signal.Signals | None = None
+        """The first signal that asked the training to end."""
         sim = env.unwrapped.sim
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
@@ -67,11 +70,16 @@ class Runner(OnPolicyRunner):
             self.reward_scale = RewardScale(self.blocks, cfg["algorithm"]["gamma"], device)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
-        """Runs `num_learning_iterations` more iterations, or fewer after Ctrl-C, which sets `interrupted`.
+        """Runs `num_learning_iterations` more iterations, or fewer after a signal, which sets `stopped_by`.
+
+        A checkpoint that the disk does not take is tried again at the next save; the training goes on.
 
         Args:
             num_learning_iterations: how many.
             init_at_random_ep_len: start the envs at random points of their episodes, so that time-outs are spread.
+
+        Raises:
+            ConfigError: where the last checkpoint cannot be written, or the run's directory is gone.
         """
         if init_at_random_ep_len:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
@@ -80,14 +88,23 @@ class Runner(OnPolicyRunner):
         observations = self.env.get_observations()
         start = self.current_learning_iteration
         stop = start + num_learning_iterations
-        with self._stop_on_interrupt(), self.reporter.training(start, stop):
+        with self._stop_on_signals(), self.reporter.training(start, stop):
             for iteration in range(start, stop):
                 observations = self._iterate(iteration, stop, observations)
-                last = iteration + 1 == stop or self.interrupted
+                last = iteration + 1 == stop or self.stopped_by is not None
                 if last or (iteration + 1) % self.cfg["save_interval"] == 0:
-                    self.save(str(run_dir.checkpoint_path(self.run, iteration + 1)))
-                if self.interrupted:
+                    self._try_to_save(run_dir.checkpoint_path(self.run, iteration + 1), last)
+                if last:
                     break
+
+    def _try_to_save(self, path: Path, last: bool) -> None:
+        try:
+            self.save(str(path))
+        except OSError as error:
+            reason = f"cannot write {path}: {error.strerror}"
+            if last:
+                raise _core.ConfigError(f"{reason}; make room and resume from the checkpoint before it") from error
+            self.reporter.message(f"polypod: warning: {reason}; the training goes on and tries again at the next save")
 
     def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
         started = time.perf_counter()
@@ -133,7 +150,7 @@ class Runner(OnPolicyRunner):
             "logger": self.logger.state(),
             "reward_scale": self.reward_scale.state() if self.reward_scale is not None else {},
         }
-        run_dir.write_atomically(Path(path), lambda file: torch.save(state, file))
+        run_dir.save_checkpoint(Path(path), lambda file: torch.save(state, file))
 
     def load(
         self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
@@ -142,18 +159,27 @@ class Runner(OnPolicyRunner):
         state = run_dir.load_checkpoint(Path(path), map_location or self.device)
         try:
             self.alg.load(state, load_cfg, strict)
-        except (RuntimeError, KeyError, ValueError) as error:
-            reason = str(error).splitlines()[0]
-            raise _core.ConfigError(f"{path} does not fit this run's networks: {reason}") from error
-        infos = state["infos"]
-        self.env.unwrapped.sim.restore(infos["sim"].cpu().numpy().tobytes())
-        torch.set_rng_state(infos["rng"].cpu())
-        if infos["cuda_rng"] and torch.device(self.device).type == "cuda":
-            torch.cuda.set_rng_state_all([stream.cpu() for stream in infos["cuda_rng"]])
-        self.logger.restore(infos["logger"])
-        if self.reward_scale is not None:
-            self.reward_scale.restore(infos["reward_scale"])
-        self.current_learning_iteration = state["iter"]
+        except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise _core.ConfigError(f"{path} does not fit this run's networks: {_first_line(error)}") from error
+        try:
+            infos: dict[str, Any] = state["infos"]
+            self.env.unwrapped.sim.restore(infos["sim"].cpu().numpy().tobytes())
+            torch.set_rng_state(infos["rng"].cpu())
+            if infos["cuda_rng"] and torch.device(self.device).type == "cuda":
+                torch.cuda.set_rng_state_all([stream.cpu() for stream in infos["cuda_rng"]])
+            self.logger.restore(infos["logger"])
+            if self.reward_scale is not None:
+                self.reward_scale.restore(infos["reward_scale"])
+            if type(state["iter"]) is not int or state["iter"] < 0:
+                raise ValueError(f"iter is {state['iter']!r}")
+            self.current_learning_iteration = state["iter"]
+        except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            if isinstance(error, _core.PolypodError):
+                raise
+            raise _core.ConfigError(
+                f"{path} does not hold what a resumed training needs ({type(error).__name__}: {_first_line(error)}); "
+                "use another checkpoint, or begin anew with --init"
+            ) from error
         return infos
 
     def start_from(self, path: Path) -> None:
@@ -161,29 +187,38 @@ class Runner(OnPolicyRunner):
         state = run_dir.load_checkpoint(path, self.device)
         try:
             self.alg.load(state, {"actor": True, "critic": True}, True)
-        except (RuntimeError, KeyError, ValueError) as error:
-            reason = str(error).splitlines()[0]
+        except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
             raise _core.ConfigError(
-                f"--init {path} does not fit this run's networks, {reason}: use its task and its train config's sizes"
+                f"--init {path} does not fit this run's networks, {_first_line(error)}: "
+                "use its task and its train config's sizes"
             ) from error
 
     @contextlib.contextmanager
-    def _stop_on_interrupt(self) -> Iterator[None]:
-        """Lets Ctrl-C end the training after the iteration under way; a second one ends it at once."""
+    def _stop_on_signals(self) -> Iterator[None]:
+        """Lets `STOP_SIGNALS` end the training after the iteration under way; a second one ends it at once."""
 
-        def interrupt(signum: int, frame: FrameType | None) -> None:
-            if self.interrupted:
+        def stop(number: int, frame: FrameType | None) -> None:
+            if self.stopped_by is not None:
                 raise KeyboardInterrupt
-            self.interrupted = True
-            self.reporter.message("stopping after this iteration (Ctrl-C again: at once, without a checkpoint)")
+            self.stopped_by = signal.Signals(number)
+            again = "Ctrl-C again" if number == signal.SIGINT else "a second signal"
+            self.reporter.message(f"stopping after this iteration ({again}: at once, without a checkpoint)")
 
-        previous: Callable[[int, FrameType | None], Any] | int | None
+        previous: dict[signal.Signals, Callable[[int, FrameType | None], Any] | int | None] = {}
         try:
-            previous = signal.signal(signal.SIGINT, interrupt)
+            for number in STOP_SIGNALS:
+                # nohup and the like have a signal ignored, which stays so
+                if signal.getsignal(number) is not signal.SIG_IGN:
+                    previous[number] = signal.signal(number, stop)
         except ValueError:  # not in the main thread, where no signals arrive
             yield
             return
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, previous)
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+
+
+def _first_line(error: Exception) -> str:
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -1,7 +1,10 @@
 """One training from its options to its final table: a new run, or one that goes on."""
 
+import contextlib
 import dataclasses
 import shlex
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +69,7 @@ class _Plan:
 
 
 def train(options: Options) -> int:
-    """Trains, saves, evaluates; returns the exit code: 0, or 130 after Ctrl-C.
+    """Trains, saves, evaluates; returns the exit code: 0, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
 
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
@@ -91,29 +94,44 @@ def train(options: Options) -> int:
         run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command)
     else:
         run = plan.checkpoint.parent
-    env.sim.set_dump_dir(run)
-    runner = Runner(VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(env.sim), run, device, reporter)
-    if plan.checkpoint is not None:
-        runner.load(str(plan.checkpoint))
-    elif options.init is not None:
-        runner.start_from(options.init)
-    iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
-    reporter.message(
-        f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
-        f"simulator {env.sim.threads} threads, learner on {_learner(device)}; {run}"
-    )
-    runner.logger.open(options.logger, purge_step=runner.current_learning_iteration)
-    try:
-        runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
-    finally:
-        runner.logger.close()
+    with run_dir.locked(run):
+        with _kept_if_begun(run, plan.checkpoint is None):
+            env.sim.set_dump_dir(run)
+            runner = Runner(
+                VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(env.sim), run, device, reporter
+            )
+            if plan.checkpoint is not None:
+                runner.load(str(plan.checkpoint))
+            elif options.init is not None:
+                runner.start_from(options.init)
+            iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
+        reporter.message(
+            f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
+            f"simulator {env.sim.threads} threads, learner on {_learner(device)}; {run}"
+        )
+        runner.logger.open(options.logger, purge_step=runner.current_learning_iteration)
+        try:
+            runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
+        finally:
+            runner.logger.close()
     env.close()
     checkpoint = run_dir.checkpoint_path(run, runner.current_learning_iteration)
     reporter.message(f"checkpoint {checkpoint}")
-    if runner.interrupted:
-        return 130
+    if runner.stopped_by is not None:
+        return 128 + runner.stopped_by
     reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads))
     return 0
+
+
+@contextlib.contextmanager
+def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
+    """Removes the directory of a new run that cannot even begin."""
+    try:
+        yield
+    except Exception:
+        if is_new:
+            shutil.rmtree(run, ignore_errors=True)
+        raise
 
 
 def _new_plan(options: Options, device: str) -> _Plan:
@@ -126,10 +144,13 @@ def _new_plan(options: Options, device: str) -> _Plan:
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
-    if seed < 0:
-        raise _core.ConfigError(f"--seed {seed} is negative; pass zero or a positive number")
-    if options.run_name is not None and Path(options.run_name).name != options.run_name:
-        raise _core.ConfigError(f"--run-name {options.run_name!r} is part of a directory's name; leave out slashes")
+    if options.run_name is not None and (
+        Path(options.run_name).name != options.run_name or len(options.run_name) > 100
+    ):
+        raise _core.ConfigError(
+            f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
+            "leave out slashes, and use 100 letters at most"
+        )
     return _Plan(train_config, options.robots, seed, options.overrides, checkpoint=None)
 
 

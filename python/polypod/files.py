@@ -1,0 +1,111 @@
+"""Files that a command reads, up to a size, and writes.
+
+They are written whole or not at all, and never in place of what is not a regular file.
+"""
+
+import contextlib
+import io
+import os
+import re
+import stat
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from polypod import _core
+
+_PROCESS = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/[^/]+/fd/\d+")
+"""Names of what this process has open already, maybe a file that the shell also writes to."""
+_TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
+"""Names of `_temporary`."""
+
+
+def read_bytes(path: Path, limit: int) -> bytes:
+    """A file's bytes, of which there may be `limit`; devices and pipes that never end are refused as well.
+
+    Raises:
+        OSError: where it cannot be read.
+        ConfigError: where there are more.
+    """
+    with path.open("rb") as file:
+        data = file.read(limit + 1)
+    if len(data) > limit:
+        raise _core.ConfigError(
+            f"{path} has more than {limit >> 20} MiB, too many for what it should be; choose another file"
+        )
+    return data
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text in UTF-8. Errors are those of `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_filled(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
+    """Writes what `fill` puts into a file in memory. Errors are those of `write_bytes`, and those of `fill`."""
+    buffer = io.BytesIO()
+    fill(buffer)
+    write_bytes(path, buffer.getbuffer())
+
+
+def write_bytes(path: Path, data: "bytes | memoryview") -> None:
+    """Writes a file whole or not at all, in place of nothing or of a regular file; folders are made.
+
+    A symbolic link stays and its target is written. Pipes and devices are written to and stay what they are.
+
+    Raises:
+        OSError: where it cannot be written.
+    """
+    if _PROCESS.fullmatch(str(path)) or _is_special(path):
+        with path.open("ab") as file:
+            file.write(data)
+        return
+    target = Path(os.path.realpath(path))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:100]}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(_mode(target))
+        Path(name).replace(target)
+    finally:
+        Path(name).unlink(missing_ok=True)
+    _sync_folder(target.parent)
+
+
+def remove_stale(folder: Path) -> None:
+    """Removes what writers that were killed left in a folder where nobody else writes now."""
+    for path in folder.glob(".*.tmp"):
+        if _TEMPORARY.fullmatch(path.name):
+            path.unlink(missing_ok=True)
+
+
+def _is_special(path: Path) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return False
+    return not stat.S_ISREG(mode)
+
+
+def _mode(target: Path) -> int:
+    """The permissions of a file that is there; of a new one, what the process gives to new files."""
+    try:
+        return stat.S_IMODE(target.stat().st_mode)
+    except FileNotFoundError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
+
+
+def _sync_folder(folder: Path) -> None:
+    """Has the disk take note of new names, where folders can be opened."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,153 @@
+"""What manifests may say: the one place where they are read. Nothing in a manifest names code.
+
+A class is one of a list, a number has a range, a size is checked before anything is allocated by it. What a manifest
+says beyond this is left out.
+"""
+
+import itertools
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+from typing_extensions import NotRequired, TypedDict
+
+from polypod import _core
+from polypod.files import read_bytes
+
+MAX_LAYER = 65536
+Size = Annotated[int, Meta(ge=1, le=MAX_LAYER)]
+"""Of a layer, an observation or a batch of actions."""
+Name = Annotated[str, Meta(min_length=1, max_length=4096)]
+Activation = Literal[
+    "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
+]
+"""Those of rsl_rl."""
+MAX_BYTES = 64 << 20
+"""Of a manifest."""
+MAX_WEIGHTS = 100_000_000
+"""Of a network: 400 MB in float32."""
+
+
+class TermSize(TypedDict):
+    """A term of the observation."""
+
+    term: Name
+    size: Size
+
+
+class DistributionManifest(TypedDict):
+    """How actions are drawn around the network's output."""
+
+    class_name: Literal["GaussianDistribution", "polypod.networks:RoleGaussian"]
+    init_std: Annotated[float, Meta(gt=0.0, le=1e3)]
+    joint_names: NotRequired[list[Name]]
+
+
+class PolicyManifest(TypedDict):
+    """The actor: its class, sizes and further constructor arguments."""
+
+    num_obs: Size
+    num_actions: Size
+    class_name: Literal["MLPModel", "polypod.networks:UrmaModel"]
+    hidden_dims: Annotated[list[Size], Meta(min_length=1, max_length=64)]
+    activation: Activation
+    obs_normalization: bool
+    distribution_cfg: DistributionManifest
+    joint_dim: NotRequired[Size]
+    num_heads: NotRequired[Size]
+    observation_layout: NotRequired[list[tuple[Name, Size]]]
+    joint_names: NotRequired[list[Name]]
+
+
+class Manifest(TypedDict):
+    """`manifest.json` of a run."""
+
+    format: Literal[1]
+    command: NotRequired[str]
+    task: Name
+    experiment: NotRequired[str]
+    robot_sources: Annotated[list[Name], Meta(min_length=1)]
+    overrides: list[str]
+    seed: Annotated[int, Meta(ge=0)]
+    num_envs: NotRequired[Annotated[int, Meta(ge=1)]]
+    step_dt: Annotated[float, Meta(gt=0.0, le=10.0)]
+    config_hash: NotRequired[str]
+    canonical_joint_names: list[Name]
+    observation_layout: Annotated[list[TermSize], Meta(min_length=1)]
+    policy: PolicyManifest
+    robots: Annotated[list[Name], Meta(min_length=1)]
+    robot_info: NotRequired[dict[str, dict[str, Any]]]
+    joint_maps: NotRequired[dict[str, list[dict[str, Any]]]]
+    train_config: dict[str, dict[str, Any]]
+    versions: NotRequired[dict[str, str]]
+    git: NotRequired[dict[str, Any] | None]
+    checkpoints: NotRequired[dict[str, Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]]]
+    """SHA-256 of each checkpoint."""
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Reads a manifest and checks everything that is used of it.
+
+    Raises:
+        ConfigError: when it is missing or broken; the message names the element.
+    """
+    try:
+        manifest = msgspec.json.decode(read_bytes(path, MAX_BYTES), type=Manifest)
+    except OSError as error:
+        raise _core.ConfigError(
+            f"cannot read {path}: {error.strerror}; keep a checkpoint beside its manifest"
+        ) from error
+    except msgspec.ValidationError as error:
+        raise _core.ConfigError(
+            f"{path} is not a manifest of polypod: {_plain(str(error))}; copy it again from the training's run"
+        ) from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise _core.ConfigError(f"{path} is not valid JSON: {error}; copy it again from the training's run") from error
+    policy = manifest["policy"]
+    _check_layout(manifest, path)
+    check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
+    if policy["class_name"] != "MLPModel":
+        _check_joints(policy, path)
+    return dict(manifest)
+
+
+def check_size(layers: list[int], where: str) -> None:
+    """Raises ConfigError for layers that have more weights between them than `MAX_WEIGHTS`; `where` names them."""
+    weights = sum(above * below for above, below in itertools.pairwise(layers))
+    if weights > MAX_WEIGHTS:
+        raise _core.ConfigError(
+            f"{where}: layers of {', '.join(map(str, layers))} have {weights:,} weights, more than {MAX_WEIGHTS:,}; "
+            "choose smaller hidden_dims"
+        )
+
+
+def _check_layout(manifest: Manifest, path: Path) -> None:
+    total, width = sum(entry["size"] for entry in manifest["observation_layout"]), manifest["policy"]["num_obs"]
+    if total != width:
+        raise _core.ConfigError(
+            f"{path}: policy num_obs = {width}, but the terms of observation_layout have {total} numbers; "
+            "copy the manifest again from the training's run"
+        )
+
+
+def _check_joints(policy: PolicyManifest, path: Path) -> None:
+    """A network of joints has arguments of its own; their sizes must fit one another."""
+    missing = [key for key in ("joint_dim", "num_heads", "observation_layout", "joint_names") if key not in policy] + (
+        [] if "joint_names" in policy["distribution_cfg"] else ["distribution_cfg joint_names"]
+    )
+    if missing:
+        raise _core.ConfigError(
+            f"{path}: policy: {', '.join(missing)} missing, which {policy['class_name']} needs; "
+            "copy the manifest again from the training's run"
+        )
+    check_size(
+        [policy["num_obs"], policy["joint_dim"] * policy["num_actions"], policy["joint_dim"] * policy["num_heads"]],
+        f"{path}: policy",
+    )
+
+
+def _plain(message: str) -> str:
+    """Msgspec's message with the element first: "policy.num_actions: Expected `int`, got `str`"."""
+    text, _, place = message.partition(" - at `$")
+    return f"{place.rstrip('`').lstrip('.')}: {text}" if place else text
