@@ -14,6 +14,7 @@ import contextlib
 import hashlib
 import io
 import json
+import pickle
 import platform
 import re
 import subprocess
@@ -117,10 +118,13 @@ def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dic
             if (broken := archive.testzip()) is not None:
                 raise zipfile.BadZipFile(f"{broken} is not as it was written")
         state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
+    except pickle.UnpicklingError as error:  # torch's message is advice to trust the file
+        raise _core.ConfigError(
+            f"{path} is not a checkpoint: it asks for code, and a checkpoint holds numbers alone; use another file"
+        ) from error
     except Exception as error:  # torch has no common class for the ways in which a file can be broken
-        # of torch's own message only the first line: the rest is advice to trust the file
         reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
-        raise _core.ConfigError(f"{path} is not a checkpoint: {reason.split('. This file')[0]}") from error
+        raise _core.ConfigError(f"{path} is not a checkpoint: {reason}") from error
     if not isinstance(state, dict) or not _are_weights(state.get("actor_state_dict")):
         raise _core.ConfigError(f"{path} is not a checkpoint of polypod: it holds no 'actor_state_dict'")
     for name in ("actor_state_dict", "critic_state_dict"):

@@ -76,6 +76,9 @@ def train(options: Options) -> int:
     """
     device = _device(options.device)
     plan = _new_plan(options, device) if options.resume is None else _resumed_plan(options)
+    begin_with = plan.checkpoint or options.init
+    if begin_with is not None:
+        run_dir.load_checkpoint(begin_with)  # a broken one is refused before anything is written
     if options.threads is not None:
         torch.set_num_threads(options.threads)
     torch.manual_seed(plan.seed)
