@@ -4,6 +4,7 @@ They are written whole or not at all, and never in place of what is not a regula
 """
 
 import contextlib
+import errno
 import io
 import os
 import re
@@ -57,6 +58,8 @@ def write_bytes(path: Path, data: "bytes | memoryview") -> None:
     Raises:
         OSError: where it cannot be written.
     """
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "a name holds no zero byte")
     if _PROCESS.fullmatch(str(path)) or _is_special(path):
         with path.open("ab") as file:
             file.write(data)
