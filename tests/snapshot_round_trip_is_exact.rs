@@ -1,6 +1,6 @@
 //! A restored snapshot goes on as the simulation that it was taken from, to the last bit; nothing else is restored.
 
-use polypod::{Sim, SimError, SimOptions};
+use polypod::{Control, Sim, SimError, SimOptions, Simulation, SimulationOptions};
 
 use crate::common::{ROBOTS, assert_all_same, busy, env_bits, step};
 
@@ -103,4 +103,44 @@ fn damaged_bytes_are_refused() {
         assert_refused(&mut sim, &flipped, "");
     }
     sim.restore(&snapshot).unwrap();
+}
+
+/// FNV-1a, the checksum at the end of a snapshot.
+fn fnv1a(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[test]
+fn hostile_bytes_are_restored_or_refused_and_nothing_in_between() {
+    for engine in ["articulated", "avian"] {
+        let robot = format!("{}/tests/data/urdf/biped.urdf", env!("CARGO_MANIFEST_DIR"));
+        let mut sim = Simulation::new(&SimulationOptions {
+            engine: engine.into(),
+            threads: Some(1),
+            ..SimulationOptions::new(robot, 1)
+        })
+        .unwrap();
+        sim.step(&Control::default(), 20).unwrap();
+        let snapshot = sim.snapshot().unwrap();
+        sim.step(&Control::default(), 1).unwrap();
+        let before = sim.snapshot().unwrap();
+        let (body, _) = snapshot.split_last_chunk::<8>().unwrap();
+        let mut refused = 0;
+        for at in 0..body.len() {
+            for byte in [0, 255] {
+                let mut bytes = body.to_vec();
+                bytes[at] = byte;
+                bytes.extend(fnv1a(&bytes).to_le_bytes());
+                match sim.restore(&bytes) {
+                    Ok(()) => sim.restore(&before).unwrap(),
+                    Err(error) => {
+                        refused += 1;
+                        assert!(error.to_string().starts_with("snapshot: "), "{engine}, byte {at}: {error}");
+                    }
+                }
+                assert!(sim.snapshot().unwrap() == before, "{engine}: byte {at} = {byte} has changed the simulation");
+            }
+        }
+        assert!(refused > 0, "{engine}");
+    }
 }

@@ -90,6 +90,10 @@ impl Packs for AvianPacks {
         self.engine.save(env)
     }
 
+    fn check_saved(&self, envs: &[&[u8]]) -> Result<(), postcard::Error> {
+        self.engine.saved(envs.iter().copied()).map(|_| ())
+    }
+
     fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         self.engine.load(envs)
     }

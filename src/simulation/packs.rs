@@ -38,6 +38,10 @@ pub(super) trait Packs: Send + Sync {
     fn save(&self, _env: usize) -> Result<Vec<u8>, postcard::Error> {
         Ok(Vec::new())
     }
+    /// Whether [`load`](Self::load) can take these bytes of all envs up; changes nothing.
+    fn check_saved(&self, envs: &[&[u8]]) -> Result<(), postcard::Error> {
+        if envs.iter().all(|bytes| bytes.is_empty()) { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
+    }
     /// Takes that up in all envs, once their states and numbers are set.
     fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         Ok(())

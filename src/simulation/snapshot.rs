@@ -7,7 +7,7 @@ use super::options::{Precision, SimulationError};
 use super::robot::Robot;
 use crate::config::EngineKind;
 use crate::config::fnv1a;
-use crate::dynamics::{Parameters, State, StepSettings};
+use crate::dynamics::{Parameters, State, StepSettings, Topology};
 
 /// Changes whenever the layout of a snapshot does.
 const FORMAT: u32 = 4;
@@ -46,6 +46,95 @@ struct Env {
     force: Vec<[f64; 3]>,
     /// What the engine has beyond that.
     engine: Vec<u8>,
+}
+
+/// Lengths of the lists of an [`Env`].
+#[derive(PartialEq)]
+struct Sizes {
+    joints: [usize; 4],
+    impulse: usize,
+    force: usize,
+    parameters: [usize; 23],
+}
+
+impl Sizes {
+    fn of(topology: &Topology) -> Self {
+        Self {
+            joints: [topology.num_joints(); 4],
+            impulse: State::<f64>::zeros(topology).impulse.len(),
+            force: topology.num_bodies,
+            parameters: lengths(&Parameters::zeros(topology)),
+        }
+    }
+}
+
+impl Env {
+    fn sizes(&self) -> Sizes {
+        Sizes {
+            joints: [&self.joint_position, &self.joint_velocity, &self.bound_impulse, &self.effort].map(Vec::len),
+            impulse: self.impulse.len(),
+            force: self.force.len(),
+            parameters: lengths(&self.parameters),
+        }
+    }
+}
+
+/// Lengths of all lists of a body's numbers.
+fn lengths(parameters: &Parameters<f64>) -> [usize; 23] {
+    // whole, so that a list that is added is not forgotten here
+    let Parameters {
+        joint_offset,
+        mass,
+        com,
+        inertia,
+        stiffness,
+        damping,
+        effort_limit,
+        saturation_effort,
+        motor_velocity_limit,
+        armature,
+        joint_damping,
+        joint_friction,
+        lower,
+        upper,
+        velocity_limit,
+        contact_position,
+        contact_radius,
+        contact_rim,
+        link_box,
+        collider_centre,
+        collider_half,
+        collider_radius,
+        site_position,
+        static_friction: _,
+        dynamic_friction: _,
+        restitution: _,
+    } = parameters;
+    [
+        joint_offset.len(),
+        mass.len(),
+        com.len(),
+        inertia.len(),
+        stiffness.len(),
+        damping.len(),
+        effort_limit.len(),
+        saturation_effort.len(),
+        motor_velocity_limit.len(),
+        armature.len(),
+        joint_damping.len(),
+        joint_friction.len(),
+        lower.len(),
+        upper.len(),
+        velocity_limit.len(),
+        contact_position.len(),
+        contact_radius.len(),
+        contact_rim.len(),
+        link_box.len(),
+        collider_centre.len(),
+        collider_half.len(),
+        collider_radius.len(),
+        site_position.len(),
+    ]
 }
 
 /// A hash of what decides a step but for the state and the envs' own numbers. `substeps` are those of the engine `avian`.
@@ -131,6 +220,14 @@ impl Simulation {
             return Err(SimulationError::Snapshot("it is damaged: its checksum does not fit; take it again".into()));
         };
         let snapshot = postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?;
+        // nothing is written before all is checked
+        let sizes = Sizes::of(&self.robot.topology);
+        if snapshot.envs.len() != self.num_envs || snapshot.envs.iter().any(|env| env.sizes() != sizes) {
+            let problem = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
+            return Err(SimulationError::Snapshot(problem.into()));
+        }
+        let engine: Vec<&[u8]> = snapshot.envs.iter().map(|env| &env.engine[..]).collect();
+        self.packs.check_saved(&engine).map_err(unreadable)?;
         let mut engine = Vec::with_capacity(snapshot.envs.len());
         for (env, from) in snapshot.envs.into_iter().enumerate() {
             let mut state = State {
