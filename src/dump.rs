@@ -3,7 +3,6 @@
 //! A dump depends on no other file: it holds the resolved task and robot, the URDF's text and the robot's own numbers.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use bevy_ecs::prelude::*;
@@ -13,6 +12,7 @@ use crate::app::{Sim, SimError, SimOptions};
 use crate::components::{BasePose, BaseVelocity, Body, ConstraintImpulses, JointState, JointTargets};
 use crate::config::{LoadedRobot, LoadedTask, TaskConfig, fnv1a};
 use crate::dynamics::Simd;
+use crate::files;
 use crate::morphology::MorphologyModel;
 use crate::snapshot::{seal, unseal};
 use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Motion, Registry, Violation, run_physics};
@@ -82,7 +82,7 @@ impl Dump {
     /// It cannot be read, is no dump, is damaged, or of another format.
     pub fn read(file: &Path) -> Result<Self, DumpError> {
         let failure = |problem: String, remedy: &'static str| DumpError { file: file.to_path_buf(), problem, remedy };
-        let bytes = fs::read(file)
+        let bytes = files::read(file)
             .map_err(|error| failure(format!("cannot be read: {error}"), "check the path and its permissions"))?;
         let header = postcard::take_from_bytes::<Header>(&bytes).ok().filter(|(header, _)| header.magic == MAGIC);
         let Some((header, _)) = header else {
@@ -110,21 +110,14 @@ impl Dump {
             problem,
             remedy: "the run goes on without it; choose another directory for the next one",
         };
-        if file.exists() {
+        // a link that leads nowhere is there, too
+        if fs::symlink_metadata(&file).is_ok() {
             return Err(failure("is there already, of an earlier run, and is left as it is".into()));
         }
         let header = Header { magic: MAGIC.into(), format: FORMAT, version: self.version.clone() };
         let bytes = seal(&(header, self)).map_err(|error| failure(format!("cannot be encoded: {error}")))?;
-        let temporary = dir.join(format!(".{name}.{}.tmp", std::process::id()));
-        let written = fs::create_dir_all(dir)
-            .and_then(|()| fs::File::create(&temporary))
-            .and_then(|mut out| out.write_all(&bytes).and_then(|()| out.sync_all()))
-            .and_then(|()| fs::rename(&temporary, &file));
-        written.map_err(|error| {
-            // what is left of it, if anything, is of no use
-            let _ = fs::remove_file(&temporary);
-            failure(format!("cannot be written: {error}"))
-        })?;
+        let written = fs::create_dir_all(dir).and_then(|()| files::write(&file, &bytes));
+        written.map_err(|error| failure(format!("cannot be written: {error}")))?;
         Ok(file)
     }
 

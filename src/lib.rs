@@ -11,6 +11,7 @@ pub mod config;
 mod crew;
 pub mod draft;
 pub mod dump;
+pub mod files;
 pub mod mirrors;
 pub mod morphology;
 mod obstacles;

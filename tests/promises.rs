@@ -25,6 +25,7 @@ mod envs_are_shared_out_among_robots;
 mod equal_numbers_are_kept_once;
 mod examples_run;
 mod external_wrenches_move_the_base;
+mod files_are_written_whole_or_not_at_all;
 mod heights_are_one_surface;
 mod jammed_links_do_not_sink;
 mod joint_limits_hold_under_full_effort;

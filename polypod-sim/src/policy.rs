@@ -87,7 +87,7 @@ impl PolicyManifest {
             problem,
             remedy: remedy.into(),
         };
-        let text = std::fs::read_to_string(&file).map_err(|error| {
+        let text = polypod::files::read_text(&file).map_err(|error| {
             failure("manifest", format!("cannot be read: {error}"), "keep a policy beside the manifest of its export")
         })?;
         let manifest: Self = serde_json::from_str(&text).map_err(|error| {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use include_dir::{Dir, include_dir};
 
 use super::error::{ConfigError, ConfigErrorKind};
+use crate::files;
 
 static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
 
@@ -54,8 +55,7 @@ impl Document {
     /// Reads a file; its root is the given one, or the folder above its `configs`.
     pub(super) fn read(path: &Path, root: Option<&Path>) -> Result<Self, ConfigError> {
         let file = path.display().to_string();
-        let text =
-            std::fs::read_to_string(path).map_err(|error| unreadable(&file, format!("cannot be read: {error}")))?;
+        let text = files::read_text(path).map_err(|error| unreadable(&file, format!("cannot be read: {error}")))?;
         let dir = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
         let above_configs = || {
             let configs = path.ancestors().find(|p| p.file_name() == Some(OsStr::new("configs")))?;

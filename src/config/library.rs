@@ -13,6 +13,7 @@ use super::robot::RobotConfig;
 use super::scene::embed_meshes;
 use super::suggest::did_you_mean;
 use super::task::TaskConfig;
+use crate::files;
 
 /// Environment variable with further roots, separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
@@ -310,7 +311,7 @@ impl Library {
         for folder in beside.chain(&self.roots) {
             let path = folder.join(urdf);
             if path.is_file() {
-                let text = std::fs::read_to_string(&path)
+                let text = files::read_text(&path)
                     .map_err(|error| unreadable(&path.display().to_string(), format!("cannot be read: {error}")))?;
                 return Ok((path, text));
             }

@@ -1,12 +1,14 @@
 //! Mesh files: vertices of STL (binary and ASCII), OBJ and COLLADA, triangles of STL and OBJ.
 
 use std::collections::HashMap;
-use std::io::{BufReader, Cursor, Read};
+use std::io::{BufReader, Cursor};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use glam::{DMat4, DVec3, DVec4};
 use roxmltree::{Document, Node};
+
+use crate::files;
 
 /// Larger files are no collision meshes, bytes.
 const MAX_BYTES: u64 = 256 << 20;
@@ -89,12 +91,7 @@ pub(crate) fn read_surface(path: &Path) -> Result<Surface, String> {
 
 /// What is in a file, and its ending.
 fn contents(path: &Path) -> Result<(Vec<u8>, String), String> {
-    let mut bytes = Vec::new();
-    let file = std::fs::File::open(path).map_err(|error| error.to_string())?;
-    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(format!("it is larger than {} MiB", MAX_BYTES >> 20));
-    }
+    let bytes = files::read_up_to(path, MAX_BYTES).map_err(|error| error.to_string())?;
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
     Ok((bytes, ending))
 }

@@ -1,7 +1,6 @@
 //! From a file to a [`Model`]: the passes in their order, and the guard around the parser.
 
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
@@ -10,9 +9,7 @@ use super::error::{Diagnosis, RobotError};
 use super::merge::merge;
 use super::model::Model;
 use super::tree::Tree;
-
-/// Larger files are no URDFs.
-const MAX_BYTES: u64 = 64 << 20;
+use crate::files;
 
 /// What the URDF itself cannot say.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,7 +25,7 @@ pub struct LoadOptions {
 /// # Errors
 /// A [`RobotError`] that names file, element and remedy; see the module documentation.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
-    let text = read(path).map_err(|error| {
+    let text = files::read_text(path).map_err(|error| {
         let remedy = match error.kind() {
             std::io::ErrorKind::NotFound => "check the path",
             std::io::ErrorKind::InvalidData => "save it as UTF-8",
@@ -38,17 +35,6 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
         RobotError::Read(Diagnosis::new(path, "file", error.to_string(), remedy))
     })?;
     load_str(&text, path, options)
-}
-
-/// The text of a file, which may be endless.
-fn read(path: &Path) -> std::io::Result<String> {
-    let mut text = String::new();
-    std::fs::File::open(path)?.take(MAX_BYTES + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > MAX_BYTES {
-        let problem = format!("larger than {} MiB", MAX_BYTES >> 20);
-        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, problem));
-    }
-    Ok(text)
 }
 
 /// Reads a URDF from `text`; `source` names it in errors and is where meshes are looked up.
