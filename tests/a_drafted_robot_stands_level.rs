@@ -95,3 +95,13 @@ fn knees_are_bent_and_joints_within_their_limits() {
         }
     }
 }
+
+#[test]
+fn a_name_without_letters_is_refused() {
+    for name in ["", "  ", "--"] {
+        let error =
+            draft(&assets()[0], &DraftOptions { name: Some(name.into()), ..DraftOptions::default() }).unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains("name") && text.contains("letter"), "{text}");
+    }
+}

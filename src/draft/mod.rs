@@ -6,7 +6,7 @@ mod text;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::config::Library;
+use crate::config::{ConfigError, Library};
 use crate::morphology::{MorphologyError, MorphologyModel};
 use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
@@ -75,8 +75,15 @@ struct Group {
 /// of the known robot whose mass is nearest.
 ///
 /// # Errors
-/// Those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
+/// A name without letters or digits; those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
 pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyError> {
+    if let Some(name) = &options.name
+        && !name.contains(|c: char| c.is_ascii_alphanumeric())
+    {
+        let problem = format!("`{name}` has no letter or digit");
+        let remedy = "pass a name such as `my_robot`, or none: the URDF's is taken then";
+        return Err(ConfigError::invalid(file.display().to_string(), "name", problem, remedy).into());
+    }
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
     let whole = load(file, &load_options)?;
     let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
