@@ -2,6 +2,7 @@
 
 use crate::app::{Sim, SimError, argument};
 use crate::batch::Batch;
+use crate::bounds::MAX_COMMAND;
 use crate::components::{Command, EnvId, Episode};
 use crate::systems::{Autoreset, StateField, gather_state};
 
@@ -75,6 +76,13 @@ impl Sim {
         {
             let problem = format!("not {} finite rows of vx, vy, yaw rate", self.num_envs());
             return Err(argument("command", problem, "pass one row per env"));
+        }
+        let beyond = |x: &f32| f64::from(x.abs()) > MAX_COMMAND;
+        if let Some(c) = commands
+            && let Some(at) = c.iter().position(beyond)
+        {
+            let problem = format!("{} of env {} is {}", ["vx", "vy", "the yaw rate"][at % 3], at / 3, c[at]);
+            return Err(argument("command", problem, format!("pass numbers within {MAX_COMMAND}, m/s or rad/s")));
         }
         let world = self.world_mut();
         for (env, mut command) in world.query::<(&EnvId, &mut Command)>().iter_mut(world) {

@@ -7,19 +7,20 @@ use bevy_ecs::prelude::*;
 use smallvec::smallvec;
 
 use crate::batch::Batch;
+use crate::bounds::{BYTES_PER_ENV, MAX_ACTION, check_num_envs};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
     Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
     JointEffort, JointState, JointTargets, Morphology, MountedOn, PerJoint, Robot, StartupBody,
 };
-use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask};
+use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask};
 use crate::dump::DumpError;
 use crate::dynamics::Simd;
 use crate::dynamics::lanes::SimdError;
 use crate::mirrors::LinkMirrors;
 use crate::morphology::{Morphologies, MorphologyError, MorphologyModel};
 use crate::robot::CANONICAL_JOINT_NAMES;
-use crate::rows::Workers;
+use crate::rows::{Workers, packs_of};
 use crate::systems::{
     Autoreset, BlockSizes, BrokenStates, CompiledTask, ControlStep, Logs, PhysicsEngine, PipelinePlugin, Registry,
     ResetEnvs, ResetRequest, ScanRays, TermError, history_length, place_envs, randomise_at_startup,
@@ -77,7 +78,7 @@ pub struct SimOptions {
     pub num_envs: usize,
     /// Seed of all random streams.
     pub seed: u64,
-    /// Threads; all cores when absent.
+    /// Threads; all cores when absent. Only as many are made as there are packs of envs.
     pub threads: Option<usize>,
     /// `key=value` changes to the task.
     pub overrides: Vec<String>,
@@ -167,7 +168,6 @@ impl Sim {
             morphology.allow_action_delay(compiled.max_action_delay(morphology));
         }
         let counts = distribute(options.num_envs, robots.len());
-        let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
         let simd = Simd::choose(options.simd)?;
 
         let mut app = App::empty();
@@ -176,7 +176,12 @@ impl Sim {
         app.cleanup();
         let world = app.world_mut();
         let ground = crate::world::bake_ground(world, &task.config.scene)?;
-        let workers = Workers::new(threads, simd);
+        // a robot at a time, or a pack of one kind
+        let pieces = match task.config.physics.engine {
+            EngineKind::Avian => options.num_envs,
+            EngineKind::Articulated => counts.iter().map(|&count| packs_of(count)).sum(),
+        };
+        let workers = Workers::for_pieces(options.threads, pieces, simd);
         let engine =
             PhysicsEngine::new(simd, &compiled, &morphologies, &counts, &ground, &workers).map_err(|error| {
                 argument("physics.engine", error.to_string(), "use \"articulated\", or another sim.dt or robot")
@@ -207,7 +212,7 @@ impl Sim {
     /// One control step of all envs with these actions, row-major `[num_envs, 12]`, canonical order.
     ///
     /// # Errors
-    /// The wrong number of actions, or a non-finite one.
+    /// The wrong number of actions, or one that is not finite or beyond [`MAX_ACTION`]; the simulation is then as it was.
     pub fn step(&mut self, actions: &[f32]) -> Result<(), SimError> {
         let mut batch = self.world.resource_mut::<Batch>();
         if actions.len() != batch.actions.len() {
@@ -218,13 +223,14 @@ impl Sim {
             ));
         }
         // all of them at once, and only then one by one
-        let finite = actions.iter().fold(true, |finite, a| finite & a.is_finite());
-        if !finite && let Some(at) = actions.iter().position(|a| !a.is_finite()) {
+        let within = |a: &f32| a.abs() <= MAX_ACTION;
+        let all_within = actions.iter().fold(true, |all, a| all & within(a));
+        if !all_within && let Some(at) = actions.iter().position(|a| !within(a)) {
             let (env, joint) = (at / batch.num_actions, CANONICAL_JOINT_NAMES[at % batch.num_actions]);
             return Err(argument(
                 "actions",
                 format!("the action of env {env} for {joint} is {}", actions[at]),
-                "pass finite numbers; a policy that gives others has diverged",
+                format!("pass finite numbers within {MAX_ACTION}; a policy that gives others has diverged"),
             ));
         }
         batch.actions.copy_from_slice(actions);
@@ -412,6 +418,7 @@ fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -
             format!("ask for at least {} envs, or for fewer robots", robots.len()),
         ));
     }
+    check_num_envs(num_envs, BYTES_PER_ENV).map_err(|(problem, remedy)| argument("num_envs", problem, remedy))?;
     if threads == Some(0) {
         return Err(argument("threads", "0 threads", "ask for at least one, or leave it out for all cores"));
     }

@@ -6,6 +6,7 @@ mod access;
 pub mod app;
 mod avian;
 pub mod batch;
+pub mod bounds;
 pub mod components;
 pub mod config;
 mod crew;

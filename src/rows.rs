@@ -7,9 +7,10 @@ use std::sync::{Mutex, PoisonError};
 
 use bevy_ecs::prelude::*;
 
+use crate::bounds::MAX_THREADS;
 use crate::crew::Crew;
 use crate::dynamics::Simd;
-use crate::dynamics::lanes::{Entry, Kernel};
+use crate::dynamics::lanes::{self, Entry, Kernel, Real};
 
 /// Something with rows that can be cut in two.
 pub trait SplitRows: Sized + Send {
@@ -106,6 +107,13 @@ impl Workers {
         Self { crew, threads, entry: simd.entry() }
     }
 
+    /// `threads` of them, all cores when absent: but no more than there are pieces of work, since the others would only take memory, nor
+    /// than [`MAX_THREADS`].
+    pub fn for_pieces(threads: Option<usize>, pieces: usize, simd: Simd) -> Self {
+        let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
+        Self::new(threads.min(pieces).min(MAX_THREADS), simd)
+    }
+
     /// The way into code compiled for the instruction set.
     pub fn entry(&self) -> Entry {
         self.entry
@@ -165,6 +173,11 @@ impl Workers {
             None => tasks.for_each(f),
         }
     }
+}
+
+/// Packs that `count` envs of a kind make on the narrowest instruction set.
+pub(crate) fn packs_of(count: usize) -> usize {
+    count.div_ceil(lanes::Portable::LANES)
 }
 
 /// See [`Workers::share`].

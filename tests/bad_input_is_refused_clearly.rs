@@ -3,7 +3,8 @@
 use std::process::Output;
 
 use polypod::config::ConfigErrorKind;
-use polypod::{Sim, SimError, SimOptions};
+use polypod::simulation::Precision;
+use polypod::{Sim, SimError, SimOptions, Simulation, SimulationOptions};
 
 use crate::common::{self, busy};
 
@@ -65,7 +66,7 @@ fn overrides_that_cannot_be_applied() {
     let e = overridden("rewards.spot.gait.stdd=0.1");
     assert_config(&e, ConfigErrorKind::UnknownKey, &["rewards.spot.gait", "stdd", "did you mean `std`?"]);
     assert!(matches!(overridden("sim.decimation"), SimError::Config(_)));
-    let e = error(|o| o.overrides = ["physics.engine=avian", "sim.dt=1e-8"].map(String::from).to_vec());
+    let e = error(|o| o.overrides = ["physics.engine=avian", "sim.dt=1e-6"].map(String::from).to_vec());
     assert_argument(&e, "physics.engine", &["too short", "sim.dt"]);
 }
 
@@ -81,6 +82,34 @@ fn arguments_out_of_range() {
     assert_argument(&error(|o| o.num_envs = 1), "num_envs", &["1 envs for 2 robots", "at least 2"]);
     assert_argument(&error(|o| o.num_envs = 0), "num_envs", &["at least 2"]);
     assert_argument(&error(|o| o.threads = Some(0)), "threads", &["0", "at least one"]);
+    for num_envs in [usize::MAX, 1 << 40, 1 << 31, (1 << 24) + 1] {
+        assert_argument(&error(|o| o.num_envs = num_envs), "num_envs", &[&num_envs.to_string(), "16777216"]);
+    }
+    let spot = |num_envs| Simulation::new(&SimulationOptions::new("spot", num_envs)).err().unwrap().to_string();
+    for num_envs in [usize::MAX, 1 << 31] {
+        let message = spot(num_envs);
+        assert!(message.starts_with("num_envs: ") && message.contains("16777216"), "{message}");
+    }
+}
+
+#[test]
+fn there_are_no_more_threads_than_work_for_them() {
+    let mut options = busy(&["anymal_c", "spot"], 4);
+    options.threads = Some(200);
+    let sim = Sim::new(&options).unwrap();
+    assert!(sim.threads() <= 4, "{} threads", sim.threads());
+    for (engine, precision) in
+        [("articulated", Precision::Single), ("articulated", Precision::Double), ("avian", Precision::Single)]
+    {
+        let options = SimulationOptions {
+            engine: engine.into(),
+            precision,
+            threads: Some(200),
+            ..SimulationOptions::new("spot", 5)
+        };
+        let sim = Simulation::new(&options).unwrap();
+        assert!(sim.threads() <= 5, "{} threads, {engine}", sim.threads());
+    }
 }
 
 #[test]
@@ -97,6 +126,11 @@ fn a_refused_call_leaves_the_simulation_as_it_was() {
         actions[2 * 12 + 5] = bad;
         assert_argument(&sim.step(&actions).unwrap_err(), "actions", &["env 2", "LH_HFE", "finite"]);
     }
+    for bad in [1e19, -1e19, 1.1e6, f32::MAX] {
+        let mut actions = good.clone();
+        actions[2 * 12 + 5] = bad;
+        assert_argument(&sim.step(&actions).unwrap_err(), "actions", &["env 2", "LH_HFE", "1000000"]);
+    }
     assert_argument(&sim.reset(None, Some(&[true; 3])).unwrap_err(), "mask", &["3 entries for 4 envs"]);
     assert_argument(&sim.reset(Some(1), Some(&[true; 4])).unwrap_err(), "seed", &["mask"]);
     assert_argument(&sim.set_episode_lengths(&[0; 3]).unwrap_err(), "episode_length", &["4 numbers"]);
@@ -104,6 +138,10 @@ fn a_refused_call_leaves_the_simulation_as_it_was() {
     assert_argument(&sim.set_episode_lengths(&[0, 1, 2, 61]).unwrap_err(), "episode_length", &["between 0 and 60"]);
     assert_argument(&sim.set_commands(Some(&[0.0; 11])).unwrap_err(), "command", &["4 finite rows"]);
     assert_argument(&sim.set_commands(Some(&[f32::NAN; 12])).unwrap_err(), "command", &["4 finite rows"]);
+
+    let mut commands = [0.5; 12];
+    commands[3 + 2] = -1e30;
+    assert_argument(&sim.set_commands(Some(&commands)).unwrap_err(), "command", &["env 1", "yaw rate", "1000"]);
 
     assert!(sim.snapshot().unwrap() == before);
     assert_eq!(sim.seed(), 7);
@@ -123,6 +161,11 @@ fn the_command_line_refuses_bad_input_with_one_line_and_exit_code_2() {
         (&["rollout", "--num-envs", "3"], &["num_envs", "at least 8"]),
         (&["rollout", "--threads", "0"], &["threads", "at least one"]),
         (&["rollout", "--set", "sim.decimatoin=2"], &["sim.decimatoin", "did you mean `decimation`?"]),
+        (&["rollout", "--num-envs", "18446744073709551615"], &["num_envs", "16777216"]),
+        (&["rollout", "--set", "sim.decimation=1000000000"], &["sim.decimation", "1 to 1000"]),
+        (&["soak", "--minutes", "0"], &["minutes", "at least 1"]),
+        (&["soak", "--robots", "spot", "--num-envs", "0"], &["num_envs", "at least 1"]),
+        (&["soak", "--robots", "spot", "--num-envs", "1", "--dt", "nan"], &["dt"]),
         (&["inspect", "--robot", "spott"], &["spott", "did you mean `spot`?"]),
     ] {
         let output = polypod_sim(arguments);
@@ -150,5 +193,24 @@ fn the_command_line_lists_inspects_and_steps() {
         let output = polypod_sim(arguments);
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
         assert!(String::from_utf8(output.stdout).unwrap().contains("spot"), "{arguments:?}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn endless_files_are_refused() {
+    use std::os::unix::fs::symlink;
+
+    let root = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("endless");
+    let _ = std::fs::remove_dir_all(&root);
+    std::fs::create_dir_all(root.join("configs/robots")).unwrap();
+    let robot = root.join("configs/robots/endless.toml");
+    symlink("/dev/zero", &robot).unwrap();
+    let robot = robot.to_str().unwrap();
+    for arguments in [&["replay", "/dev/zero"][..], &["inspect", "--robot", robot]] {
+        let output = polypod_sim(arguments);
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+        assert!(text.contains("larger than 64 MiB") && text.trim_end().lines().count() == 1, "{arguments:?}: {text}");
     }
 }

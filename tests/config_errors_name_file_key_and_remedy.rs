@@ -308,3 +308,52 @@ fn unknown_names_come_with_near_and_known_ones() {
     let error = Library::new(vec!["/nowhere".into()]).robots().unwrap_err();
     assert_error(&error, "/nowhere", "file", "no such folder", "check the path");
 }
+
+#[test]
+fn files_that_are_no_configs_are_not_read_to_their_end() {
+    let root = Root::new("large_files");
+    let file = root.write("configs/robots/large.toml", "");
+    fs::File::options().write(true).open(&file).unwrap().set_len((64 << 20) + 1).unwrap();
+    let error = Library::new(Vec::new()).robot(&file).unwrap_err();
+    assert_error(&error, &file, "file", "larger than 64 MiB", "check the path");
+    assert_eq!(error.kind, ConfigErrorKind::Unreadable);
+
+    fs::remove_file(&file).unwrap();
+
+    // one that the robot's config names
+    let urdf = root.write("large.urdf", "");
+    fs::File::options().write(true).open(&urdf).unwrap().set_len((64 << 20) + 1).unwrap();
+    let (error, _) = root.robot_error("spot", "urdf = \"large.urdf\"");
+    assert!(error.to_string().contains("large.urdf") && error.problem.contains("larger than 64 MiB"), "{error}");
+}
+
+#[test]
+fn numbers_that_no_simulation_can_use_are_refused() {
+    for (text, element, problem, remedy) in [
+        ("sim.decimation=1000000000", "sim.decimation", "1000000000", "1 to 1000"),
+        ("sim.decimation=1001", "sim.decimation", "1001", "1 to 1000"),
+        ("sim.decimation=0", "sim.decimation", "0", "1 to 1000"),
+        ("sim.dt=1e-320", "sim.dt", "too short", "1e-6"),
+        ("sim.dt=inf", "sim.dt", "not finite", "finite"),
+        (
+            "commands.base_velocity.lin_vel_x=[-1e30,1.0]",
+            "commands.base_velocity.lin_vel_x",
+            "beyond 1000",
+            "-1000 to 1000",
+        ),
+        (
+            "commands.base_velocity.lin_vel_y=[-1.0,1001.0]",
+            "commands.base_velocity.lin_vel_y",
+            "beyond 1000",
+            "-1000 to 1000",
+        ),
+        (
+            "commands.base_velocity.ang_vel_z=[0.0,1e4]",
+            "commands.base_velocity.ang_vel_z",
+            "beyond 1000",
+            "-1000 to 1000",
+        ),
+    ] {
+        assert_error(&override_error(text), "--set", element, problem, remedy);
+    }
+}

@@ -138,3 +138,14 @@ fn forces_may_be_given_per_joint_or_per_degree_of_freedom() {
         assert!((found - expected).abs() < 1e-9, "{found} is not {expected}");
     }
 }
+
+#[test]
+fn numbers_that_cannot_be_computed_with_are_named() {
+    let error = |options: SimulationOptions| Simulation::new(&options).err().unwrap().to_string();
+    for normal in [[1e-300, 0.0, 0.0], [1e300, 1e300, 0.0]] {
+        let message = error(SimulationOptions { ground: Some(normal), ..options("biped", 1) });
+        assert!(message.starts_with("ground_normal: "), "{message}");
+    }
+    let message = error(SimulationOptions { dt: 1e-320, ..options("biped", 1) });
+    assert!(message.starts_with("dt: ") && message.contains("1e-6"), "{message}");
+}

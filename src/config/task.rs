@@ -12,6 +12,7 @@ use super::scene::SceneConfig;
 use super::suggest::did_you_mean;
 use super::values;
 use crate::avian::SUBSTEPS;
+use crate::bounds::MAX_DECIMATION;
 use crate::dynamics::SWEEPS;
 
 /// What the robots are to do, where, and how they are rewarded. SI units; world z up, base x forward, y left.
@@ -63,11 +64,11 @@ pub struct TaskConfig {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimConfig {
-    /// Physics step, s.
-    #[serde(deserialize_with = "values::positive")]
+    /// Physics step, s; at least 1e-6.
+    #[serde(deserialize_with = "values::physics_step")]
     pub dt: f64,
-    /// Physics steps per control step.
-    #[serde(deserialize_with = "values::at_least_one")]
+    /// Physics steps per control step, 1 to 1000.
+    #[serde(deserialize_with = "values::count_up_to::<MAX_DECIMATION, _>")]
     pub decimation: u32,
     /// Length of an episode that nothing ends earlier, s.
     #[serde(deserialize_with = "values::positive")]
@@ -172,21 +173,21 @@ pub struct CommandsConfig {
     pub base_velocity: VelocityCommandConfig,
 }
 
-/// How velocity commands are drawn; each range uniformly, base frame.
+/// How velocity commands are drawn; each range uniformly, base frame, its ends from -1000 to 1000.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct VelocityCommandConfig {
     /// Forward speed, m/s.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::command_range")]
     pub lin_vel_x: [f64; 2],
     /// Speed to the left, m/s.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::command_range")]
     pub lin_vel_y: [f64; 2],
     /// Yaw rate, rad/s; also the limits of the heading controller.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::command_range")]
     pub ang_vel_z: [f64; 2],
     /// Heading in the world, rad. Default: the full turn.
-    #[serde(default = "full_turn", deserialize_with = "values::range")]
+    #[serde(default = "full_turn", deserialize_with = "values::command_range")]
     pub heading: [f64; 2],
     /// Whether envs may be steered by heading. Default: no.
     #[serde(default)]
@@ -247,7 +248,7 @@ impl HeightScannerConfig {
     #[must_use]
     pub fn counts(&self) -> [usize; 2] {
         // the small number keeps 1.6 m / 0.1 m at 17 rays whatever the last bit of the quotient
-        self.size.map(|length| (length / self.resolution + 1e-9) as usize + 1)
+        self.size.map(|length| ((length / self.resolution + 1e-9) as usize).saturating_add(1))
     }
 
     /// Where the rays are about the base, m: from back to front and, row by row, from right to left.
@@ -394,7 +395,7 @@ impl TaskConfig {
         }
         const MOST_RAYS: usize = 10_000;
         if let Some(scanner) = &self.sensors.height_scanner
-            && scanner.counts().iter().product::<usize>() > MOST_RAYS
+            && scanner.counts().into_iter().fold(1, usize::saturating_mul) > MOST_RAYS
         {
             let element = "sensors.height_scanner".to_owned();
             return invalid(element, "it has more than 10 000 rays", "make it smaller, or raise its resolution in m");

@@ -3,6 +3,8 @@
 
 use serde::de::{Deserialize, Deserializer, Error};
 
+use crate::bounds::{MAX_COMMAND, MIN_DT};
+
 /// `[lower, upper]` with `lower <= upper`.
 ///
 /// # Errors
@@ -165,5 +167,46 @@ pub fn at_least_one<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D
     match u32::deserialize(deserializer)? {
         0 => Err(D::Error::custom("0 is too few; write a whole number of 1 or above")),
         count => Ok(count),
+    }
+}
+
+/// A count from 1 to `MOST`.
+///
+/// # Errors
+/// Outside that, or not whole.
+pub fn count_up_to<'de, const MOST: u32, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    match u32::deserialize(deserializer)? {
+        0 => Err(D::Error::custom(format!("0 is too few; write a whole number from 1 to {MOST}"))),
+        count if count > MOST => {
+            Err(D::Error::custom(format!("{count} is too many; write a whole number from 1 to {MOST}")))
+        }
+        count => Ok(count),
+    }
+}
+
+/// The length of a physics step, s: [`MIN_DT`] or above.
+///
+/// # Errors
+/// Not [`positive`], or shorter.
+pub fn physics_step<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let value = positive(deserializer)?;
+    if value < MIN_DT {
+        Err(D::Error::custom(format!("{value:e} s is too short; write {MIN_DT:e} or above")))
+    } else {
+        Ok(value)
+    }
+}
+
+/// A [`range`] of commands, within [`MAX_COMMAND`].
+///
+/// # Errors
+/// As [`range`], or an end beyond it.
+pub fn command_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    let ends = range(deserializer)?;
+    match ends.iter().find(|end| end.abs() > MAX_COMMAND) {
+        None => Ok(ends),
+        Some(end) => Err(D::Error::custom(format!(
+            "the end {end:e} is beyond {MAX_COMMAND}; write ends from -{MAX_COMMAND} to {MAX_COMMAND}"
+        ))),
     }
 }

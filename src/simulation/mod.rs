@@ -28,10 +28,11 @@ pub use options::{Precision, SimulationError, SimulationOptions};
 pub use parameters::LinkId;
 pub use queries::{LinkPoses, LinkVelocities};
 
+use crate::bounds::{BYTES_PER_LINK, check_num_envs};
 use crate::config::EngineKind;
 use crate::dynamics::{ContactSettings, Plane, Simd, State, StepSettings};
 use crate::robot::{UNLIMITED, Warning};
-use crate::rows::Workers;
+use crate::rows::{Workers, packs_of};
 use options::argument;
 use packs::{Actuation, JointField, Packs};
 use robot::Robot;
@@ -105,8 +106,13 @@ impl Simulation {
             default_qpos.extend([1.0, 0.0, 0.0, 0.0]);
         }
         default_qpos.extend(&robot.default_position);
-        let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
-        let workers = Workers::new(threads, simd);
+        let bytes = BYTES_PER_LINK * robot.topology.num_links();
+        check_num_envs(options.num_envs, bytes).map_err(|(problem, remedy)| argument("num_envs", problem, remedy))?;
+        let pieces = match (options.engine(), options.precision) {
+            (EngineKind::Articulated, Precision::Single) => packs_of(options.num_envs),
+            _ => options.num_envs,
+        };
+        let workers = Workers::for_pieces(options.threads, pieces, simd);
         let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
         let packs = match (options.engine(), options.precision) {
             (EngineKind::Avian, _) => avian::packs(&robot, &settings, options.avian_substeps, n, workers.threads())?,

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::avian::SUBSTEPS;
+use crate::bounds::{MAX_ENVS, MIN_DT};
 use crate::config::{ConfigError, EngineKind};
 use crate::dynamics::lanes::SimdError;
 use crate::dynamics::{SWEEPS, Simd};
@@ -26,7 +27,7 @@ pub struct SimulationOptions {
     pub robot: String,
     /// Number of envs, one robot each. Default: 1.
     pub num_envs: usize,
-    /// Physics step, s. Default: 0.005.
+    /// Physics step, s, at least 1e-6. Default: 0.005.
     pub dt: f64,
     /// Normal of the ground plane through the world's origin, of any length; `None`: no ground. Default: (0, 0, 1).
     pub ground: Option<[f64; 3]>,
@@ -53,7 +54,7 @@ pub struct SimulationOptions {
     pub solver_iterations: usize,
     /// Substeps per physics step of the engine `avian`. Default: 8.
     pub avian_substeps: usize,
-    /// Threads. Default: all cores.
+    /// Threads. Default: all cores. Only as many are made as there are packs of envs.
     pub threads: Option<usize>,
     /// Instruction set in single precision. Default: the fastest one, or what `POLYPOD_SIMD` says.
     pub simd: Option<Simd>,
@@ -98,7 +99,10 @@ impl SimulationOptions {
     }
 
     /// Checks what does not depend on the robot.
-    pub(super) fn validate(&self) -> Result<(), SimulationError> {
+    ///
+    /// # Errors
+    /// Names the first option that is out of its range.
+    pub fn validate(&self) -> Result<(), SimulationError> {
         match self.engine.as_str() {
             "articulated" => {}
             "avian" if self.precision == Precision::Double => {
@@ -114,6 +118,9 @@ impl SimulationOptions {
         if self.num_envs == 0 {
             return Err(argument("num_envs", "0 envs", "pass at least 1"));
         }
+        if self.num_envs > MAX_ENVS {
+            return Err(argument("num_envs", format!("{} envs", self.num_envs), format!("pass at most {MAX_ENVS}")));
+        }
         if self.threads == Some(0) {
             return Err(argument("threads", "0 threads", "pass at least 1, or nothing for all cores"));
         }
@@ -123,16 +130,19 @@ impl SimulationOptions {
         if self.avian_substeps == 0 {
             return Err(argument("avian_substeps", "0 substeps", "pass at least 1"));
         }
-        if !(self.dt > 0.0 && self.dt.is_finite()) {
-            return Err(argument("dt", format!("a step of {} s", self.dt), "pass a positive number of seconds"));
+        if !(self.dt >= MIN_DT && self.dt.is_finite()) {
+            let remedy = format!("pass a positive number of seconds, at least {MIN_DT:e}");
+            return Err(argument("dt", format!("a step of {:e} s", self.dt), remedy));
         }
         if self.gravity.iter().any(|g| !g.is_finite()) {
             return Err(argument("gravity", format!("{:?}", self.gravity), "pass three finite numbers in m/s^2"));
         }
         if let Some(normal) = self.ground
-            && !(normal.iter().all(|x| x.is_finite()) && normal.iter().any(|&x| x != 0.0))
+            // its length must be a number
+            && !normal.iter().map(|x| x * x).sum::<f64>().is_normal()
         {
-            return Err(argument("ground_normal", format!("{normal:?}"), "pass three finite numbers, not all zero"));
+            let remedy = "pass three finite numbers, not all zero; a length of 1 is usual";
+            return Err(argument("ground_normal", format!("{normal:?}"), remedy));
         }
         check_non_negative("friction", &self.friction)?;
         if !(0.0..=1.0).contains(&self.restitution) {

@@ -74,12 +74,19 @@ impl Soak {
             Some(robots) => robots.clone(),
             None => library.robots().map_err(SimError::from)?.into_iter().map(|robot| robot.name).collect(),
         };
-        if robots.is_empty() || self.num_envs < robots.len() || self.minutes == 0 {
-            bail!(
-                "nothing to do: pass at least one minute, and at least one env for each of the {} robots",
-                robots.len()
-            );
+        let least = robots.len().max(1);
+        if self.minutes == 0 {
+            let (problem, remedy) = ("0 minutes".into(), "pass at least 1".into());
+            return Err(SimError::Argument { element: "minutes", problem, remedy }.into());
         }
+        if robots.is_empty() || self.num_envs < least {
+            let problem = format!("{} envs for {} robots", self.num_envs, robots.len());
+            let remedy = format!("pass at least {least}, and at least one robot");
+            return Err(SimError::Argument { element: "num_envs", problem, remedy }.into());
+        }
+        // before anything is printed
+        SimulationOptions { dt: self.dt, threads: self.threads, ..SimulationOptions::new("", self.num_envs) }
+            .validate()?;
         writeln!(
             out,
             "{} envs, {} min simulated in steps of {} ms: random targets over the joints' whole range, at the extremes of \

@@ -1,0 +1,34 @@
+//! Bounds of what a simulation takes: beyond them lies nothing but a mistake.
+
+/// Most envs of a simulation: 2^24. A pack, an env and a row keep their numbers in 32 bits, and 2^24 envs of the smallest robots take
+/// tens of gigabytes.
+pub const MAX_ENVS: usize = 1 << 24;
+/// Most threads of a simulation: more than any machine has cores. Each takes about 2 MB.
+pub const MAX_THREADS: usize = 1024;
+/// Largest magnitude of an action. Policies act within about 10; rewards square differences of actions in single precision.
+pub const MAX_ACTION: f32 = 1e6;
+/// Largest magnitude of a command, m/s or rad/s.
+pub const MAX_COMMAND: f64 = 1e3;
+/// Shortest physics step, s: far below what contacts need, far above where single precision loses the change of a position.
+pub const MIN_DT: f64 = 1e-6;
+/// Most physics steps of a control step; usual are 1 to 20.
+pub const MAX_DECIMATION: u32 = 1000;
+
+/// Bytes that an env of a task takes: 4 to 12 KiB, by robots and task.
+pub(crate) const BYTES_PER_ENV: usize = 8 << 10;
+/// Bytes that a link takes in an env without a task.
+pub(crate) const BYTES_PER_LINK: usize = 256;
+
+/// Whether there may be `num_envs` envs of about `bytes_per_env` bytes: problem and remedy if not.
+///
+/// The allocator is asked for the whole once, ahead of the many small pieces, whose failure would end the process.
+pub(crate) fn check_num_envs(num_envs: usize, bytes_per_env: usize) -> Result<(), (String, String)> {
+    if num_envs > MAX_ENVS {
+        return Err((format!("{num_envs} envs"), format!("ask for at most {MAX_ENVS}")));
+    }
+    let bytes = num_envs.saturating_mul(bytes_per_env);
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let problem = format!("{num_envs} envs take about {} MiB, which this machine does not have", bytes >> 20);
+        (problem, "ask for fewer envs".into())
+    })
+}
