@@ -18,6 +18,8 @@ from polypod import _core
 
 _arg = functools.partial(tyro.conf.arg, help_behavior_hint="")
 
+MAX_THREADS = 1024
+
 Name = Annotated[str | None, _arg(metavar="NAME")]
 Count = Annotated[int | None, _arg(metavar="N")]
 Robots = Annotated[str | None, _arg(aliases=("--quadrupeds",), metavar="A,B,C")]
@@ -306,6 +308,9 @@ def main(arguments: Sequence[str]) -> int:
     after SIGHUP.
     """
     try:
+        for argument in arguments:
+            if not _is_text(argument):
+                raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
         command = tyro.cli(
             Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments) or ["--help"]
         )
@@ -333,6 +338,14 @@ def main(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         print("polypod: this is a bug; please report the lines above and the command", file=sys.stderr)
         return 1
+
+
+def _is_text(argument: str) -> bool:
+    try:
+        argument.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _drop_output() -> None:
@@ -419,7 +432,7 @@ def _train(command: Train) -> int:
             run_name=command.run_name,
             log_dir=command.log_dir,
             device=command.device,
-            threads=_positive(command.threads, "--threads"),
+            threads=_threads(command.threads, "--threads"),
             overrides=list(command.set),
         )
     )
@@ -431,7 +444,7 @@ def _eval(command: Eval) -> int:
     from polypod.evaluation import evaluate_checkpoints, plot, summarize
     from polypod.training.report import Reporter
 
-    threads = _positive(command.threads, "--threads")
+    threads = _threads(command.threads, "--threads")
     if threads is not None:
         torch.set_num_threads(threads)
     if not command.checkpoint:
@@ -522,7 +535,7 @@ def _play(command: Play) -> int:
             headless=command.headless,
             port=command.port,
             seed=command.seed,
-            threads=_positive(command.threads, "--threads"),
+            threads=_threads(command.threads, "--threads"),
             overrides=list(command.set),
         )
     )
@@ -600,15 +613,15 @@ def _bench(command: Bench) -> int:
 
     for value, flag in (
         (command.num_envs, "--num-envs"),
-        (command.threads, "--threads"),
         (command.largest, "--largest"),
     ):
         _positive(value, flag)
+    _threads(command.threads, "--threads")
     options = bench.Options(
         robot=command.robot,
         num_envs=command.num_envs,
         threads=command.threads,
-        step_threads=_positive(command.step_threads, "--step-threads"),
+        step_threads=_threads(command.step_threads, "--step-threads"),
         seed=command.seed,
         quick=command.quick,
         largest=command.largest,
@@ -640,8 +653,14 @@ def _names(text: str | None) -> list[str] | None:
 
 
 def _positive(value: int | None, flag: str) -> int | None:
-    if value is not None and value < 1:
-        raise _core.ConfigError(f"{flag} {value} must be at least 1")
+    if value is not None and not 1 <= value < 2**31:
+        raise _core.ConfigError(f"{flag} {value} must be at least 1 and less than 2^31")
+    return value
+
+
+def _threads(value: int | None, flag: str) -> int | None:
+    if value is not None and not 1 <= value <= MAX_THREADS:
+        raise _core.ConfigError(f"{flag} {value} must be from 1 to {MAX_THREADS}; leave it out for one per core")
     return value
 
 

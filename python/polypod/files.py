@@ -16,6 +16,8 @@ from typing import Any, BinaryIO
 
 from polypod import _core
 
+ENDLESS = 64 << 20
+"""Bytes that are read of what is not a regular file, at most."""
 _PROCESS = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/[^/]+/fd/\d+")
 """Names of what this process has open already, maybe a file that the shell also writes to."""
 _TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
@@ -23,15 +25,18 @@ _TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """A file's bytes, of which there may be `limit`; devices and pipes that never end are refused as well.
+    """A file's bytes, of which there may be `limit`, and `ENDLESS` of a device or a pipe, which need not end.
 
     Raises:
         OSError: where it cannot be read.
         ConfigError: where there are more.
     """
     with path.open("rb") as file:
-        data = file.read(limit + 1)
-    if len(data) > limit:
+        state = os.fstat(file.fileno())
+        if not stat.S_ISREG(state.st_mode):
+            limit = min(limit, ENDLESS)
+        data = b"" if state.st_size > limit else file.read(limit + 1)
+    if max(len(data), state.st_size) > limit:
         raise _core.ConfigError(
             f"{path} has more than {limit >> 20} MiB, too many for what it should be; choose another file"
         )
