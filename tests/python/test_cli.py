@@ -15,6 +15,7 @@ import tyro
 
 import polypod
 import polypod.cli
+from common import FLAT_POLICY
 
 QUICK = ("--num-envs", "64", "--max-iterations", "2", "--logger", "none", "--set", "sim.episode_length_s=1.0")
 
@@ -226,3 +227,32 @@ def test_check_wants_folders_by_name(main):
     code, _, errors = main("check", "robot.urdf", "--package-dir", "folder")
     assert code == 2
     assert "NAME=DIR" in errors
+
+
+def test_without_arguments_there_is_help(main):
+    code, output, _ = main()
+    assert code == 0
+    assert "train" in output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("eval", "--task", "velocity_flat"), "takes observations of 83 numbers, and the task gives 48"),
+        (("eval", "--seed", "-1"), "--seed -1 must be from 0"),
+        (("eval", "--seed", "18446744073709551616"), "--seed 18446744073709551616"),
+        (("eval", "--grid", "100000", "100000", "100000"), "more than 1,000,000 commands"),
+        (("play", "--port", "99999"), "--port 99999 must be from 0 to 65535"),
+        (("play", "--video", "a.gif", "--size", "100000", "100000"), "from 16 to 4096 pixels"),
+        (("sim2sim", "--dt", "nan"), "--dt nan must be from"),
+        (("sim2sim", "--dt", "inf"), "--dt inf must be from"),
+        (("sim2sim", "--friction", "nan"), "--friction nan must be from"),
+        (("sim2sim", "--command", "nan", "0", "0"), "finite"),
+    ],
+)
+def test_options_out_of_range(main, arguments, said):
+    command, *options = arguments
+    code, _, errors = main(command, "--checkpoint", str(FLAT_POLICY), *options)
+    assert code == 2
+    assert said in errors
+    assert errors.count("\n") == 1
