@@ -1,6 +1,9 @@
 //! Errors as Python exceptions: each is also the standard exception that a Python user would expect.
 
-use pyo3::exceptions::{PyException, PyKeyError, PyTypeError, PyValueError};
+use std::ops::{Deref, DerefMut};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use pyo3::exceptions::{PyException, PyKeyError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple, PyType};
@@ -91,6 +94,99 @@ pub(super) fn simulation_error(py: Python<'_>, error: SimulationError) -> PyErr 
 
 fn config_class<'a>(all: &'a Exceptions, error: &ConfigError) -> &'a Py<PyType> {
     if error.kind == ConfigErrorKind::UnknownName { &all.unknown_name } else { &all.config }
+}
+
+/// A whole number of any size; beyond 128 bits the nearest of those.
+pub(super) fn whole(value: &Bound<'_, PyAny>) -> PyResult<i128> {
+    value.extract().or_else(|error: PyErr| {
+        if !error.is_instance_of::<PyOverflowError>(value.py()) {
+            return Err(error);
+        }
+        Ok(if value.lt(0)? { i128::MIN } else { i128::MAX })
+    })
+}
+
+/// The same or `None`.
+pub(super) fn optional_whole(value: &Bound<'_, PyAny>) -> PyResult<Option<i128>> {
+    if value.is_none() { Ok(None) } else { whole(value).map(Some) }
+}
+
+/// A number as Rust counts, or a `ConfigError` that names the argument.
+pub(super) fn unsigned<T: TryFrom<i128>>(py: Python<'_>, element: &'static str, value: i128) -> PyResult<T> {
+    T::try_from(value).map_err(|_| {
+        let remedy = if value < 0 { "pass no negative number" } else { "pass a smaller number" };
+        to_python(
+            py,
+            SimError::Argument { element, problem: format!("{value} is out of range"), remedy: remedy.into() },
+        )
+    })
+}
+
+/// A simulation, and what it panicked with if it did: it is then half changed and of no further use.
+pub(super) struct Guarded<S> {
+    sim: S,
+    fault: Option<String>,
+}
+
+impl<S: Send> Guarded<S> {
+    /// Makes one without the interpreter's lock.
+    pub(super) fn new<E: Send>(
+        py: Python<'_>,
+        make: impl FnOnce() -> Result<S, E> + Send,
+        exception: impl FnOnce(Python<'_>, E) -> PyErr,
+    ) -> PyResult<Self> {
+        let sim = py.detach(|| caught(make)).map_err(|fault| fault_exception(py, &fault))?;
+        Ok(Self { sim: sim.map_err(|error| exception(py, error))?, fault: None })
+    }
+
+    /// Whether it may be used still.
+    pub(super) fn check(&self, py: Python<'_>) -> PyResult<()> {
+        match &self.fault {
+            None => Ok(()),
+            Some(fault) => Err(fault_exception(py, &format!("this simulation has stopped for good: {fault}"))),
+        }
+    }
+
+    /// Works with it without the interpreter's lock. A panic is a fault of polypod: it becomes an exception, as does any use after it.
+    pub(super) fn run<T: Send>(&mut self, py: Python<'_>, f: impl FnOnce(&mut S) -> T + Send) -> PyResult<T> {
+        self.check(py)?;
+        let Self { sim, fault } = self;
+        py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.insert(message)))
+    }
+}
+
+impl<S> Deref for Guarded<S> {
+    type Target = S;
+
+    fn deref(&self) -> &S {
+        &self.sim
+    }
+}
+
+impl<S> DerefMut for Guarded<S> {
+    fn deref_mut(&mut self) -> &mut S {
+        &mut self.sim
+    }
+}
+
+/// What `f` returns, or the message that it panics with.
+fn caught<T>(f: impl FnOnce() -> T) -> Result<T, String> {
+    catch_unwind(AssertUnwindSafe(f)).map_err(|panic| match panic.downcast::<String>() {
+        Ok(message) => *message,
+        Err(panic) => panic.downcast_ref::<&str>().map_or_else(|| "no message".into(), ToString::to_string),
+    })
+}
+
+fn fault_exception(py: Python<'_>, fault: &str) -> PyErr {
+    match exceptions(py) {
+        Ok(all) => {
+            let fault = fault.replace('\n', " ");
+            let message =
+                format!("{fault}; this is a fault of polypod: make the simulation anew, and please report it");
+            PyErr::from_type(all.polypod.bind(py).clone(), message)
+        }
+        Err(error) => error,
+    }
 }
 
 /// A `TypeError`.

@@ -9,7 +9,7 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use super::exceptions::{simulation_error, type_error, value_error};
+use super::exceptions::{Guarded, optional_whole, simulation_error, type_error, unsigned, value_error, whole};
 use super::vec_sim::tuple;
 use polypod::AVIAN_SUBSTEPS;
 use polypod::dynamics::{SWEEPS, Simd};
@@ -17,7 +17,7 @@ use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, Simul
 
 #[pyclass(module = "polypod._core")]
 pub(super) struct Simulation {
-    sim: Inner,
+    sim: Guarded<Inner>,
 }
 
 type Array<'py> = PyResult<Bound<'py, PyArrayDyn<f64>>>;
@@ -65,12 +65,20 @@ fn env_indices(value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Vec<usize>>>
 }
 
 /// A name or an index.
-fn with_link<T>(link: &Bound<'_, PyAny>, f: impl FnOnce(LinkId<'_>) -> Result<T, SimulationError>) -> PyResult<T> {
+fn with_link<T>(
+    link: &Bound<'_, PyAny>,
+    num_links: usize,
+    f: impl FnOnce(LinkId<'_>) -> Result<T, SimulationError>,
+) -> PyResult<T> {
     let py = link.py();
     let result = if let Ok(name) = link.extract::<String>() {
         f(LinkId::Name(&name))
-    } else if let Ok(index) = link.extract::<i64>() {
-        f(LinkId::Index(usize::try_from(index).unwrap_or(usize::MAX)))
+    } else if let Ok(index) = whole(link) {
+        let not_there = || {
+            let remedy = format!("the links are 0 to {}, in the order of link_names", num_links - 1);
+            SimulationError::Argument { element: "link", problem: format!("there is no link {index}"), remedy }
+        };
+        usize::try_from(index).map_err(|_| not_there()).and_then(|index| f(LinkId::Index(index)))
     } else {
         return Err(type_error(format!("link: a {}; pass a name or an index", link.get_type().name()?)));
     };
@@ -95,7 +103,7 @@ impl Simulation {
 
 fn options(
     robot: PathBuf,
-    num_envs: i64,
+    num_envs: usize,
     ground: Option<&str>,
     ground_normal: [f64; 3],
     friction: &Bound<'_, PyAny>,
@@ -107,8 +115,6 @@ fn options(
     let config = |element, problem: String, remedy: &str| {
         simulation_error(py, SimulationError::Argument { element, problem, remedy: remedy.into() })
     };
-    let num_envs =
-        usize::try_from(num_envs).map_err(|_| config("num_envs", format!("{num_envs} envs"), "pass at least 1"))?;
     let friction = match numbers("friction", friction, &[vec![], vec![2]])?[..] {
         [both] => [both, both],
         [sticking, sliding, ..] => [sticking, sliding],
@@ -159,7 +165,7 @@ impl Simulation {
     fn new(
         py: Python<'_>,
         robot: PathBuf,
-        num_envs: i64,
+        #[pyo3(from_py_with = whole)] num_envs: i128,
         dt: f64,
         ground: Option<&str>,
         gravity: [f64; 3],
@@ -171,14 +177,15 @@ impl Simulation {
         armature: Option<Bound<'_, PyAny>>,
         self_collision: Option<bool>,
         ground_normal: [f64; 3],
-        solver_iterations: usize,
-        avian_substeps: usize,
-        threads: Option<usize>,
+        #[pyo3(from_py_with = whole)] solver_iterations: i128,
+        #[pyo3(from_py_with = whole)] avian_substeps: i128,
+        #[pyo3(from_py_with = optional_whole)] threads: Option<i128>,
         simd: Option<&str>,
         dtype: Option<Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let friction = friction.map_or_else(|| Ok(1.0_f64.into_pyobject(py)?.into_any()), PyResult::Ok)?;
         let dtype = dtype.map_or_else(|| Ok("float32".into_pyobject(py)?.into_any()), PyResult::Ok)?;
+        let num_envs = unsigned(py, "num_envs", num_envs)?;
         let given = options(robot, num_envs, ground, ground_normal, &friction, armature.as_ref(), &dtype, simd)?;
         let options = SimulationOptions {
             dt,
@@ -188,12 +195,12 @@ impl Simulation {
             package_dirs,
             restitution,
             self_collision,
-            solver_iterations,
-            avian_substeps,
-            threads,
+            solver_iterations: unsigned(py, "solver_iterations", solver_iterations)?,
+            avian_substeps: unsigned(py, "avian_substeps", avian_substeps)?,
+            threads: threads.map(|threads| unsigned(py, "threads", threads)).transpose()?,
             ..given
         };
-        let sim = py.detach(|| Inner::new(&options)).map_err(|error| simulation_error(py, error))?;
+        let sim = Guarded::new(py, || Inner::new(&options), simulation_error)?;
         if options.is_urdf_path() {
             for warning in sim.warnings() {
                 let message = CString::new(warning.to_string().replace('\0', " "))?;
@@ -298,7 +305,7 @@ impl Simulation {
         let qpos = Self::optional("qpos", qpos.as_ref(), &shapes(self.sim.nq()))?;
         let qvel = Self::optional("qvel", qvel.as_ref(), &shapes(self.sim.nv()))?;
         self.sim
-            .set_state(ids.as_deref(), qpos.as_deref(), qvel.as_deref())
+            .run(py, |sim| sim.set_state(ids.as_deref(), qpos.as_deref(), qvel.as_deref()))?
             .map_err(|error| simulation_error(py, error))
     }
 
@@ -329,8 +336,7 @@ impl Simulation {
             implicit,
         };
         let n = usize::try_from(n).unwrap_or(0);
-        let sim = &mut self.sim;
-        py.detach(|| sim.step(&control, n)).map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.step(&control, n))?.map_err(|error| simulation_error(py, error))
     }
 
     fn link_pose<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
@@ -379,7 +385,7 @@ impl Simulation {
 
     #[pyo3(signature = (link, point=[0.0, 0.0, 0.0]))]
     fn jacobian<'py>(&self, py: Python<'py>, link: Bound<'py, PyAny>, point: [f64; 3]) -> Array<'py> {
-        let rows = with_link(&link, |link| self.sim.jacobian(link, point))?;
+        let rows = with_link(&link, self.sim.num_links(), |link| self.sim.jacobian(link, point))?;
         array(py, rows, &[self.sim.num_envs(), 6, self.sim.nv()])
     }
 
@@ -410,9 +416,10 @@ impl Simulation {
         mass: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
+        self.sim.check(link.py())?;
         let ids = env_indices(env_ids.as_ref())?;
         let mass = numbers("mass", &mass, &[vec![], vec![self.count(ids.as_ref())]])?;
-        with_link(&link, |link| self.sim.set_mass(ids.as_deref(), link, &mass))
+        with_link(&link, self.sim.num_links(), |link| self.sim.set_mass(ids.as_deref(), link, &mass))
     }
 
     #[pyo3(signature = (link, com, env_ids=None))]
@@ -422,9 +429,10 @@ impl Simulation {
         com: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
+        self.sim.check(link.py())?;
         let ids = env_indices(env_ids.as_ref())?;
         let com = numbers("com", &com, &[vec![3], vec![self.count(ids.as_ref()), 3]])?;
-        with_link(&link, |link| self.sim.set_com(ids.as_deref(), link, &com))
+        with_link(&link, self.sim.num_links(), |link| self.sim.set_com(ids.as_deref(), link, &com))
     }
 
     #[pyo3(signature = (link, inertia, env_ids=None))]
@@ -434,12 +442,13 @@ impl Simulation {
         inertia: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
+        self.sim.check(link.py())?;
         let ids = env_indices(env_ids.as_ref())?;
         let n = self.count(ids.as_ref());
         let given = numbers("inertia", &inertia, &[vec![6], vec![n, 6], vec![3, 3], vec![n, 3, 3]])?;
         let last: usize = inertia.py().import("numpy")?.call_method1("shape", (&inertia,))?.get_item(-1)?.extract()?;
         let inertia = if last == 6 { given } else { from_matrices(&given)? };
-        with_link(&link, |link| self.sim.set_inertia(ids.as_deref(), link, &inertia))
+        with_link(&link, self.sim.num_links(), |link| self.sim.set_inertia(ids.as_deref(), link, &inertia))
     }
 
     #[pyo3(signature = (r#static, dynamic=None, env_ids=None))]
@@ -450,6 +459,7 @@ impl Simulation {
         dynamic: Option<Bound<'_, PyAny>>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
+        self.sim.check(py)?;
         let ids = env_indices(env_ids.as_ref())?;
         let shapes = [vec![], vec![self.count(ids.as_ref())]];
         let sticking = numbers("static", &r#static, &shapes)?;
@@ -467,6 +477,7 @@ impl Simulation {
         kd: Option<Bound<'_, PyAny>>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
+        self.sim.check(py)?;
         let ids = env_indices(env_ids.as_ref())?;
         let shapes = self.of_joints(self.count(ids.as_ref()));
         let kp = Self::optional("kp", kp.as_ref(), &shapes)?;
@@ -481,18 +492,19 @@ impl Simulation {
         armature: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
+        self.sim.check(py)?;
         let ids = env_indices(env_ids.as_ref())?;
         let armature = numbers("armature", &armature, &self.of_joints(self.count(ids.as_ref())))?;
         self.sim.set_armature(ids.as_deref(), &armature).map_err(|error| simulation_error(py, error))
     }
 
-    fn snapshot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = py.detach(|| self.sim.snapshot()).map_err(|error| simulation_error(py, error))?;
+    fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = self.sim.run(py, |sim| sim.snapshot())?.map_err(|error| simulation_error(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
     fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
-        self.sim.restore(data).map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| simulation_error(py, error))
     }
 }
 

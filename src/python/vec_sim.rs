@@ -10,7 +10,7 @@ use numpy::{
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
-use super::exceptions::{to_python, type_error, value_error};
+use super::exceptions::{Guarded, optional_whole, to_python, type_error, unsigned, value_error, whole};
 use super::terrain;
 use polypod::app::{Sim, SimOptions};
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
@@ -35,7 +35,7 @@ struct Arrays {
 
 #[pyclass(module = "polypod._core")]
 pub(super) struct VecSim {
-    sim: Sim,
+    sim: Guarded<Sim>,
     arrays: Arrays,
 }
 
@@ -141,18 +141,21 @@ impl VecSim {
     fn new(
         py: Python<'_>,
         task: String,
-        num_envs: usize,
+        #[pyo3(from_py_with = whole)] num_envs: i128,
         robots: Option<Vec<String>>,
-        seed: u64,
-        threads: Option<usize>,
+        #[pyo3(from_py_with = whole)] seed: i128,
+        #[pyo3(from_py_with = optional_whole)] threads: Option<i128>,
         overrides: Vec<String>,
         autoreset: &str,
         dump_dir: Option<PathBuf>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
+        let num_envs = unsigned(py, "num_envs", num_envs)?;
+        let seed = unsigned(py, "seed", seed)?;
+        let threads = threads.map(|threads| unsigned(py, "threads", threads)).transpose()?;
         let options =
             SimOptions { robots, seed, threads, overrides, autoreset, dump_dir, ..SimOptions::new(task, num_envs) };
-        let sim = py.detach(|| Sim::new(&options)).map_err(|error| to_python(py, error))?;
+        let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
         let num_obs = sim.batch().num_obs;
         let matrix = |width: usize| PyArray2::<f32>::zeros(py, [num_envs, width], false).unbind();
         let flags = || PyArray1::<bool>::zeros(py, num_envs, false).unbind();
@@ -279,12 +282,17 @@ impl VecSim {
     }
 
     #[pyo3(signature = (seed=None, mask=None))]
-    fn reset(&mut self, py: Python<'_>, seed: Option<u64>, mask: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+    fn reset(
+        &mut self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = optional_whole)] seed: Option<i128>,
+        mask: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let seed = seed.map(|seed| unsigned(py, "seed", seed)).transpose()?;
         let n = self.sim.num_envs();
         let mask = mask.map(|mask| array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])).transpose()?;
         let mask = mask.as_ref().map(|mask| mask.as_slice()).transpose()?;
-        let sim = &mut self.sim;
-        py.detach(|| sim.reset(seed, mask)).map_err(|error| to_python(py, error))?;
+        self.sim.run(py, |sim| sim.reset(seed, mask))?.map_err(|error| to_python(py, error))?;
         self.publish(py)
     }
 
@@ -292,8 +300,7 @@ impl VecSim {
         let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
         let actions = array::<f32, numpy::Ix2>("actions", actions, "float32", &shape)?;
         let actions = actions.as_slice()?;
-        let sim = &mut self.sim;
-        py.detach(|| sim.step(actions)).map_err(|error| to_python(py, error))?;
+        self.sim.run(py, |sim| sim.step(actions))?.map_err(|error| to_python(py, error))?;
         self.publish(py)
     }
 
@@ -327,6 +334,7 @@ impl VecSim {
     }
 
     fn state<'py>(&mut self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        self.sim.check(py)?;
         let Some(known) = StateField::ALL.into_iter().find(|known| known.name() == field) else {
             let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
             return Err(value_error(format!("field: there is no `{field}`; use one of {}", names.join(", "))));
@@ -337,6 +345,7 @@ impl VecSim {
     }
 
     fn terminate(&mut self, py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.sim.check(py)?;
         let n = self.sim.num_envs();
         let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
         self.sim.terminate(mask.as_slice()?).map_err(|error| to_python(py, error))?;
@@ -393,12 +402,14 @@ impl VecSim {
     }
 
     fn set_episode_length(&mut self, py: Python<'_>, episode_length: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.sim.check(py)?;
         let n = self.sim.num_envs();
         let lengths = array::<i64, numpy::Ix1>("episode_length", episode_length, "int64", &[n])?;
         self.sim.set_episode_lengths(lengths.as_slice()?).map_err(|error| to_python(py, error))
     }
 
     fn set_command(&mut self, py: Python<'_>, command: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        self.sim.check(py)?;
         let n = self.sim.num_envs();
         let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &[n, 3])).transpose()?;
         let command = command.as_ref().map(|c| c.as_slice()).transpose()?;
@@ -444,12 +455,12 @@ impl VecSim {
     }
 
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = self.sim.snapshot().map_err(|error| to_python(py, error))?;
+        let bytes = self.sim.run(py, Sim::snapshot)?.map_err(|error| to_python(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
     fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
-        self.sim.restore(data).map_err(|error| to_python(py, error))?;
+        self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| to_python(py, error))?;
         self.publish(py)
     }
 }

@@ -1,0 +1,133 @@
+"""Numbers out of bounds are `ConfigError`s which name the argument: no crash, no bare `OverflowError`."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import polypod
+from polypod import _core
+
+URDF = Path(__file__).parents[1] / "data/urdf"
+
+
+def refusal(call):
+    with pytest.raises(polypod.ConfigError) as caught:
+        call()
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("number", [-1, 0, 2**31, 2**64, -(2**63) - 1, 2**70])
+@pytest.mark.parametrize("argument", ["num_envs", "threads", "solver_iterations", "avian_substeps"])
+def test_counts_of_a_simulation(argument, number):
+    if argument != "num_envs" and 0 < number < 2**64:
+        pytest.skip("allowed: threads are as many as have work, sweeps take their time")
+    options = {"num_envs": 1, argument: number}
+    message = refusal(lambda: polypod.Simulation(URDF / "biped.urdf", **options))
+    assert message.startswith(f"{argument}: ")
+    assert str(number) in message
+
+
+@pytest.mark.parametrize("number", [-1, 0, 2**31, 2**64, 2**70])
+def test_envs_of_a_task(number):
+    assert refusal(lambda: _core.VecSim("velocity_flat", number)).startswith("num_envs: ")
+
+
+@pytest.mark.parametrize("number", [-1, 0, 2**70])
+def test_threads_of_a_task(number):
+    assert refusal(lambda: _core.VecSim("velocity_flat", 8, threads=number)).startswith("threads: ")
+
+
+def test_seeds_of_a_task():
+    assert refusal(lambda: _core.VecSim("velocity_flat", 8, seed=-1)).startswith("seed: ")
+    sim = _core.VecSim("velocity_flat", 8, seed=2**64 - 1)
+    assert sim.seed == 2**64 - 1
+    assert refusal(lambda: sim.reset(seed=2**64)).startswith("seed: ")
+    sim.reset(seed=3)
+    assert sim.seed == 3
+
+
+def test_threads_are_no_more_than_have_work():
+    assert _core.VecSim("velocity_flat", 8, threads=100_000).threads <= 8
+    assert polypod.Simulation(URDF / "biped.urdf", 3, threads=100_000).threads <= 3
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.uint8, np.int32])
+def test_numpy_integers_are_integers(dtype):
+    assert polypod.Simulation(URDF / "biped.urdf", dtype(2), threads=dtype(1)).num_envs == 2
+    assert _core.VecSim("velocity_flat", dtype(8), threads=dtype(1), seed=dtype(5)).seed == 5
+
+
+def test_other_types_are_type_errors():
+    with pytest.raises(TypeError, match="threads"):
+        polypod.Simulation(URDF / "biped.urdf", 1, threads=1.5)
+    with pytest.raises(TypeError, match="num_envs"):
+        _core.VecSim("velocity_flat", "8")
+
+
+def test_actions_that_make_rewards_infinite_change_nothing():
+    sim = _core.VecSim("velocity_flat", 8)
+    before = sim.snapshot()
+    actions = np.zeros((8, sim.num_actions), np.float32)
+    actions[3, 5] = 1e19
+    message = refusal(lambda: sim.step(actions))
+    assert message.startswith("actions: ")
+    assert "env 3" in message
+    assert "LH_HFE" in message
+    assert sim.snapshot() == before
+    actions[3, 5] = 1e6
+    sim.step(actions)
+    assert np.isfinite(sim.reward).all()
+
+
+def test_links_that_are_not_there():
+    sim = polypod.Simulation(URDF / "biped.urdf")
+    message = refusal(lambda: sim.set_mass(-1, 1.0))
+    assert "no link -1" in message
+    assert "0 to 6" in message
+    message = refusal(lambda: sim.set_mass(7, 1.0))
+    assert "no link 7" in message
+    assert "0 to 6" in message
+
+
+def test_a_normal_without_length():
+    message = refusal(lambda: polypod.Simulation(URDF / "biped.urdf", ground_normal=(1e-300, 0, 0)))
+    assert message.startswith("ground_normal: ")
+
+
+def test_a_name_without_letters():
+    with pytest.raises(polypod.ConfigError, match="name"):
+        _core.draft_robot(Path(__file__).parents[2] / "assets/robots/unitree_a1/robot.urdf", name="")
+
+
+STARVED = """
+import resource
+
+import polypod
+from polypod import _core
+
+size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (size + (400 << 20),) * 2)
+try:
+    _core.VecSim("velocity_flat", 8192, robots=["unitree_a1"], threads=1024)
+except polypod.PolypodError as error:
+    print("refused:", error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+def test_a_panic_is_an_exception_of_polypod():
+    """Threads that the machine does not give are a panic of the thread pool."""
+    # a backtrace takes memory that there is no more
+    env = {**os.environ, "RUST_BACKTRACE": "0"}
+    command = [sys.executable, "-c", STARVED]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False, env=env)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("refused: ")
+    assert "please report" in result.stdout
+    assert result.stdout.count("\n") == 1
