@@ -50,7 +50,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], dict[str, list[str]]]] = {
         | {"--json": OUTPUTS, "--plot": OUTPUTS},
     ),
     "export": (
-        (*CHECKPOINT, "--formats", "onnx"),
+        (*CHECKPOINT, "--formats", "onnx", "--out", "out"),
         {"--checkpoint": FILES, "--out": OUTPUTS, "--robots": NAMES, "--formats": NAMES},
     ),
     "play": (
