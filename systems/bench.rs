@@ -8,7 +8,7 @@ use crate::dynamics::{Drive, Lanes, Parameters, Real, Report, State, Workspace};
 use crate::morphology::MorphologyModel;
 
 /// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
-pub(super) struct Bench<L> {
+pub(super) struct Bench<L: Real> {
     /// Where the envs' origins are on the terrain, m.
     pub(super) origin: [L; 2],
     /// Of a body as the morphology has it.

@@ -38,7 +38,7 @@ struct Bodies<L> {
 }
 
 /// Where a thread steps packs.
-struct Scratch<L> {
+struct Scratch<L: Kernels> {
     /// Of each morphology.
     benches: Vec<Bench<L>>,
     line_up: LineUp,

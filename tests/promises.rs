@@ -43,6 +43,7 @@ mod robot_assets_match_the_facts;
 mod robot_loader_traps;
 mod robot_roles_from_geometry;
 mod robots_stand_on_their_feet;
+mod robots_that_run_away_stay_in_their_lane;
 mod rough_terrain_is_one_terrain;
 mod seeds_decide_the_draws;
 mod self_collision_keeps_links_apart;

@@ -18,7 +18,7 @@ use super::parameters::Parameters;
 use super::state::{LinkState, State, Workspace};
 
 /// A body (or a pack of bodies) in a state, to be asked for its dynamics.
-pub struct Dynamics<'a, S> {
+pub struct Dynamics<'a, S: Real> {
     /// What the lanes share.
     pub topology: &'a Topology,
     /// The bodies.

@@ -210,18 +210,22 @@ pub fn build_contacts<S: Real, B: BodyNumbers<S>>(
             highest = margin + bound - S::splat(plane.offset);
         }
         let below = half[0].mul_add(up[0].abs(), half[1].mul_add(up[1].abs(), half[2] * up[2].abs()));
-        if !S::any((origin_height + dot(&up, &centre) - below).lt(highest)) {
+        // what a lane is told by here it must be told by in every pack, whether its neighbours look closer or not
+        let link_near = (origin_height + dot(&up, &centre) - below).lt(highest);
+        if !S::any(link_near) {
             continue;
         }
         for c in candidates {
             // whichever way its rim points
             let reach = parameters.contact_radius(c) + parameters.contact_rim(c);
             let lowest = origin_height + dot(&up, &parameters.contact_position(c)) - reach;
-            if !S::any(lowest.lt(highest)) {
+            let mut may_touch = S::and(link_near, lowest.lt(highest));
+            if !S::any(may_touch) {
                 continue;
             }
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
-            if !S::any(gap.lt(highest)) {
+            may_touch = S::and(may_touch, gap.lt(highest));
+            if !S::any(may_touch) {
                 continue;
             }
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius(c));
@@ -230,7 +234,7 @@ pub fn build_contacts<S: Real, B: BodyNumbers<S>>(
             if let Some(terrain) = terrain {
                 let place = world_place(&frame, &state.position, &centre);
                 let bound = terrain.bound(Near::Candidate, place[0], place[1], radius + margin);
-                let may_touch = gap.lt(margin + bound - S::splat(plane.offset));
+                may_touch = S::and(may_touch, gap.lt(margin + bound - S::splat(plane.offset)));
                 if !S::any(may_touch) {
                     continue;
                 }
@@ -244,7 +248,7 @@ pub fn build_contacts<S: Real, B: BodyNumbers<S>>(
             }
             let now = dot(&axes_here[0], &at.velocity.plus(&base).at(&centre));
             let free = dot(&axes_here[0], &at.free_velocity.plus(free_base).at(&centre));
-            let near = gap.lt(reach_in_step(CONTACT_REACH, now, free, dt).min(margin));
+            let near = S::and(may_touch, gap.lt(reach_in_step(CONTACT_REACH, now, free, dt).min(margin)));
             if !S::any(near) {
                 continue;
             }
@@ -331,11 +335,10 @@ pub fn build_bounds<S: Real, B: BodyNumbers<S>>(
     let blocks = bounds.iter_mut().zip(topology.blocks()).zip(bound_further.chunks_exact_mut(*stride));
     for (b, ((block, shape), further)) in blocks.enumerate() {
         (block.limits, block.active) = (false, false);
-        let mut near = [S::zero().lt(S::zero()); BLOCK];
         for place in 0..shape.len {
             let (j, row) = (shape.joints[place], &mut block.joints[place]);
-            near[place] = near_bounds(parameters, dt, state, j, free[b][place]);
-            row.limits = S::any(near[place]);
+            row.near = near_bounds(parameters, dt, state, j, free[b][place]);
+            row.limits = S::any(row.near);
             row.rubs = S::any(S::zero().lt(parameters.joint_friction(j)));
             block.limits |= row.limits;
             block.active |= row.takes_part();
@@ -349,7 +352,7 @@ pub fn build_bounds<S: Real, B: BodyNumbers<S>>(
             // of both together as much as friction can
             row.friction_impulse = state.bound_impulse[j].clamp(-row.max_friction, row.max_friction);
             if block.limits {
-                joint_limits(parameters, settings, inverse_dt, state, j, near[place], row, violation);
+                joint_limits(parameters, settings, inverse_dt, state, j, row, violation);
             }
         }
         for place in shape.len..BLOCK {
@@ -379,7 +382,7 @@ fn near_bounds<S: Real, B: BodyNumbers<S>>(parameters: B, dt: S, state: &State<S
     S::or(position, (fastest * S::splat(SPEED_MARGIN)).lt(speed))
 }
 
-/// What the limits of a joint ask for, in the lanes that are `near` them.
+/// What the limits of a joint ask for, in the lanes that are near them.
 #[inline(always)]
 fn joint_limits<S: Real, B: BodyNumbers<S>>(
     parameters: B,
@@ -387,11 +390,10 @@ fn joint_limits<S: Real, B: BodyNumbers<S>>(
     inverse_dt: S,
     state: &State<S>,
     j: usize,
-    near: S::Mask,
     row: &mut BoundRow<S>,
     violation: &mut S,
 ) {
-    let (z, never) = (S::zero(), S::splat(NEVER));
+    let (z, never, near) = (S::zero(), S::splat(NEVER), row.near);
     (row.lowest, row.highest, row.limit_impulse, row.push_impulse) = (never, -never, z, z);
     if row.limits {
         let (q, fastest) = (state.joint_position[j], parameters.velocity_limit(j));
@@ -462,14 +464,14 @@ fn note_demands<S: Real>(topology: &Topology, work: &ContactWork<S>, demands: &m
     demands.fill(S::zero());
     for row in work.contacts() {
         for &body in bodies(topology, row.contact) {
-            demands[body] = S::select(row.takes_part(), one, demands[body]);
+            demands[body] = S::select(row.near, one, demands[body]);
         }
     }
     let (_, blocks) = demands.split_at_mut(topology.num_bodies);
     for (block, demand) in work.bounds.iter().zip(&mut *blocks) {
         for row in &block.joints {
             if row.limits {
-                *demand = S::select(row.is_bounded(), one, *demand);
+                *demand = S::select(row.near, one, *demand);
             }
         }
     }
@@ -503,13 +505,13 @@ fn sum_forces<S: Real>(
         if let Some(pair) = topology.pair_of(row.contact) {
             let frame = in_world(base_rotation, &work.pair_frames[c - on_ground]);
             let [first, second] = pair.bodies;
-            add_force(&mut force[first], &frame, &f);
-            add_force(&mut force[second], &frame, &scale(&f, -S::one()));
+            add_force(&mut force[first], &frame, row.near, &f);
+            add_force(&mut force[second], &frame, row.near, &scale(&f, -S::one()));
         } else {
             let body = topology.contacts[row.contact].body;
             match work.ground_frames.get(c) {
-                Some(frame) => add_force(&mut force[body], &in_world(base_rotation, frame), &f),
-                None => add_force(&mut force[body], &ground, &f),
+                Some(frame) => add_force(&mut force[body], &in_world(base_rotation, frame), row.near, &f),
+                None => add_force(&mut force[body], &ground, row.near, &f),
             }
         }
     }
@@ -521,9 +523,14 @@ fn in_world<S: Real>(base_rotation: &Mat3<S>, frame: &[Vec3<S>; 3]) -> [Vec3<S>;
     [mul_vec(base_rotation, &frame[0]), mul_vec(base_rotation, &frame[1]), mul_vec(base_rotation, &frame[2])]
 }
 
+/// Adds a force along axes, in the lanes that are `near`: in others the axes may be no numbers.
 #[inline(always)]
-fn add_force<S: Real>(sum: &mut Vec3<S>, frame: &[Vec3<S>; 3], f: &[S; 3]) {
+fn add_force<S: Real>(sum: &mut Vec3<S>, frame: &[Vec3<S>; 3], near: S::Mask, f: &[S; 3]) {
+    let mut new = *sum;
     for d in 0..3 {
-        *sum = add_scaled(sum, &frame[d], f[d]);
+        new = add_scaled(&new, &frame[d], f[d]);
+    }
+    for (sum, new) in sum.iter_mut().zip(new) {
+        *sum = S::select(near, new, *sum);
     }
 }

@@ -26,7 +26,7 @@ pub trait Real:
     + Neg<Output = Self>
 {
     /// The result of a comparison, one truth value per lane.
-    type Mask: Copy;
+    type Mask: Copy + Send + Sync + std::fmt::Debug;
     /// Number of independent numbers in a value.
     const LANES: usize;
     /// Whether steps of bodies that are alike read the numbers that lanes share from where they are held once. Where that is no

@@ -18,14 +18,16 @@ const SOFTNESS: f64 = 1e-3;
 /// The same between links of one robot. These may press where no joint gives way, which a robot that floats never does
 /// against the ground; the links themselves are ten times as compliant.
 const PAIR_SOFTNESS: f64 = 0.01;
-/// Target speed that keeps an absent contact from ever pushing, m/s.
+/// Target speed of an absent contact, m/s. Robots that run away are faster: what keeps it from pushing is that it is not `near`.
 pub(super) const NEVER: f64 = -1e6;
 
 /// A contact: its normal and two tangents.
 #[derive(Clone, Debug)]
-pub(super) struct ContactRows<S> {
+pub(super) struct ContactRows<S: Real> {
     /// Which impulse it has.
     pub(super) contact: usize,
+    /// The lanes in which it takes part in the step; in all others it has no impulse, whatever the velocities.
+    pub(super) near: S::Mask,
     pub(super) rows: SparseRows<S>,
     /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
     pub(super) coupling: [S; 3],
@@ -56,8 +58,10 @@ pub(super) struct ContactRows<S> {
 /// The bounds of one joint. But for `limits` and `rubs` its numbers mean nothing unless its block takes part, and those of limits
 /// unless any joint of its block is near one.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct BoundRow<S> {
-    /// Whether any lane is near a limit.
+pub(super) struct BoundRow<S: Real> {
+    /// The lanes in which the joint is near a limit; in all others limits have no impulse, whatever the velocities.
+    pub(super) near: S::Mask,
+    /// Whether there are any.
     pub(super) limits: bool,
     /// Whether the joint has dry friction in any lane.
     pub(super) rubs: bool,
@@ -78,6 +82,7 @@ impl<S: Real> BoundRow<S> {
     pub(super) fn free() -> Self {
         let (z, big) = (S::zero(), S::splat(-NEVER));
         Self {
+            near: z.lt(z),
             limits: false,
             rubs: false,
             diagonal: z,
@@ -96,12 +101,6 @@ impl<S: Real> BoundRow<S> {
     pub(super) fn takes_part(&self) -> bool {
         self.limits | self.rubs
     }
-
-    /// The lanes in which the joint is near a limit.
-    #[inline(always)]
-    pub(super) fn is_bounded(&self) -> S::Mask {
-        S::or(S::splat(NEVER).lt(self.lowest), self.highest.lt(S::splat(-NEVER)))
-    }
 }
 
 /// The bounds of a block's joints.
@@ -109,7 +108,7 @@ impl<S: Real> BoundRow<S> {
 /// Which joints share a block is the topology's matter, not that of the moment: the order of operations in a lane must not
 /// depend on its neighbours.
 #[derive(Clone, Debug)]
-pub(super) struct BoundBlock<S> {
+pub(super) struct BoundBlock<S: Real> {
     /// Whether any lane is near a limit of any joint.
     pub(super) limits: bool,
     /// Whether that is so or any joint has dry friction, in any lane that is still swept over: else the block takes no part.
@@ -124,7 +123,7 @@ pub(super) struct BoundBlock<S> {
 
 /// Scratch memory of the contact solver.
 #[derive(Clone, Debug)]
-pub struct ContactWork<S> {
+pub struct ContactWork<S: Real> {
     /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
     pub(super) contacts: Vec<ContactRows<S>>,
     pub(super) num_contacts: usize,
@@ -326,6 +325,7 @@ impl<S: Real> ContactWork<S> {
         let (z, never) = (S::zero(), S::splat(NEVER));
         self.violation = self.violation.max(S::select(near, target, z));
         let row = &mut self.contacts[self.num_contacts];
+        row.near = near;
         row.target = S::select(near, target.min(z).max(bounce), never);
         row.push = S::select(near, target, never);
         (row.push_impulse, row.last_change) = (z, z);
@@ -344,16 +344,11 @@ impl<S: Real> ContactWork<S> {
 }
 
 impl<S: Real> ContactRows<S> {
-    /// The lanes in which the contact takes part in the step; in all others it has no impulse.
-    #[inline(always)]
-    pub(super) fn takes_part(&self) -> S::Mask {
-        S::splat(NEVER).lt(self.push)
-    }
-
     fn zero() -> Self {
         let z = S::zero();
         Self {
             contact: 0,
+            near: z.lt(z),
             rows: SparseRows::zero(),
             coupling: [z; 3],
             inverse: [z; 3],

@@ -116,7 +116,8 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
         let [a, b] = group.links;
         let (a, b) = (&collider_boxes[a], &collider_boxes[b]);
         let margin = (a.speed + b.speed).mul_add(dt, S::splat(PAIR_MARGIN));
-        if !S::any(a.distance(b).lt(margin + S::splat(ROUNDING))) {
+        let links_near = a.distance(b).lt(margin + S::splat(ROUNDING));
+        if !S::any(links_near) {
             continue;
         }
         for link in group.links {
@@ -128,11 +129,14 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
         }
         for pair in &topology.pairs[group.pairs.clone()] {
             let [a, b] = pair.colliders;
-            if !S::any(colliders[a].distance(&colliders[b]).lt(margin + S::splat(ROUNDING))) {
+            let near = S::and(links_near, colliders[a].distance(&colliders[b]).lt(margin + S::splat(ROUNDING)));
+            if !S::any(near) {
                 continue;
             }
             let shapes = PairShapes::new(topology, colliders, pair.colliders);
-            if !S::any(shapes.may_touch(margin + S::splat(ROUNDING))) {
+            // at speeds beyond all sense rounding may tell otherwise below: a lane's answer is that of all tests
+            let may_touch = S::and(near, shapes.may_touch(margin + S::splat(ROUNDING)));
+            if !S::any(may_touch) {
                 continue;
             }
             let places = shapes.nearest(pair.spans);
@@ -142,7 +146,7 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
                 let now = sub(&first.velocity.at(&found.point), &second.velocity.at(&found.point));
                 let free = sub(&first.free_velocity.at(&found.point), &second.free_velocity.at(&found.point));
                 let (now, free) = (dot(&found.normal, &now), dot(&found.normal, &free));
-                let near = found.gap.lt(reach_in_step(PAIR_MARGIN, now, free, dt));
+                let near = S::and(may_touch, found.gap.lt(reach_in_step(PAIR_MARGIN, now, free, dt)));
                 if !S::any(near) {
                     continue;
                 }

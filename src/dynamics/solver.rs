@@ -120,13 +120,13 @@ fn stirred<S: Real>(work: &ContactWork<S>) -> S::Mask {
 #[inline(always)]
 fn wake<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
     for row in &mut work.contacts[..work.num_contacts] {
-        row.awake = S::any(S::and(active, row.takes_part()));
+        row.awake = S::any(S::and(active, row.near));
     }
     for block in &mut work.bounds {
         block.active = false;
         for row in &block.joints {
             if row.limits {
-                block.active |= S::any(S::and(active, row.is_bounded()));
+                block.active |= S::any(S::and(active, row.near));
             }
             if row.rubs {
                 block.active |= S::any(S::and(active, S::zero().lt(row.max_friction)));
@@ -217,7 +217,8 @@ fn unsettled<S: Real>(topology: &Topology, work: &ContactWork<S>) -> S::Mask {
         let missing = row.softness.mul_add(old, w - row.target);
         let normal = missing.neg_mul_add(row.inverse[0], old).max(S::zero());
         let enough = S::select(S::splat(DEEP).lt(row.push), S::splat(SETTLED_DEEP), S::splat(SETTLED));
-        beyond = beyond.max((normal - old).abs().mul_add(row.diagonal, -enough));
+        let beyond_here = (normal - old).abs().mul_add(row.diagonal, -enough);
+        beyond = S::select(row.near, beyond.max(beyond_here), beyond);
     }
     S::zero().lt(beyond)
 }
@@ -283,6 +284,7 @@ fn visit_contact<S: Real>(
 ) {
     // each visit waits for the velocity that the last one left: what does not depend on it is found beside
     let z = S::zero();
+    let active = S::and(active, row.near);
     let old = row.impulse;
     let at_rest = row.softness.mul_add(old[0], -row.target).neg_mul_add(row.inverse[0], old[0]);
     let w = row.rows.velocities(topology, further, y_base, y_joint);
@@ -337,6 +339,7 @@ fn visit_jammed<S: Real>(
     y_joint: &mut [[S; BLOCK]],
 ) {
     let (z, one) = (S::zero(), S::one());
+    let active = S::and(active, row.near);
     let old = row.impulse;
     let w = row.rows.velocities(topology, further, y_base, y_joint);
     let (square, bound) = (old[1].mul_add(old[1], old[2] * old[2]), friction[1] * old[0]);
@@ -386,7 +389,7 @@ fn push_contacts<S: Real>(topology: &Topology, active: S::Mask, work: &mut Conta
         let w = row.rows.first_velocity(topology, further, y_base, y_joint);
         let missing = row.softness.mul_add(row.push_impulse, w - row.push);
         let push = missing.neg_mul_add(row.inverse[0], row.push_impulse).max(S::zero());
-        let push = S::select(active, push, row.push_impulse);
+        let push = S::select(S::and(active, row.near), push, row.push_impulse);
         let change = push - row.push_impulse;
         most = most.max((change * row.diagonal).abs());
         row.push_impulse = push;
@@ -517,6 +520,7 @@ impl<S: Real> BoundRow<S> {
     #[inline(always)]
     fn limit(&mut self, w: S, active: S::Mask) -> S {
         let (lowest, highest) = (self.lowest.min(S::zero()), self.highest.max(S::zero()));
+        let active = S::and(active, self.near);
         let limit = S::select(active, self.bounding(w, self.limit_impulse, lowest, highest), self.limit_impulse);
         let change = limit - self.limit_impulse;
         self.limit_impulse = limit;
@@ -527,7 +531,7 @@ impl<S: Real> BoundRow<S> {
     #[inline(always)]
     fn push(&mut self, w: S, active: S::Mask) -> S {
         let limit = self.bounding(w, self.push_impulse, self.lowest, self.highest);
-        let limit = S::select(active, limit, self.push_impulse);
+        let limit = S::select(S::and(active, self.near), limit, self.push_impulse);
         let change = limit - self.push_impulse;
         self.push_impulse = limit;
         change

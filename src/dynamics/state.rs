@@ -156,7 +156,7 @@ pub struct LinkDynamics<S> {
 
 /// Scratch memory of one worker; its contents mean nothing between steps.
 #[derive(Clone, Debug)]
-pub struct Workspace<S> {
+pub struct Workspace<S: Real> {
     /// Base axes in world axes.
     pub base_rotation: Mat3<S>,
     /// `[links]`.

@@ -30,7 +30,7 @@ pub struct StepSettings {
 }
 
 /// One control step.
-pub struct ControlStep<'a, S> {
+pub struct ControlStep<'a, S: Real> {
     /// What the lanes share.
     pub topology: &'a Topology,
     /// Step sizes and solver settings.
@@ -72,7 +72,7 @@ impl<L: Lanes> ControlStep<'_, L> {
 }
 
 /// A control step of bodies whose numbers are read as `B` has them.
-struct StepOf<'a, S, B> {
+struct StepOf<'a, S: Real, B> {
     parameters: B,
     step: ControlStep<'a, S>,
 }

@@ -87,7 +87,7 @@ struct Pack<L> {
     report: Report<L>,
 }
 
-struct LanePacks<L> {
+struct LanePacks<L: Kernels> {
     packs: Vec<Pack<L>>,
     kind: Parameters<f32>,
     /// Whether all bodies are [alike](Parameters::is_alike) that of their kind.
