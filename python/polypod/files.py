@@ -21,7 +21,7 @@ ENDLESS = 64 << 20
 _PROCESS = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/[^/]+/fd/\d+")
 """Names of what this process has open already, maybe a file that the shell also writes to."""
 _TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
-"""Names of `_temporary`."""
+"""Names of the files that `write_bytes` fills before it puts them in their place."""
 
 
 def read_bytes(path: Path, limit: int) -> bytes:

@@ -173,9 +173,9 @@ class Runner(OnPolicyRunner):
             if type(state["iter"]) is not int or state["iter"] < 0:
                 raise ValueError(f"iter is {state['iter']!r}")
             self.current_learning_iteration = state["iter"]
+        except _core.PolypodError:  # of the snapshot, whose message says what is wrong with it
+            raise
         except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
-            if isinstance(error, _core.PolypodError):
-                raise
             raise _core.ConfigError(
                 f"{path} does not hold what a resumed training needs ({type(error).__name__}: {_first_line(error)}); "
                 "use another checkpoint, or begin anew with --init"
