@@ -13,6 +13,10 @@ pub const MAX_COMMAND: f64 = 1e3;
 pub const MIN_DT: f64 = 1e-6;
 /// Most physics steps of a control step; usual are 1 to 20.
 pub const MAX_DECIMATION: u32 = 1000;
+/// Most sweeps of the articulated engine's solver; contacts no longer change after some hundred.
+pub const MAX_SWEEPS: u32 = 10_000;
+/// Most substeps of Avian's engine; usual are 1 to 20.
+pub const MAX_SUBSTEPS: u32 = 1000;
 
 /// Bytes that an env of a task takes: 4 to 12 KiB, by robots and task.
 pub(crate) const BYTES_PER_ENV: usize = 8 << 10;

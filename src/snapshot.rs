@@ -12,7 +12,7 @@ use crate::components::{
 };
 use crate::config::fnv1a;
 use crate::morphology::Morphologies;
-use crate::systems::{Logs, load_engine, mirror_all, save_engine, scan_heights};
+use crate::systems::{Logs, check_engine, load_engine, mirror_all, save_engine, scan_heights};
 
 /// Changes whenever the layout of a snapshot does.
 const FORMAT: u32 = 7;
@@ -59,6 +59,7 @@ macro_rules! snapshot {
                 if [$($name.len()),*].iter().any(|&len| len != n) {
                     return Err(SimError::Snapshot("its components do not belong to this number of envs".into()));
                 }
+                check_engine(sim.world(), &engine)?;
                 $(write(sim.world_mut(), $name);)*
                 share_bodies(sim.world_mut());
                 sim.world_mut().insert_resource(batch);

@@ -38,7 +38,7 @@ pub(crate) use gather::gather_state;
 pub use logs::{EpisodeStats, Logs, RobotLog};
 pub(crate) use mirror::mirror_all;
 pub use physics::PhysicsEngine;
-pub(crate) use physics::{history_length, load_engine, run_physics, save_engine};
+pub(crate) use physics::{check_engine, history_length, load_engine, run_physics, save_engine};
 pub(crate) use reset::ACTION_DELAY;
 pub use reset::NewState;
 pub use sense::ScanRays;

@@ -30,7 +30,11 @@ pub(super) trait Engine: Send + Sync {
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
         Ok(Vec::new())
     }
-    /// Takes that up, once the components and the robots' numbers are set.
+    /// Whether these bytes are such.
+    fn check(&self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        Ok(())
+    }
+    /// Takes them up, once the components and the robots' numbers are set; bytes that [`Engine::check`] refuses change nothing.
     fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         Ok(())
     }
@@ -229,6 +233,12 @@ impl PhysicsEngine {
 /// What the engine knows of each env beyond its components, as bytes.
 pub(crate) fn save_engine(world: &World) -> Result<Vec<Vec<u8>>, postcard::Error> {
     world.resource::<PhysicsEngine>().0.save()
+}
+
+/// Whether the engine can go on from these bytes.
+pub(crate) fn check_engine(world: &World, envs: &[Vec<u8>]) -> Result<(), SimError> {
+    let checked = world.resource::<PhysicsEngine>().0.check(envs);
+    checked.map_err(|error| SimError::Snapshot(format!("its engine's part cannot be read: {error}")))
 }
 
 /// Gives the engine what it knew when it was saved, after the components were set.

@@ -76,7 +76,17 @@ impl Engine for AvianRobots {
         robots.collect()
     }
 
+    fn check(&self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        for block in &self.blocks {
+            let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+            block.engine.saved(mine.iter().map(Vec::as_slice))?;
+            envs = rest;
+        }
+        if envs.is_empty() { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
+    }
+
     fn load(&mut self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        self.check(envs)?;
         for block in &mut self.blocks {
             let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
             block.engine.load(mine)?;

@@ -130,6 +130,8 @@ fn values_out_of_range_are_refused() {
         ("[rewards.spot]\ngait = { weight = nan }", "rewards.spot.gait.weight", "not finite"),
         ("[physics]\nsolver_iterations = 0", "physics.solver_iterations", "too few"),
         ("[physics]\navian_substeps = 0", "physics.avian_substeps", "too few"),
+        ("[physics]\nsolver_iterations = 10001", "physics.solver_iterations", "too many"),
+        ("[physics]\navian_substeps = 1001", "physics.avian_substeps", "too many"),
         ("[scene.ground]\nrestitution = 2.0", "scene.ground.restitution", "outside 0 to 1"),
         (
             "[commands.base_velocity]\nlin_vel_x = [1.0, -1.0]",

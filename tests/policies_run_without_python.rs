@@ -5,7 +5,7 @@ use std::process::Output;
 
 use polypod::systems::Autoreset;
 use polypod::{Sim, SimOptions};
-use polypod_sim::policy::{Policy, PolicyManifest};
+use polypod_sim::policy::{Policy, PolicyManifest, sha256};
 use serde::Deserialize;
 
 /// Observations of the simulator and the actions that torch gives on them; written by `tests/python/test_export.py`.
@@ -113,19 +113,24 @@ fn bad_input_is_refused_in_one_line() {
     let folder = std::env::temp_dir().join(format!("polypod_policy_{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let manifest = std::fs::read_to_string(shipped().with_extension("json")).unwrap();
-    let cases: [(&str, Option<&[u8]>, Option<String>, &str); 4] = [
+    let graph = std::fs::read(shipped()).unwrap();
+    let mut flipped = graph.clone();
+    *flipped.last_mut().unwrap() ^= 1;
+    let broken = manifest.replace(&sha256(&graph), &sha256(b"no graph"));
+    let folded = manifest.replace("\"kind\": \"policy\"", "\"kind\": \"robot\"");
+    let future = manifest.replace("\"format\": 1", "\"format\": 9");
+    let renamed = manifest.replace("\"policy.onnx\"", "\"policy_spot.onnx\"");
+    let cases: [(&str, Option<&[u8]>, Option<&str>, &str); 6] = [
         ("missing", None, None, "keep a policy beside the manifest"),
-        ("broken", Some(b"no graph"), Some(manifest.clone()), "is not the network of the manifest"),
-        (
-            "folded",
-            Some(b""),
-            Some(manifest.replace("\"kind\": \"policy\"", "\"kind\": \"robot\"")),
-            "pass policy.onnx",
-        ),
-        ("future", Some(b""), Some(manifest.replace("\"format\": 1", "\"format\": 9")), "format: is 9, not 1"),
+        ("broken", Some(b"no graph"), Some(&broken), "is not the network of the manifest"),
+        ("damaged", Some(&flipped), Some(&manifest), "its SHA-256 is not the manifest's"),
+        ("renamed", Some(&graph), Some(&renamed), "is not of this manifest, whose files have no policy.onnx"),
+        ("folded", Some(b""), Some(&folded), "pass policy.onnx"),
+        ("future", Some(b""), Some(&future), "format: is 9, not 1"),
     ];
     for (name, graph, manifest, words) in cases {
-        let file = folder.join(format!("{name}.onnx"));
+        let file = folder.join(name).join("policy.onnx");
+        std::fs::create_dir_all(folder.join(name)).unwrap();
         if let Some(graph) = graph {
             std::fs::write(&file, graph).unwrap();
         }

@@ -2,7 +2,7 @@
 
 use polypod::{Control, Sim, SimError, SimOptions, Simulation, SimulationOptions};
 
-use crate::common::{ROBOTS, assert_all_same, busy, env_bits, step};
+use crate::common::{ROBOTS, assert_all_same, busy, env_bits, size, step};
 
 /// A simulation somewhere in the middle of its episodes.
 fn under_way(options: &SimOptions) -> Sim {
@@ -142,5 +142,33 @@ fn hostile_bytes_are_restored_or_refused_and_nothing_in_between() {
             }
         }
         assert!(refused > 0, "{engine}");
+    }
+}
+
+#[test]
+fn what_a_task_refuses_of_a_snapshot_has_changed_nothing() {
+    for engine in ["articulated", "avian"] {
+        let mut options = SimOptions { threads: Some(1), ..busy(&["spot"], 2) };
+        options.overrides.push(format!("physics.engine={engine}"));
+        let mut sim = under_way(&options);
+        let snapshot = sim.snapshot().unwrap();
+        step(&mut sim, 40);
+        let before = sim.snapshot().unwrap();
+        let (body, _) = snapshot.split_last_chunk::<8>().unwrap();
+        let mut refused = 0;
+        for at in (0..body.len()).step_by(size(29, 3)) {
+            let mut bytes = body.to_vec();
+            bytes[at] = 255;
+            bytes.extend(fnv1a(&bytes).to_le_bytes());
+            match sim.restore(&bytes) {
+                Ok(()) => sim.restore(&before).unwrap(),
+                Err(error) => {
+                    refused += 1;
+                    assert!(error.to_string().starts_with("snapshot: "), "{engine}, byte {at}: {error}");
+                }
+            }
+            assert!(sim.snapshot().unwrap() == before, "{engine}: byte {at} has changed the simulation");
+        }
+        assert!(refused > 10, "{engine}: {refused} refused");
     }
 }

@@ -3,6 +3,7 @@
 //! `polypod export` writes such a file and its manifest, `policy.onnx` and `policy.json`. The network takes observations
 //! `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in the order of the task that it was trained on.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,7 +11,11 @@ use std::sync::Arc;
 use polypod::Sim;
 use polypod::robot::CANONICAL_JOINT_NAMES;
 use serde::Deserialize;
+use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
+
+/// Largest network that is read, bytes: twice what `polypod export` writes for the largest one that it accepts.
+const MAX_NETWORK: u64 = 1 << 30;
 
 /// A policy could not be read, or does not fit a simulation.
 #[derive(Debug, thiserror::Error)]
@@ -48,6 +53,8 @@ pub struct PolicyManifest {
     pub observation_layout: Vec<TermLayout>,
     /// Length of an action.
     pub num_actions: usize,
+    /// SHA-256 of the export's graphs by their file names, hexadecimal.
+    pub files: BTreeMap<String, String>,
 }
 
 /// A term of an observation.
@@ -90,7 +97,21 @@ impl PolicyManifest {
         let text = polypod::files::read_text(&file).map_err(|error| {
             failure("manifest", format!("cannot be read: {error}"), "keep a policy beside the manifest of its export")
         })?;
-        let manifest: Self = serde_json::from_str(&text).map_err(|error| {
+        Self::parse(&text, &file)
+    }
+
+    /// Reads the text of a manifest. Errors name `file`.
+    ///
+    /// # Errors
+    /// It is broken, or describes another kind of graph.
+    pub fn parse(text: &str, file: &Path) -> Result<Self, PolicyError> {
+        let failure = |element: &str, problem: String, remedy: &str| PolicyError {
+            file: file.to_path_buf(),
+            element: element.into(),
+            problem,
+            remedy: remedy.into(),
+        };
+        let manifest: Self = serde_json::from_str(text).map_err(|error| {
             failure("manifest", format!("is not one of an export: {error}"), "export the policy again: polypod export")
         })?;
         if manifest.format != 1 {
@@ -110,7 +131,7 @@ impl PolicyManifest {
 
     /// Length of an observation.
     pub fn num_obs(&self) -> usize {
-        self.observation_layout.iter().map(|term| term.size).sum()
+        self.observation_layout.iter().fold(0, |sum, term| sum.saturating_add(term.size))
     }
 }
 
@@ -118,15 +139,45 @@ impl Policy {
     /// Reads `policy.onnx` and the manifest beside it, for batches of `num_envs`.
     ///
     /// # Errors
-    /// A file is missing or broken, or the graph does not take and give what the manifest says.
+    /// A file is missing or broken, the graph is not the one that was exported with the manifest, or it does not take and give
+    /// what the manifest says.
     pub fn load(file: &Path, num_envs: usize) -> Result<Self, PolicyError> {
         let manifest = PolicyManifest::beside(file)?;
-        let network = compile(file, num_envs, &manifest).map_err(|error| PolicyError {
+        let graph = polypod::files::read_up_to(file, MAX_NETWORK).map_err(|error| PolicyError {
             file: file.to_path_buf(),
             element: "graph".into(),
-            problem: format!("is not the network of the manifest: {error:#}"),
-            remedy: "export the policy again: polypod export".into(),
+            problem: format!("cannot be read: {error}"),
+            remedy: "pass policy.onnx of an export".into(),
         })?;
+        Self::from_bytes(manifest, &graph, file, num_envs)
+    }
+
+    /// Takes the bytes of a graph, for batches of `num_envs`. Errors name `file`.
+    ///
+    /// # Errors
+    /// The graph is not the one that was exported with the manifest, or does not take and give what the manifest says.
+    pub fn from_bytes(
+        manifest: PolicyManifest,
+        mut graph: &[u8],
+        file: &Path,
+        num_envs: usize,
+    ) -> Result<Self, PolicyError> {
+        let failure = |problem: String| PolicyError {
+            file: file.to_path_buf(),
+            element: "graph".into(),
+            problem,
+            remedy: "export the policy again: polypod export".into(),
+        };
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        match manifest.files.get(&*name) {
+            Some(sum) if *sum == sha256(graph) => {}
+            Some(_) => {
+                return Err(failure("is damaged or of another export: its SHA-256 is not the manifest's".into()));
+            }
+            None => return Err(failure(format!("is not of this manifest, whose files have no {name}"))),
+        }
+        let network = compile(&mut graph, num_envs, &manifest)
+            .map_err(|error| failure(format!("is not the network of the manifest: {error:#}")))?;
         Ok(Self { manifest, file: file.to_path_buf(), network, num_envs })
     }
 
@@ -186,9 +237,14 @@ impl Policy {
     }
 }
 
-fn compile(file: &Path, num_envs: usize, manifest: &PolicyManifest) -> TractResult<Arc<TypedRunnableModel>> {
+/// SHA-256 as a manifest has it, hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn compile(graph: &mut &[u8], num_envs: usize, manifest: &PolicyManifest) -> TractResult<Arc<TypedRunnableModel>> {
     let fact = f32::fact([num_envs, manifest.num_obs()]);
-    let model = tract_onnx::onnx().model_for_path(file)?.with_input_fact(0, fact.into())?.into_optimized()?;
+    let model = tract_onnx::onnx().model_for_read(graph)?.with_input_fact(0, fact.into())?.into_optimized()?;
     if model.output_fact(0)?.shape.as_concrete() != Some(&[num_envs, manifest.num_actions][..]) {
         return Err(TractError::msg(format!("it does not give {} actions", manifest.num_actions)));
     }

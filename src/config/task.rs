@@ -12,7 +12,7 @@ use super::scene::SceneConfig;
 use super::suggest::did_you_mean;
 use super::values;
 use crate::avian::SUBSTEPS;
-use crate::bounds::MAX_DECIMATION;
+use crate::bounds::{MAX_DECIMATION, MAX_SUBSTEPS, MAX_SWEEPS};
 use crate::dynamics::SWEEPS;
 
 /// What the robots are to do, where, and how they are rewarded. SI units; world z up, base x forward, y left.
@@ -111,10 +111,10 @@ pub struct PhysicsConfig {
     /// Which engine. Default: articulated.
     pub engine: EngineKind,
     /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.
-    #[serde(deserialize_with = "values::at_least_one")]
+    #[serde(deserialize_with = "values::count_up_to::<MAX_SWEEPS, _>")]
     pub solver_iterations: u32,
     /// Substeps of one physics step of the engine `avian`. Default: 8.
-    #[serde(deserialize_with = "values::at_least_one")]
+    #[serde(deserialize_with = "values::count_up_to::<MAX_SUBSTEPS, _>")]
     pub avian_substeps: u32,
     /// Fastest speed at which overlapping shapes are pushed apart, m/s. Default: 1.
     #[serde(deserialize_with = "values::positive")]

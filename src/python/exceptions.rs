@@ -1,7 +1,8 @@
 //! Errors as Python exceptions: each is also the standard exception that a Python user would expect.
 
-use std::ops::{Deref, DerefMut};
+use std::ops::Deref;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::OnceLock;
 
 use pyo3::exceptions::{PyException, PyKeyError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -122,39 +123,46 @@ pub(super) fn unsigned<T: TryFrom<i128>>(py: Python<'_>, element: &'static str, 
     })
 }
 
-/// A simulation, and what it panicked with if it did: it is then half changed and of no further use.
+/// A simulation, and what it panicked with if it did: it may be half changed and is of no further use.
 pub(super) struct Guarded<S> {
     sim: S,
-    fault: Option<String>,
+    fault: OnceLock<String>,
 }
 
-impl<S: Send> Guarded<S> {
+impl<S: Send + Sync> Guarded<S> {
     /// Makes one without the interpreter's lock.
     pub(super) fn new<E: Send>(
         py: Python<'_>,
         make: impl FnOnce() -> Result<S, E> + Send,
         exception: impl FnOnce(Python<'_>, E) -> PyErr,
     ) -> PyResult<Self> {
-        let sim = py.detach(|| caught(make)).map_err(|fault| fault_exception(py, &fault))?;
-        Ok(Self { sim: sim.map_err(|error| exception(py, error))?, fault: None })
+        let sim = guarded(py, make)?;
+        Ok(Self { sim: sim.map_err(|error| exception(py, error))?, fault: OnceLock::new() })
     }
 
-    /// Whether it may be used still.
-    pub(super) fn check(&self, py: Python<'_>) -> PyResult<()> {
-        match &self.fault {
+    fn check(&self, py: Python<'_>) -> PyResult<()> {
+        match self.fault.get() {
             None => Ok(()),
             Some(fault) => Err(fault_exception(py, &format!("this simulation has stopped for good: {fault}"))),
         }
     }
 
-    /// Works with it without the interpreter's lock. A panic is a fault of polypod: it becomes an exception, as does any use after it.
+    /// Changes it without the interpreter's lock. A panic is a fault of polypod: it becomes an exception, as does any use after it.
     pub(super) fn run<T: Send>(&mut self, py: Python<'_>, f: impl FnOnce(&mut S) -> T + Send) -> PyResult<T> {
         self.check(py)?;
         let Self { sim, fault } = self;
-        py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.insert(message)))
+        py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.get_or_init(|| message)))
+    }
+
+    /// Computes something of it in the same way.
+    pub(super) fn look<T: Send>(&self, py: Python<'_>, f: impl FnOnce(&S) -> T + Send) -> PyResult<T> {
+        self.check(py)?;
+        let Self { sim, fault } = self;
+        py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.get_or_init(|| message)))
     }
 }
 
+/// For sizes, names and other things that are there; what is computed goes through [`Guarded::look`].
 impl<S> Deref for Guarded<S> {
     type Target = S;
 
@@ -163,10 +171,9 @@ impl<S> Deref for Guarded<S> {
     }
 }
 
-impl<S> DerefMut for Guarded<S> {
-    fn deref_mut(&mut self) -> &mut S {
-        &mut self.sim
-    }
+/// Works without the interpreter's lock. A panic becomes an exception.
+pub(super) fn guarded<T: Send>(py: Python<'_>, f: impl FnOnce() -> T + Send) -> PyResult<T> {
+    py.detach(|| caught(f)).map_err(|fault| fault_exception(py, &fault))
 }
 
 /// What `f` returns, or the message that it panics with.
@@ -177,7 +184,8 @@ fn caught<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     })
 }
 
-fn fault_exception(py: Python<'_>, fault: &str) -> PyErr {
+/// The exception of what should never happen.
+pub(super) fn fault_exception(py: Python<'_>, fault: &str) -> PyErr {
     match exceptions(py) {
         Ok(all) => {
             let fault = fault.replace('\n', " ");

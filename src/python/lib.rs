@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use exceptions::to_python;
+use exceptions::{guarded, to_python};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::Simd;
@@ -20,7 +20,7 @@ use polypod::robot::{self, LoadOptions};
 
 #[pyfunction]
 fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
-    let tasks = Library::new(Vec::new()).tasks().map_err(|error| to_python(py, error.into()))?;
+    let tasks = guarded(py, || Library::new(Vec::new()).tasks())?.map_err(|error| to_python(py, error.into()))?;
     let entry = |task: polypod::config::TaskEntry| {
         let dict = PyDict::new(py);
         dict.set_item("name", task.name)?;
@@ -33,7 +33,7 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 
 #[pyfunction]
 fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
-    let robots = Library::new(Vec::new()).robots().map_err(|error| to_python(py, error.into()))?;
+    let robots = guarded(py, || Library::new(Vec::new()).robots())?.map_err(|error| to_python(py, error.into()))?;
     let entry = |robot: polypod::config::RobotEntry| {
         let dict = PyDict::new(py);
         dict.set_item("name", robot.name)?;
@@ -45,19 +45,19 @@ fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 
 #[pyfunction]
 fn train_config(py: Python<'_>, name: &str) -> PyResult<String> {
-    Library::new(Vec::new()).train(name).map_err(|error| to_python(py, error.into()))
+    guarded(py, || Library::new(Vec::new()).train(name))?.map_err(|error| to_python(py, error.into()))
 }
 
 #[pyfunction]
 fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
-    let robot = Library::new(Vec::new()).robot(name).map_err(|error| to_python(py, error.into()))?;
+    let robot = guarded(py, || Library::new(Vec::new()).robot(name))?.map_err(|error| to_python(py, error.into()))?;
     Ok(robot.urdf_text)
 }
 
 #[pyfunction]
 fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>) -> PyResult<String> {
     let options = LoadOptions { package_dirs, ..LoadOptions::default() };
-    robot::check(&path, &options).map_err(|error| to_python(py, MorphologyError::from(error).into()))
+    guarded(py, || robot::check(&path, &options))?.map_err(|error| to_python(py, MorphologyError::from(error).into()))
 }
 
 #[pyfunction]
@@ -71,7 +71,7 @@ fn draft_robot(
     gain_factor: f64,
 ) -> PyResult<Bound<'_, PyDict>> {
     let options = DraftOptions { name, urdf, package_dirs, gain_factor: Some(gain_factor) };
-    let draft = draft(&path, &options).map_err(|error| to_python(py, error.into()))?;
+    let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error.into()))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;
     dict.set_item("toml", draft.toml)?;

@@ -64,25 +64,34 @@ fn env_indices(value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Vec<usize>>>
     ids.into_iter().map(index).collect::<PyResult<Vec<usize>>>().map(Some)
 }
 
+/// A link as Python names it.
+enum Link {
+    Name(String),
+    Index(usize),
+}
+
+impl Link {
+    fn id(&self) -> LinkId<'_> {
+        match self {
+            Self::Name(name) => LinkId::Name(name),
+            Self::Index(index) => LinkId::Index(*index),
+        }
+    }
+}
+
 /// A name or an index.
-fn with_link<T>(
-    link: &Bound<'_, PyAny>,
-    num_links: usize,
-    f: impl FnOnce(LinkId<'_>) -> Result<T, SimulationError>,
-) -> PyResult<T> {
-    let py = link.py();
-    let result = if let Ok(name) = link.extract::<String>() {
-        f(LinkId::Name(&name))
-    } else if let Ok(index) = whole(link) {
-        let not_there = || {
-            let remedy = format!("the links are 0 to {}, in the order of link_names", num_links - 1);
-            SimulationError::Argument { element: "link", problem: format!("there is no link {index}"), remedy }
-        };
-        usize::try_from(index).map_err(|_| not_there()).and_then(|index| f(LinkId::Index(index)))
-    } else {
+fn link_of(link: &Bound<'_, PyAny>, num_links: usize) -> PyResult<Link> {
+    if let Ok(name) = link.extract::<String>() {
+        return Ok(Link::Name(name));
+    }
+    let Ok(index) = whole(link) else {
         return Err(type_error(format!("link: a {}; pass a name or an index", link.get_type().name()?)));
     };
-    result.map_err(|error| simulation_error(py, error))
+    usize::try_from(index).map(Link::Index).map_err(|_| {
+        let remedy = format!("the links are 0 to {}, in the order of link_names", num_links - 1);
+        let problem = format!("there is no link {index}");
+        simulation_error(link.py(), SimulationError::Argument { element: "link", problem, remedy })
+    })
 }
 
 impl Simulation {
@@ -264,31 +273,31 @@ impl Simulation {
     }
     #[getter]
     fn joint_range<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.joint_range().into_flattened(), &[self.sim.num_joints(), 2])
+        array(py, self.sim.look(py, |sim| sim.joint_range().into_flattened())?, &[self.sim.num_joints(), 2])
     }
     #[getter]
     fn effort_limit<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.effort_limit(), &[self.sim.num_joints()])
+        array(py, self.sim.look(py, |sim| sim.effort_limit())?, &[self.sim.num_joints()])
     }
     #[getter]
     fn qpos<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.qpos(), &[self.sim.num_envs(), self.sim.nq()])
+        array(py, self.sim.look(py, |sim| sim.qpos())?, &[self.sim.num_envs(), self.sim.nq()])
     }
     #[getter]
     fn qvel<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.qvel(), &[self.sim.num_envs(), self.sim.nv()])
+        array(py, self.sim.look(py, |sim| sim.qvel())?, &[self.sim.num_envs(), self.sim.nv()])
     }
     #[getter]
     fn contact_forces<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.contact_forces(), &[self.sim.num_envs(), self.sim.num_links(), 3])
+        array(py, self.sim.look(py, |sim| sim.contact_forces())?, &[self.sim.num_envs(), self.sim.num_links(), 3])
     }
     #[getter]
     fn link_drift<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.link_drift(), &[self.sim.num_envs()])
+        array(py, self.sim.look(py, |sim| sim.link_drift())?, &[self.sim.num_envs()])
     }
     #[getter]
     fn joint_torque<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, self.sim.joint_torque(), &[self.sim.num_envs(), self.sim.num_joints()])
+        array(py, self.sim.look(py, |sim| sim.joint_torque())?, &[self.sim.num_envs(), self.sim.num_joints()])
     }
 
     #[pyo3(signature = (qpos=None, qvel=None, env_ids=None))]
@@ -341,25 +350,25 @@ impl Simulation {
 
     fn link_pose<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let (n, links) = (self.sim.num_envs(), self.sim.num_links());
-        let poses = py.detach(|| self.sim.link_pose());
+        let poses = self.sim.look(py, |sim| sim.link_pose())?;
         let position = array(py, poses.position, &[n, links, 3])?;
         Ok((position.into_any(), array(py, poses.quaternion, &[n, links, 4])?.into_any()))
     }
 
     fn link_velocity<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let shape = [self.sim.num_envs(), self.sim.num_links(), 3];
-        let velocities = py.detach(|| self.sim.link_velocity());
+        let velocities = self.sim.look(py, |sim| sim.link_velocity())?;
         let linear = array(py, velocities.linear, &shape)?;
         Ok((linear.into_any(), array(py, velocities.angular, &shape)?.into_any()))
     }
 
     fn mass_matrix<'py>(&self, py: Python<'py>) -> Array<'py> {
         let nv = self.sim.nv();
-        array(py, py.detach(|| self.sim.mass_matrix()), &[self.sim.num_envs(), nv, nv])
+        array(py, self.sim.look(py, |sim| sim.mass_matrix())?, &[self.sim.num_envs(), nv, nv])
     }
 
     fn bias_force<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, py.detach(|| self.sim.bias_force()), &[self.sim.num_envs(), self.sim.nv()])
+        array(py, self.sim.look(py, |sim| sim.bias_force())?, &[self.sim.num_envs(), self.sim.nv()])
     }
 
     fn forward_dynamics<'py>(&self, py: Python<'py>, torque: Bound<'py, PyAny>) -> Array<'py> {
@@ -372,39 +381,43 @@ impl Simulation {
             let at = if given.len() == width { 0 } else { env * width };
             force.extend(std::iter::repeat_n(0.0, nv - width).chain(given[at..at + width].iter().copied()));
         }
-        let qacc = py.detach(|| self.sim.forward_dynamics(&force)).map_err(|error| simulation_error(py, error))?;
+        let qacc =
+            self.sim.look(py, |sim| sim.forward_dynamics(&force))?.map_err(|error| simulation_error(py, error))?;
         array(py, qacc, &[n, nv])
     }
 
     fn inverse_dynamics<'py>(&self, py: Python<'py>, qacc: Bound<'py, PyAny>) -> Array<'py> {
         let (n, nv) = (self.sim.num_envs(), self.sim.nv());
         let qacc = numbers("qacc", &qacc, &[vec![nv], vec![n, nv]])?;
-        let force = py.detach(|| self.sim.inverse_dynamics(&qacc)).map_err(|error| simulation_error(py, error))?;
+        let force =
+            self.sim.look(py, |sim| sim.inverse_dynamics(&qacc))?.map_err(|error| simulation_error(py, error))?;
         array(py, force, &[n, nv])
     }
 
     #[pyo3(signature = (link, point=[0.0, 0.0, 0.0]))]
     fn jacobian<'py>(&self, py: Python<'py>, link: Bound<'py, PyAny>, point: [f64; 3]) -> Array<'py> {
-        let rows = with_link(&link, self.sim.num_links(), |link| self.sim.jacobian(link, point))?;
+        let link = link_of(&link, self.sim.num_links())?;
+        let rows =
+            self.sim.look(py, |sim| sim.jacobian(link.id(), point))?.map_err(|error| simulation_error(py, error))?;
         array(py, rows, &[self.sim.num_envs(), 6, self.sim.nv()])
     }
 
     fn ground_gap<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, py.detach(|| self.sim.ground_gap()), &[self.sim.num_envs(), self.sim.num_links()])
+        array(py, self.sim.look(py, |sim| sim.ground_gap())?, &[self.sim.num_envs(), self.sim.num_links()])
     }
 
     fn energy<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let (kinetic, potential) = py.detach(|| self.sim.energy());
+        let (kinetic, potential) = self.sim.look(py, |sim| sim.energy())?;
         let shape = [self.sim.num_envs()];
         Ok((array(py, kinetic, &shape)?.into_any(), array(py, potential, &shape)?.into_any()))
     }
 
     fn center_of_mass<'py>(&self, py: Python<'py>) -> Array<'py> {
-        array(py, py.detach(|| self.sim.center_of_mass()), &[self.sim.num_envs(), 3])
+        array(py, self.sim.look(py, |sim| sim.center_of_mass())?, &[self.sim.num_envs(), 3])
     }
 
     fn momentum<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let (linear, angular) = py.detach(|| self.sim.momentum());
+        let (linear, angular) = self.sim.look(py, |sim| sim.momentum())?;
         let shape = [self.sim.num_envs(), 3];
         Ok((array(py, linear, &shape)?.into_any(), array(py, angular, &shape)?.into_any()))
     }
@@ -412,43 +425,52 @@ impl Simulation {
     #[pyo3(signature = (link, mass, env_ids=None))]
     fn set_mass(
         &mut self,
+        py: Python<'_>,
         link: Bound<'_, PyAny>,
         mass: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        self.sim.check(link.py())?;
         let ids = env_indices(env_ids.as_ref())?;
         let mass = numbers("mass", &mass, &[vec![], vec![self.count(ids.as_ref())]])?;
-        with_link(&link, self.sim.num_links(), |link| self.sim.set_mass(ids.as_deref(), link, &mass))
+        let link = link_of(&link, self.sim.num_links())?;
+        self.sim
+            .run(py, |sim| sim.set_mass(ids.as_deref(), link.id(), &mass))?
+            .map_err(|error| simulation_error(py, error))
     }
 
     #[pyo3(signature = (link, com, env_ids=None))]
     fn set_com(
         &mut self,
+        py: Python<'_>,
         link: Bound<'_, PyAny>,
         com: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        self.sim.check(link.py())?;
         let ids = env_indices(env_ids.as_ref())?;
         let com = numbers("com", &com, &[vec![3], vec![self.count(ids.as_ref()), 3]])?;
-        with_link(&link, self.sim.num_links(), |link| self.sim.set_com(ids.as_deref(), link, &com))
+        let link = link_of(&link, self.sim.num_links())?;
+        self.sim
+            .run(py, |sim| sim.set_com(ids.as_deref(), link.id(), &com))?
+            .map_err(|error| simulation_error(py, error))
     }
 
     #[pyo3(signature = (link, inertia, env_ids=None))]
     fn set_inertia(
         &mut self,
+        py: Python<'_>,
         link: Bound<'_, PyAny>,
         inertia: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        self.sim.check(link.py())?;
         let ids = env_indices(env_ids.as_ref())?;
         let n = self.count(ids.as_ref());
         let given = numbers("inertia", &inertia, &[vec![6], vec![n, 6], vec![3, 3], vec![n, 3, 3]])?;
         let last: usize = inertia.py().import("numpy")?.call_method1("shape", (&inertia,))?.get_item(-1)?.extract()?;
         let inertia = if last == 6 { given } else { from_matrices(&given)? };
-        with_link(&link, self.sim.num_links(), |link| self.sim.set_inertia(ids.as_deref(), link, &inertia))
+        let link = link_of(&link, self.sim.num_links())?;
+        self.sim
+            .run(py, |sim| sim.set_inertia(ids.as_deref(), link.id(), &inertia))?
+            .map_err(|error| simulation_error(py, error))
     }
 
     #[pyo3(signature = (r#static, dynamic=None, env_ids=None))]
@@ -459,13 +481,12 @@ impl Simulation {
         dynamic: Option<Bound<'_, PyAny>>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        self.sim.check(py)?;
         let ids = env_indices(env_ids.as_ref())?;
         let shapes = [vec![], vec![self.count(ids.as_ref())]];
         let sticking = numbers("static", &r#static, &shapes)?;
         let sliding = Self::optional("dynamic", dynamic.as_ref(), &shapes)?;
         self.sim
-            .set_friction(ids.as_deref(), &sticking, sliding.as_deref())
+            .run(py, |sim| sim.set_friction(ids.as_deref(), &sticking, sliding.as_deref()))?
             .map_err(|error| simulation_error(py, error))
     }
 
@@ -477,12 +498,13 @@ impl Simulation {
         kd: Option<Bound<'_, PyAny>>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        self.sim.check(py)?;
         let ids = env_indices(env_ids.as_ref())?;
         let shapes = self.of_joints(self.count(ids.as_ref()));
         let kp = Self::optional("kp", kp.as_ref(), &shapes)?;
         let kd = Self::optional("kd", kd.as_ref(), &shapes)?;
-        self.sim.set_gains(ids.as_deref(), kp.as_deref(), kd.as_deref()).map_err(|error| simulation_error(py, error))
+        self.sim
+            .run(py, |sim| sim.set_gains(ids.as_deref(), kp.as_deref(), kd.as_deref()))?
+            .map_err(|error| simulation_error(py, error))
     }
 
     #[pyo3(signature = (armature, env_ids=None))]
@@ -492,10 +514,11 @@ impl Simulation {
         armature: Bound<'_, PyAny>,
         env_ids: Option<Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        self.sim.check(py)?;
         let ids = env_indices(env_ids.as_ref())?;
         let armature = numbers("armature", &armature, &self.of_joints(self.count(ids.as_ref())))?;
-        self.sim.set_armature(ids.as_deref(), &armature).map_err(|error| simulation_error(py, error))
+        self.sim
+            .run(py, |sim| sim.set_armature(ids.as_deref(), &armature))?
+            .map_err(|error| simulation_error(py, error))
     }
 
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {

@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::exceptions::to_python;
+use super::exceptions::{guarded, to_python};
 use polypod::app::SimError;
 use polypod::config::{Library, TaskConfig};
 use polypod::terrain::{Mesh, TerrainLayout, border, generate};
@@ -14,8 +14,9 @@ use polypod::world::{self, Ground};
 #[pyo3(signature = (task, overrides=Vec::new()))]
 pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let failed = |error: SimError| to_python(py, error);
-    let config = Library::new(Vec::new()).task(task, &overrides).map_err(|error| failed(error.into()))?.config;
-    let ground = py.detach(|| world::load(&config)).map_err(|error| failed(error.into()))?;
+    let task = guarded(py, || Library::new(Vec::new()).task(task, &overrides))?;
+    let config = task.map_err(|error| failed(error.into()))?.config;
+    let ground = guarded(py, || world::load(&config))?.map_err(|error| failed(error.into()))?;
     entry(py, &config, &ground)?.ok_or_else(|| {
         failed(SimError::Argument {
             element: "task",

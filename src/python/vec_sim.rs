@@ -3,18 +3,22 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use bevy_ecs::prelude::Mut;
 use numpy::{
     Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyUntypedArray,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use serde::Serialize;
 
-use super::exceptions::{Guarded, optional_whole, to_python, type_error, unsigned, value_error, whole};
+use super::exceptions::{
+    Guarded, fault_exception, optional_whole, to_python, type_error, unsigned, value_error, whole,
+};
 use super::terrain;
 use polypod::app::{Sim, SimOptions};
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
-use polypod::morphology::Morphologies;
+use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::robot::CANONICAL_JOINT_NAMES;
 use polypod::rows::Workers;
 use polypod::systems::{Autoreset, CompiledTask, Logs, StateField};
@@ -117,12 +121,22 @@ impl VecSim {
     fn publish_commands(&mut self, py: Python<'_>) -> PyResult<()> {
         let mut target = self.arrays.command.bind(py).try_readwrite()?;
         let out = target.as_slice_mut()?;
-        let world = self.sim.world_mut();
-        for (env, command) in world.query::<(&EnvId, &Command)>().iter(world) {
-            let at = 3 * env.0 as usize;
-            out[at..at + 3].copy_from_slice(&command.velocity);
-        }
-        Ok(())
+        self.sim.run(py, |sim| {
+            let world = sim.world_mut();
+            for (env, command) in world.query::<(&EnvId, &Command)>().iter(world) {
+                let at = 3 * env.0 as usize;
+                out[at..at + 3].copy_from_slice(&command.velocity);
+            }
+        })
+    }
+
+    /// What `of` says of each robot, by name.
+    fn json_of_robots<T: Serialize>(&self, py: Python<'_>, of: fn(&MorphologyModel) -> T) -> PyResult<String> {
+        let json = self.sim.look(py, |sim| {
+            let robots: BTreeMap<&str, T> = sim.morphologies().iter().map(|m| (m.name(), of(m))).collect();
+            serde_json::to_string(&robots)
+        })?;
+        json.map_err(|error| fault_exception(py, &format!("the robots cannot be written as JSON: {error}")))
     }
 
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
@@ -233,24 +247,24 @@ impl VecSim {
         Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot).collect())
     }
 
-    fn robot_info(&self) -> String {
-        let robots: BTreeMap<&str, _> = self.sim.morphologies().iter().map(|m| (m.name(), m.describe())).collect();
-        serde_json::to_string(&robots).unwrap_or_default()
+    fn robot_info(&self, py: Python<'_>) -> PyResult<String> {
+        self.json_of_robots(py, MorphologyModel::describe)
     }
 
-    fn robot_shapes(&self) -> String {
-        let robots: BTreeMap<&str, _> = self.sim.morphologies().iter().map(|m| (m.name(), m.outline())).collect();
-        serde_json::to_string(&robots).unwrap_or_default()
+    fn robot_shapes(&self, py: Python<'_>) -> PyResult<String> {
+        self.json_of_robots(py, MorphologyModel::outline)
     }
 
     fn qpos<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let index = self.robot_index(py, robot)?;
-        rows(py, self.sim.robot_states(index).qpos, self.sim.env_ids(index).len())
+        let states = self.sim.run(py, |sim| sim.robot_states(index))?;
+        rows(py, states.qpos, self.sim.env_ids(index).len())
     }
 
     fn qvel<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let index = self.robot_index(py, robot)?;
-        rows(py, self.sim.robot_states(index).qvel, self.sim.env_ids(index).len())
+        let states = self.sim.run(py, |sim| sim.robot_states(index))?;
+        rows(py, states.qvel, self.sim.env_ids(index).len())
     }
 
     fn link_pose<'py>(
@@ -259,7 +273,7 @@ impl VecSim {
         robot: &str,
     ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>)> {
         let index = self.robot_index(py, robot)?;
-        let poses = self.sim.link_pose(index);
+        let poses = self.sim.run(py, |sim| sim.link_pose(index))?;
         let (envs, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
         Ok((
             PyArray1::from_vec(py, poses.position).reshape([envs, links, 3])?,
@@ -270,15 +284,16 @@ impl VecSim {
     fn contact_forces<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let index = self.robot_index(py, robot)?;
         let (envs, bodies) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].topology.num_bodies);
-        PyArray1::from_vec(py, self.sim.contact_forces(index)).reshape([envs, bodies, 3])
+        let forces = self.sim.run(py, |sim| sim.contact_forces(index))?;
+        PyArray1::from_vec(py, forces).reshape([envs, bodies, 3])
     }
 
-    fn resolved_config(&self) -> String {
-        self.sim.resolved_config()
+    fn resolved_config(&self, py: Python<'_>) -> PyResult<String> {
+        self.sim.look(py, Sim::resolved_config)
     }
 
-    fn config_hash(&self) -> String {
-        format!("{:016x}", self.sim.config_hash())
+    fn config_hash(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(format!("{:016x}", self.sim.look(py, Sim::config_hash)?))
     }
 
     #[pyo3(signature = (seed=None, mask=None))]
@@ -334,21 +349,22 @@ impl VecSim {
     }
 
     fn state<'py>(&mut self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        self.sim.check(py)?;
         let Some(known) = StateField::ALL.into_iter().find(|known| known.name() == field) else {
             let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
             return Err(value_error(format!("field: there is no `{field}`; use one of {}", names.join(", "))));
         };
         let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), known.width()], false);
-        self.sim.state(known, rows.try_readwrite()?.as_slice_mut()?).map_err(|error| to_python(py, error))?;
+        let mut out = rows.try_readwrite()?;
+        let out = out.as_slice_mut()?;
+        self.sim.run(py, |sim| sim.state(known, out))?.map_err(|error| to_python(py, error))?;
         Ok(rows)
     }
 
     fn terminate(&mut self, py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<()> {
-        self.sim.check(py)?;
         let n = self.sim.num_envs();
         let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
-        self.sim.terminate(mask.as_slice()?).map_err(|error| to_python(py, error))?;
+        let mask = mask.as_slice()?;
+        self.sim.run(py, |sim| sim.terminate(mask))?.map_err(|error| to_python(py, error))?;
         let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
         fill(py, workers, &self.arrays.terminated, &batch.terminated)?;
         fill(py, workers, &self.arrays.truncated, &batch.truncated)
@@ -356,16 +372,19 @@ impl VecSim {
 
     /// Where each env's origin is in the world, and how high the ground is there.
     fn env_origins<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let ground = self.sim.world().resource::<Ground>().clone();
-        let mut rows = vec![0.0; 3 * self.sim.num_envs()];
-        let world = self.sim.world_mut();
-        for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
-            let mut height = [0.0];
-            ground.heights_at(origin, std::iter::once([0.0, 0.0]), &mut height);
-            let [x, y] = origin.position;
-            let first = 3 * env.0 as usize;
-            rows[first..first + 3].copy_from_slice(&[x, y, height[0]].map(f64::from));
-        }
+        let rows = self.sim.run(py, |sim| {
+            let ground = sim.world().resource::<Ground>().clone();
+            let mut rows = vec![0.0; 3 * sim.num_envs()];
+            let world = sim.world_mut();
+            for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+                let mut height = [0.0];
+                ground.heights_at(origin, std::iter::once([0.0, 0.0]), &mut height);
+                let [x, y] = origin.position;
+                let first = 3 * env.0 as usize;
+                rows[first..first + 3].copy_from_slice(&[x, y, height[0]].map(f64::from));
+            }
+            rows
+        })?;
         PyArray1::from_vec(py, rows).reshape([self.sim.num_envs(), 3])
     }
 
@@ -376,60 +395,71 @@ impl VecSim {
     }
 
     /// Level and type of each env's tile.
-    fn terrain_tiles<'py>(&mut self, py: Python<'py>) -> (Bound<'py, PyArray1<i64>>, Vec<String>) {
-        let (mut levels, mut names) = (vec![0; self.sim.num_envs()], Vec::new());
-        let layout = self.sim.world().resource::<Ground>().layout.clone();
-        if let Some(layout) = layout {
-            names = vec![String::new(); self.sim.num_envs()];
-            let world = self.sim.world_mut();
-            for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
-                levels[env.0 as usize] = i64::from(origin.terrain_level);
-                let kind = layout.column_types[origin.terrain_column as usize];
-                names[env.0 as usize].clone_from(&layout.type_names[kind]);
+    fn terrain_tiles<'py>(&mut self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<i64>>, Vec<String>)> {
+        let (levels, names) = self.sim.run(py, |sim| {
+            let (mut levels, mut names) = (vec![0; sim.num_envs()], Vec::new());
+            let layout = sim.world().resource::<Ground>().layout.clone();
+            if let Some(layout) = layout {
+                names = vec![String::new(); sim.num_envs()];
+                let world = sim.world_mut();
+                for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+                    levels[env.0 as usize] = i64::from(origin.terrain_level);
+                    let kind = layout.column_types[origin.terrain_column as usize];
+                    names[env.0 as usize].clone_from(&layout.type_names[kind]);
+                }
             }
-        }
-        (PyArray1::from_vec(py, levels), names)
+            (levels, names)
+        })?;
+        Ok((PyArray1::from_vec(py, levels), names))
     }
 
     #[getter]
-    fn episode_length<'py>(&mut self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let mut lengths = vec![0; self.sim.num_envs()];
-        let world = self.sim.world_mut();
-        for (env, episode) in world.query::<(&EnvId, &Episode)>().iter(world) {
-            lengths[env.0 as usize] = i64::from(episode.length);
-        }
-        PyArray1::from_vec(py, lengths)
+    fn episode_length<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i64>>> {
+        let lengths = self.sim.run(py, |sim| {
+            let mut lengths = vec![0; sim.num_envs()];
+            let world = sim.world_mut();
+            for (env, episode) in world.query::<(&EnvId, &Episode)>().iter(world) {
+                lengths[env.0 as usize] = i64::from(episode.length);
+            }
+            lengths
+        })?;
+        Ok(PyArray1::from_vec(py, lengths))
     }
 
     fn set_episode_length(&mut self, py: Python<'_>, episode_length: &Bound<'_, PyAny>) -> PyResult<()> {
-        self.sim.check(py)?;
         let n = self.sim.num_envs();
         let lengths = array::<i64, numpy::Ix1>("episode_length", episode_length, "int64", &[n])?;
-        self.sim.set_episode_lengths(lengths.as_slice()?).map_err(|error| to_python(py, error))
+        let lengths = lengths.as_slice()?;
+        self.sim.run(py, |sim| sim.set_episode_lengths(lengths))?.map_err(|error| to_python(py, error))
     }
 
     fn set_command(&mut self, py: Python<'_>, command: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        self.sim.check(py)?;
         let n = self.sim.num_envs();
         let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &[n, 3])).transpose()?;
         let command = command.as_ref().map(|c| c.as_slice()).transpose()?;
-        self.sim.set_commands(command).map_err(|error| to_python(py, error))?;
+        self.sim.run(py, |sim| sim.set_commands(command))?.map_err(|error| to_python(py, error))?;
         self.publish_commands(py)
     }
 
-    fn log(&mut self) -> BTreeMap<String, f64> {
-        let world = self.sim.world_mut();
-        world.resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
-            logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>())
+    fn log(&mut self, py: Python<'_>) -> PyResult<BTreeMap<String, f64>> {
+        self.sim.run(py, |sim| {
+            sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {
+                logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>())
+            })
         })
     }
 
     #[pyo3(signature = (clear=true))]
-    fn episode_stats(&mut self, clear: bool) -> BTreeMap<String, BTreeMap<&'static str, f64>> {
-        let world = self.sim.world_mut();
-        let stats = world.resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
-            logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), clear)
-        });
+    fn episode_stats(
+        &mut self,
+        py: Python<'_>,
+        clear: bool,
+    ) -> PyResult<BTreeMap<String, BTreeMap<&'static str, f64>>> {
+        let stats = self.sim.run(py, |sim| {
+            sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {
+                logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), clear)
+            })
+        })?;
         let entry = |s: polypod::systems::EpisodeStats| {
             let level = s.terrain_level.map(|level| ("terrain_level", level));
             let stats = [
@@ -446,12 +476,12 @@ impl VecSim {
             ];
             stats.into_iter().chain(level).collect()
         };
-        stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect()
+        Ok(stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect())
     }
 
     #[pyo3(signature = (dump_dir))]
-    fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) {
-        self.sim.set_dump_dir(dump_dir);
+    fn set_dump_dir(&mut self, py: Python<'_>, dump_dir: Option<PathBuf>) -> PyResult<()> {
+        self.sim.run(py, |sim| sim.set_dump_dir(dump_dir))
     }
 
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {

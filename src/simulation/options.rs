@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::avian::SUBSTEPS;
-use crate::bounds::{MAX_ENVS, MIN_DT};
+use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT};
 use crate::config::{ConfigError, EngineKind};
 use crate::dynamics::lanes::SimdError;
 use crate::dynamics::{SWEEPS, Simd};
@@ -124,12 +124,8 @@ impl SimulationOptions {
         if self.threads == Some(0) {
             return Err(argument("threads", "0 threads", "pass at least 1, or nothing for all cores"));
         }
-        if self.solver_iterations == 0 {
-            return Err(argument("solver_iterations", "0 sweeps", "pass at least 1"));
-        }
-        if self.avian_substeps == 0 {
-            return Err(argument("avian_substeps", "0 substeps", "pass at least 1"));
-        }
+        check_count("solver_iterations", self.solver_iterations, MAX_SWEEPS, "sweeps")?;
+        check_count("avian_substeps", self.avian_substeps, MAX_SUBSTEPS, "substeps")?;
         if !(self.dt >= MIN_DT && self.dt.is_finite()) {
             let remedy = format!("pass a positive number of seconds, at least {MIN_DT:e}");
             return Err(argument("dt", format!("a step of {:e} s", self.dt), remedy));
@@ -186,6 +182,13 @@ pub(super) fn argument(
     remedy: impl Into<String>,
 ) -> SimulationError {
     SimulationError::Argument { element, problem: problem.into(), remedy: remedy.into() }
+}
+
+fn check_count(element: &'static str, count: usize, most: u32, what: &str) -> Result<(), SimulationError> {
+    if (1..=most as usize).contains(&count) {
+        return Ok(());
+    }
+    Err(argument(element, format!("{count} {what}"), format!("pass a number from 1 to {most}")))
 }
 
 pub(super) fn check_non_negative(element: &'static str, values: &[f64]) -> Result<(), SimulationError> {

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -245,6 +246,24 @@ def test_a_graph_folded_on_rough_ground_takes_heights(overrides):
     assert (
         compare(OnnxPolicy(model.SerializeToString()), RobotPolicy(network, robot).eval(), sizes, list(OUTPUTS)) < 1e-5
     )
+
+
+def test_a_graph_that_is_not_the_manifests_is_refused(exported_policy, tmp_path):
+    folder = Path(shutil.copytree(exported_policy[0], tmp_path / "exported"))
+    for name in ("policy", "policy_spot"):
+        file = folder / f"{name}.onnx"
+        data = bytearray(file.read_bytes())
+        data[-1] ^= 1
+        file.write_bytes(data)
+        with pytest.raises(polypod.ConfigError, match=f"{name}.onnx is damaged or of another export"):
+            OnnxPolicy(file)
+    (folder / "policy_spot.onnx").write_bytes((exported_policy[0] / "policy_spot.onnx").read_bytes())
+    OnnxPolicy(folder / "policy_spot.onnx")
+    (folder / "policy_spot.json").write_text("{}")
+    with pytest.raises(polypod.ConfigError, match="policy_spot.json is not a manifest"):
+        OnnxPolicy(folder / "policy_spot.onnx")
+    with pytest.raises(polypod.ConfigError, match="cannot be read"):
+        OnnxPolicy(folder / "nothing.onnx")
 
 
 def test_the_command_line(tmp_path, capsys):

@@ -17,7 +17,7 @@ from polypod.evaluation import load_network
 from polypod.export import onnx_graph
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, Treatment, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.export.torch_graph import RobotPolicy, write_torchscript
+from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
 from polypod.training import run_dir
 
@@ -92,6 +92,7 @@ class _Writer:
         self.treatment: dict[str, Treatment] = {}
         self.scan_points: list[list[float]] = []
         self.files: list[Path] = []
+        self.sums: dict[str, str] = {}
         self.difference = 0.0
         self.origin = {
             "file": checkpoint.name,
@@ -156,14 +157,17 @@ class _Writer:
                 "export to torchscript, and report this network"
             )
         self.difference = max(self.difference, difference)
-        path = self.out / f"{name}.onnx"
-        write_bytes(path, data)
-        self.files.append(path)
+        self._write_graph(f"{name}.onnx", data)
 
     def _write_torchscript(self, name: str, module: torch.nn.Module, sizes: dict[str, int]) -> None:
-        path = self.out / f"{name}.pt"
         # two rows, so that nothing is taken for a constant
-        write_torchscript(module, tuple(torch.zeros(2, size) for size in sizes.values()), path)
+        inputs = tuple(torch.zeros(2, size) for size in sizes.values())
+        self._write_graph(f"{name}.pt", torchscript(module, inputs))
+
+    def _write_graph(self, name: str, data: bytes) -> None:
+        path = self.out / name
+        write_bytes(path, data)
+        self.sums[name] = hashlib.sha256(data).hexdigest()
         self.files.append(path)
 
     def _write_manifest(self, name: str, content: dict[str, Any]) -> None:
@@ -196,6 +200,7 @@ class _Writer:
             "num_actions": self.num_actions,
             "network": {key: self.manifest["policy"][key] for key in ("class_name", "hidden_dims", "activation")},
             "versions": {"polypod": _core.__version__, "torch": torch.__version__},
+            "files": {file: sum for file, sum in self.sums.items() if Path(file).stem == name},
         }
         path = self.out / f"{name}.json"
         write_text(path, json.dumps(manifest, indent=2) + "\n")

@@ -1,5 +1,6 @@
 """Exported policies under onnxruntime."""
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,11 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.extras import package
+from polypod.files import read_bytes
+from polypod.training.manifest import export_sums
 
+MAX_BYTES = 1 << 30
+"""Of a graph: twice what the largest network that a manifest may describe takes."""
 Array = npt.NDArray[np.float32]
 
 
@@ -18,16 +23,16 @@ class OnnxPolicy:
         """Loads a file or its bytes.
 
         Raises:
-            ConfigError: for a file that is missing or no ONNX model.
+            ConfigError: for a file that is missing, no ONNX model, or not the one that the manifest beside it was written for.
         """
         runtime = package("onnxruntime", "running an exported policy", "export")
+        name = "the model" if isinstance(model, bytes) else str(model)
+        source = model if isinstance(model, bytes) else _read(model)
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = threads
         try:
-            source = model if isinstance(model, bytes) else str(model)
             self._session = runtime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime raises classes of its compiled half
-            name = "the model" if isinstance(model, bytes) else str(model)
             raise _core.ConfigError(f"{name} is not loaded by onnxruntime: {str(error).splitlines()[0]}") from error
         self.inputs: dict[str, int] = {entry.name: entry.shape[1] for entry in self._session.get_inputs()}
         """Names and sizes."""
@@ -37,3 +42,16 @@ class OnnxPolicy:
         """Runs the graph on float32 [batch, size] per input."""
         feeds = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
         return dict(zip(self.outputs, self._session.run(self.outputs, feeds), strict=True))
+
+
+def _read(path: Path) -> bytes:
+    try:
+        data = read_bytes(path, MAX_BYTES)
+    except OSError as error:
+        raise _core.ConfigError(f"{path} cannot be read: {error.strerror}; pass the graph of an export") from error
+    manifest = path.with_suffix(".json")
+    if manifest.is_file() and export_sums(manifest).get(path.name) != hashlib.sha256(data).hexdigest():
+        raise _core.ConfigError(
+            f"{path} is damaged or of another export: its SHA-256 is not that of {manifest.name}; export the policy again"
+        )
+    return data

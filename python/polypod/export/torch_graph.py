@@ -1,13 +1,12 @@
 """The exported graphs as torch modules, and as TorchScript."""
 
+import io
 import warnings
-from pathlib import Path
 
 import torch
 from rsl_rl.models import MLPModel
 
 from polypod.export.robot import RobotInterface, Treatment
-from polypod.files import write_filled
 
 
 class RobotPolicy(torch.nn.Module):
@@ -61,11 +60,13 @@ class RobotPolicy(torch.nn.Module):
         return torch.cat(columns, dim=-1)
 
 
-def write_torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...], path: Path) -> None:
-    """Traces `module` and writes it."""
+def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> bytes:
+    """Traces `module`; returns the archive."""
     with warnings.catch_warnings():
         # torch advises against TorchScript; those who load it in C++ still want it
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", DeprecationWarning)
         traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
-        write_filled(path, lambda file: torch.jit.save(traced, file))
+        buffer = io.BytesIO()
+        torch.jit.save(traced, buffer)  # type: ignore[no-untyped-call]
+        return buffer.getvalue()

@@ -19,6 +19,7 @@ MAX_LAYER = 65536
 Size = Annotated[int, Meta(ge=1, le=MAX_LAYER)]
 """Of a layer, an observation or a batch of actions."""
 Name = Annotated[str, Meta(min_length=1, max_length=4096)]
+Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 Activation = Literal[
     "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
 ]
@@ -82,8 +83,16 @@ class Manifest(TypedDict):
     train_config: dict[str, dict[str, Any]]
     versions: NotRequired[dict[str, str]]
     git: NotRequired[dict[str, Any] | None]
-    checkpoints: NotRequired[dict[str, Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]]]
-    """SHA-256 of each checkpoint."""
+    checkpoints: NotRequired[dict[str, Sha256]]
+    """Of each checkpoint."""
+
+
+class ExportManifest(TypedDict):
+    """`policy.json` of an export, or that of a graph folded for a robot: what is read of it in Python."""
+
+    format: Literal[1]
+    files: dict[str, Sha256]
+    """Of the graphs that it describes."""
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -92,24 +101,23 @@ def read(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: when it is missing or broken; the message names the element.
     """
-    try:
-        manifest = msgspec.json.decode(read_bytes(path, MAX_BYTES), type=Manifest)
-    except OSError as error:
-        raise _core.ConfigError(
-            f"cannot read {path}: {error.strerror}; keep a checkpoint beside its manifest"
-        ) from error
-    except msgspec.ValidationError as error:
-        raise _core.ConfigError(
-            f"{path} is not a manifest of polypod: {_plain(str(error))}; copy it again from the training's run"
-        ) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise _core.ConfigError(f"{path} is not valid JSON: {error}; copy it again from the training's run") from error
+    manifest: Manifest = _decode(path, Manifest, "the training's run")
     policy = manifest["policy"]
     _check_layout(manifest, path)
     check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
     if policy["class_name"] != "MLPModel":
         _check_joints(policy, path)
     return dict(manifest)
+
+
+def export_sums(path: Path) -> dict[str, str]:
+    """SHA-256 of the graphs that an export's manifest describes, by file name.
+
+    Raises:
+        ConfigError: when it is broken.
+    """
+    manifest: ExportManifest = _decode(path, ExportManifest, "the export")
+    return manifest["files"]
 
 
 def check_size(layers: list[int], where: str) -> None:
@@ -145,6 +153,21 @@ def _check_joints(policy: PolicyManifest, path: Path) -> None:
         [policy["num_obs"], policy["joint_dim"] * policy["num_actions"], policy["joint_dim"] * policy["num_heads"]],
         f"{path}: policy",
     )
+
+
+def _decode(path: Path, schema: Any, source: str) -> Any:
+    try:
+        return msgspec.json.decode(read_bytes(path, MAX_BYTES), type=schema)
+    except OSError as error:
+        raise _core.ConfigError(
+            f"cannot read {path}: {error.strerror}; keep the manifest beside what it describes"
+        ) from error
+    except msgspec.ValidationError as error:
+        raise _core.ConfigError(
+            f"{path} is not a manifest of polypod: {_plain(str(error))}; copy it again from {source}"
+        ) from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise _core.ConfigError(f"{path} is not valid JSON: {error}; copy it again from {source}") from error
 
 
 def _plain(message: str) -> str:
