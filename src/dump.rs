@@ -278,9 +278,7 @@ fn get<C: Component + Clone>(sim: &mut Sim) -> Result<C, SimError> {
     })
 }
 
-/// The bits of all that moves, with two exceptions. IEEE 754 leaves the bits of a NaN open: all NaNs are one. And in a
-/// state with NaNs the impulses are left out: whether a constraint is solved at all, in which case its impulse
-/// becomes NaN too, depends on the other robots of the pack.
+/// The bits of all that moves. IEEE 754 leaves the bits of a NaN open: all NaNs count as one.
 fn bits(motion: &Motion) -> Vec<u32> {
     let Motion {
         pose: BasePose { position, rotation },
@@ -292,9 +290,7 @@ fn bits(motion: &Motion) -> Vec<u32> {
     let (base, joint) = ([&position[..], rotation, linear, angular], [&joints.position, &joints.velocity]);
     let efforts = [&effort.applied, &effort.acceleration];
     let lists = base.into_iter().chain(joint.into_iter().chain(efforts).map(|list| &list[..]));
-    let mut numbers: Vec<f32> = lists.flatten().copied().collect();
-    if numbers.iter().all(|x| !x.is_nan()) {
-        numbers.extend(contacts.iter().flat_map(|c| c.impulse).chain(bounds.iter().copied()));
-    }
-    numbers.into_iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
+    let impulses = contacts.iter().flat_map(|c| c.impulse).chain(bounds.iter().copied());
+    let numbers = lists.flatten().copied().chain(impulses);
+    numbers.map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
 }

@@ -260,7 +260,7 @@ def test_a_graph_that_is_not_the_manifests_is_refused(exported_policy, tmp_path)
     (folder / "policy_spot.onnx").write_bytes((exported_policy[0] / "policy_spot.onnx").read_bytes())
     OnnxPolicy(folder / "policy_spot.onnx")
     (folder / "policy_spot.json").write_text("{}")
-    with pytest.raises(polypod.ConfigError, match="policy_spot.json is not a manifest"):
+    with pytest.raises(polypod.ConfigError, match=r"policy_spot\.json is not a manifest"):
         OnnxPolicy(folder / "policy_spot.onnx")
     with pytest.raises(polypod.ConfigError, match="cannot be read"):
         OnnxPolicy(folder / "nothing.onnx")

@@ -200,7 +200,7 @@ class _Writer:
             "num_actions": self.num_actions,
             "network": {key: self.manifest["policy"][key] for key in ("class_name", "hidden_dims", "activation")},
             "versions": {"polypod": _core.__version__, "torch": torch.__version__},
-            "files": {file: sum for file, sum in self.sums.items() if Path(file).stem == name},
+            "files": {file: digest for file, digest in self.sums.items() if Path(file).stem == name},
         }
         path = self.out / f"{name}.json"
         write_text(path, json.dumps(manifest, indent=2) + "\n")

@@ -23,7 +23,7 @@ class OnnxPolicy:
         """Loads a file or its bytes.
 
         Raises:
-            ConfigError: for a file that is missing, no ONNX model, or not the one that the manifest beside it was written for.
+            ConfigError: for a file that is missing, no ONNX model, or not the one that its manifest describes.
         """
         runtime = package("onnxruntime", "running an exported policy", "export")
         name = "the model" if isinstance(model, bytes) else str(model)
@@ -52,6 +52,7 @@ def _read(path: Path) -> bytes:
     manifest = path.with_suffix(".json")
     if manifest.is_file() and export_sums(manifest).get(path.name) != hashlib.sha256(data).hexdigest():
         raise _core.ConfigError(
-            f"{path} is damaged or of another export: its SHA-256 is not that of {manifest.name}; export the policy again"
+            f"{path} is damaged or of another export: its SHA-256 is not that of {manifest.name}; "
+            "export the policy again"
         )
     return data

@@ -68,5 +68,5 @@ def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> b
         warnings.simplefilter("ignore", DeprecationWarning)
         traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
         buffer = io.BytesIO()
-        torch.jit.save(traced, buffer)  # type: ignore[no-untyped-call]
+        torch.jit.save(traced, buffer)
         return buffer.getvalue()
