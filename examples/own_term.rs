@@ -4,7 +4,7 @@
 
 use polypod::components::{EnvId, EpisodeSums};
 use polypod::systems::{Registry, RobotView};
-use polypod::{Sim, SimError, SimOptions};
+use polypod::{Error, Sim, SimOptions};
 use serde::Deserialize;
 
 /// Parameters, read from the term's table in the task.
@@ -21,7 +21,7 @@ fn base_height_l2(p: &BaseHeight, robot: &RobotView) -> f32 {
     error * error
 }
 
-fn main() -> Result<(), SimError> {
+fn main() -> Result<(), Error> {
     let mut registry = Registry::builtin();
     registry.reward("base_height_l2", base_height_l2);
 
@@ -30,7 +30,7 @@ fn main() -> Result<(), SimError> {
         overrides: vec!["rewards.unitree.base_height_l2={weight=-10.0, target_height=0.3}".into()],
         ..SimOptions::new("velocity_flat_play", 64)
     };
-    let mut sim = Sim::with_registry(&options, &registry)?;
+    let mut sim = Sim::with_registry(&options, registry)?;
     let actions = vec![0.0; sim.batch().actions.len()];
     for _ in 0..100 {
         sim.step(&actions)?;

@@ -4,9 +4,9 @@ use avian3d::prelude::{Collider, LinearVelocity, Mass, Position, Restitution, Ri
 use bevy_math::Vec3;
 use polypod::components::EnvId;
 use polypod::mirrors::LinkMirrors;
-use polypod::{Sim, SimError, SimOptions};
+use polypod::{Error, Sim, SimOptions};
 
-fn main() -> Result<(), SimError> {
+fn main() -> Result<(), Error> {
     let mut options = SimOptions::new("velocity_flat_play", 16);
     options.robots = Some(vec!["anymal_d".into()]);
     options.overrides.push("physics.mirror_links=true".into());

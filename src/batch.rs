@@ -44,4 +44,14 @@ impl Batch {
             has_final: vec![false; num_envs],
         }
     }
+    /// Whether all arrays are as long as those of `other`.
+    pub(crate) fn has_sizes_of(&self, other: &Self) -> bool {
+        let sizes = |batch: &Self| {
+            let numbers =
+                [&batch.actions, &batch.observations, &batch.rewards, &batch.final_observations].map(Vec::len);
+            let flags = [&batch.terminated, &batch.truncated, &batch.has_final].map(Vec::len);
+            (batch.num_envs, batch.num_obs, batch.num_actions, numbers, flags)
+        };
+        sizes(self) == sizes(other)
+    }
 }

@@ -11,8 +11,8 @@ use rand_pcg::rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use smallvec::{SmallVec, smallvec};
 
-use crate::config::fnv1a;
-use crate::dynamics::{Numbers, Parameters};
+use crate::dynamics::{Parameters, SharedArray};
+use crate::hash::fnv1a;
 use crate::robot::LEGS;
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
@@ -390,7 +390,7 @@ pub struct StartupBody(pub Option<Box<(Parameters<f32>, Stance)>>);
 #[derive(Component, Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stance {
     /// Joint positions of the default pose, physical order, rad.
-    pub default_position: Numbers<f32>,
+    pub default_position: SharedArray<f32>,
     /// Joint target per unit of action, rad.
     pub action_scale: f32,
     /// Height of the base above the ground at which an episode begins: that of the default pose on this body's own legs,
@@ -400,9 +400,15 @@ pub struct Stance {
 
 // ------------------------------------------------------------------------------------------------------------- sensors
 
-/// Which robot a sensor is mounted on.
+/// The robot that a sensor is mounted on. A robot knows its [`Sensors`]; they are despawned with it.
 #[derive(Component, Clone, Copy, Debug)]
+#[relationship(relationship_target = Sensors)]
 pub struct MountedOn(pub Entity);
+
+/// The sensors that are mounted on a robot.
+#[derive(Component, Debug, Default)]
+#[relationship_target(relationship = MountedOn, linked_spawn)]
+pub struct Sensors(Vec<Entity>);
 
 /// Contact sensor over all contact bodies of a robot.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]

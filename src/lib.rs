@@ -2,37 +2,41 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
-mod access;
 pub mod app;
-mod avian;
 pub mod batch;
 pub mod bounds;
 pub mod components;
 pub mod config;
-mod crew;
 pub mod draft;
-pub mod dump;
+pub mod engine;
+mod error;
 pub mod files;
+pub mod geometry_export;
+mod hash;
 pub mod mirrors;
 pub mod morphology;
 mod obstacles;
-pub mod outline;
+mod options;
 pub mod robot;
 pub mod rows;
+mod sealed;
 pub mod simulation;
-pub mod snapshot;
 mod sync;
 #[path = "../systems/mod.rs"]
 pub mod systems;
 pub mod terrain;
+mod thread_team;
 pub mod variation;
+pub mod workers;
 pub mod world;
 
 pub use polypod_dynamics as dynamics;
 
-pub use app::{Sim, SimError, SimOptions};
-pub use avian::SUBSTEPS as AVIAN_SUBSTEPS;
-pub use simulation::{Control, Simulation, SimulationError, SimulationOptions};
+pub use app::{Sim, dump, snapshot};
+pub use config::AVIAN_SUBSTEPS;
+pub use error::Error;
+pub use options::{Autoreset, SimOptions};
+pub use simulation::{Control, Simulation, SimulationOptions};
 
 /// The Rust blocks of the pages, which `cargo test --doc` compiles.
 #[cfg(doctest)]

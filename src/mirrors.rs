@@ -7,23 +7,20 @@
 //! obstacles. What carries an [`EnvId`] touches nothing of another env, wherever it is; what carries none, such as the
 //! ground, touches all.
 
-use avian3d::collider_tree::ColliderTreeOptimization;
 use avian3d::prelude::{
-    ActiveCollisionHooks, AngularInertia, AngularVelocity, CenterOfMass, CoefficientCombine, Collider, ColliderOf,
-    CollisionHooks, CollisionLayers, Friction, LayerMask, LinearVelocity, Mass, NoAutoAngularInertia,
-    NoAutoCenterOfMass, NoAutoMass, Position, Restitution, RigidBody, Rotation, SleepingDisabled,
+    AngularInertia, AngularVelocity, CenterOfMass, CoefficientCombine, Collider, CollisionLayers, Friction, LayerMask,
+    LinearVelocity, Mass, NoAutoAngularInertia, NoAutoCenterOfMass, NoAutoMass, Position, Restitution, RigidBody,
+    Rotation, SleepingDisabled,
 };
 use bevy_ecs::prelude::*;
-use bevy_ecs::system::SystemParam;
 use bevy_math::{Mat3, Quat, Vec3};
-use bevy_tasks::{AsyncComputeTaskPool, ComputeTaskPool, TaskPoolBuilder};
 use bevy_transform::components::{GlobalTransform, Transform};
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::avian::{forward, link_colliders};
 use crate::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, JointState, Morphology};
 use crate::config::{MaterialConfig, Placement, TaskConfig};
 use crate::dynamics::{Parameters, State, Topology, Workspace};
+use crate::engine::avian::{forward, link_colliders};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::world::ObstacleCollider;
 
@@ -71,44 +68,6 @@ pub struct LinkMirrors {
     pub(crate) robots: Vec<MirroredRobot>,
     /// `[env][link]`.
     entities: Vec<Vec<Entity>>,
-}
-
-/// Lets colliders of different envs pass through each other.
-#[derive(SystemParam)]
-pub(crate) struct SameEnv<'w, 's> {
-    envs: Query<'w, 's, &'static EnvId>,
-    bodies: Query<'w, 's, &'static ColliderOf>,
-}
-
-impl SameEnv<'_, '_> {
-    /// The env of a collider, or of the body that carries it.
-    fn env(&self, collider: Entity) -> Option<EnvId> {
-        let own = self.envs.get(collider).ok();
-        own.or_else(|| self.envs.get(self.bodies.get(collider).ok()?.body).ok()).copied()
-    }
-}
-
-impl CollisionHooks for SameEnv<'_, '_> {
-    fn filter_pairs(&self, a: Entity, b: Entity, _: &mut Commands) -> bool {
-        match (self.env(a), self.env(b)) {
-            (Some(a), Some(b)) => a == b,
-            _ => true,
-        }
-    }
-}
-
-/// Makes Avian's world one that is stepped and holds many envs; before anything is in it.
-pub(crate) fn prepare(world: &mut World) {
-    // Avian asks for pools even where it does not use them
-    let pool = || TaskPoolBuilder::new().num_threads(1).build();
-    ComputeTaskPool::get_or_init(pool);
-    AsyncComputeTaskPool::get_or_init(pool);
-    world.resource_mut::<ColliderTreeOptimization>().use_async_tasks = false;
-    let hooks = world
-        .try_register_required_components_with::<Collider, ActiveCollisionHooks>(|| ActiveCollisionHooks::FILTER_PAIRS);
-    if let Err(error) = hooks {
-        tracing::error!("envs are not kept apart in Avian's world: {error}");
-    }
 }
 
 impl LinkMirrors {

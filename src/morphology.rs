@@ -8,18 +8,8 @@ use glam::DMat3;
 use crate::components::{PerFoot, Stance};
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
-use crate::robot::{self, Articulation, BodyGroup, Model, RobotError, Roles, Site, UNLIMITED};
-
-/// A robot could not be made from its URDF and config.
-#[derive(Debug, thiserror::Error)]
-pub enum MorphologyError {
-    /// The URDF.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
-    /// The config.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-}
+use crate::error::Error;
+use crate::robot::{self, Articulation, BodyGroup, Model, Roles, Site, UNLIMITED};
 
 /// One kind of robot.
 #[derive(Clone, Debug)]
@@ -68,7 +58,7 @@ impl MorphologyModel {
     ///
     /// # Errors
     /// What is wrong with the URDF or the config, with file, element and remedy.
-    pub fn new(loaded: &LoadedRobot) -> Result<Self, MorphologyError> {
+    pub fn new(loaded: &LoadedRobot) -> Result<Self, Error> {
         let config = loaded.config.clone();
         let options = robot::LoadOptions {
             package_dirs: config.package_dirs.clone(),
@@ -137,7 +127,7 @@ impl MorphologyModel {
     }
 }
 
-fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec<BodyGroup>, MorphologyError> {
+fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec<BodyGroup>, Error> {
     let mut groups = robot::body_groups(model, roles);
     let named = [
         (&config.bodies.base, BodyGroup::Base, "bodies.base"),

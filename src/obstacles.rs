@@ -1,9 +1,11 @@
 //! The obstacles of a scene as Avian's colliders.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use avian3d::prelude::{Collider, Position, Rotation};
 use bevy_math::{EulerRot, Quat, Vec3};
+use glam::DVec3;
 
-use crate::avian::hull;
 use crate::config::{ObstacleConfig, TerrainConfig};
 use crate::terrain;
 
@@ -106,4 +108,11 @@ pub(crate) fn terrain(config: &TerrainConfig) -> Option<Part> {
     let vertices = whole.vertices.into_iter().map(Vec3::from_array).collect();
     let collider = Collider::try_trimesh(vertices, whole.triangles).ok()?;
     Some(Part { collider, position: Position::default(), rotation: Rotation::default(), reach })
+}
+
+/// The hull of points that span a volume.
+pub(crate) fn hull(points: &[DVec3]) -> Option<Collider> {
+    let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
+    // it asserts its way through degenerate input
+    catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(points))).ok().flatten()
 }

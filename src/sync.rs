@@ -1,4 +1,4 @@
-//! What threads share, for [`crew`](crate::crew) alone. `tests/loom` puts loom's types, which try every order of steps, in place of these.
+//! What threads share, for [`thread_team`](crate::thread_team) alone. `tests/loom` puts loom's types, which try every order of steps, in place of these.
 
 pub(crate) use std::hint::spin_loop as pause;
 pub(crate) use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -6,28 +6,30 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use avian3d::collider_tree::ColliderTreeOptimization;
 use avian3d::prelude::{
-    CoefficientCombine, Collider, Friction, Gravity, PhysicsPlugins, Position, Restitution, RigidBody, SpatialQuery,
-    SpatialQueryFilter,
+    ActiveCollisionHooks, CoefficientCombine, Collider, ColliderOf, CollisionHooks, Friction, Gravity, PhysicsPlugins,
+    Position, Restitution, RigidBody, SpatialQuery, SpatialQueryFilter,
 };
-use bevy_app::{App, Plugin, PluginGroup};
+use bevy_app::{App, PluginGroup};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleLabel;
-use bevy_ecs::system::SystemState;
+use bevy_ecs::system::{SystemParam, SystemState};
 use bevy_math::{Dir3, Vec3};
+use bevy_tasks::{AsyncComputeTaskPool, ComputeTaskPool, TaskPoolBuilder};
 use bevy_time::Time;
 use bevy_transform::components::GlobalTransform;
 
-use crate::components::EnvOrigin;
+use crate::components::{EnvId, EnvOrigin};
 use crate::config::{FrictionCombine, GroundConfig, SceneConfig, TaskConfig, TerrainConfig};
 use crate::dynamics::HeightGrid;
-use crate::mirrors::{self, SameEnv};
+use crate::error::Error;
 use crate::obstacles;
 use crate::terrain::{self, Mesh, TerrainLayout};
 
 /// The world cannot be baked.
 #[derive(Debug, thiserror::Error)]
-pub enum WorldError {
+enum WorldError {
     /// A ray found nothing to stand on.
     #[error("scene: no ground below the origin of the envs; add a ground to the task's [scene]")]
     NoGround,
@@ -45,6 +47,12 @@ pub enum WorldError {
          together, or raise scene.grid_cell"
     )]
     TooLarge(usize, usize),
+}
+
+impl From<WorldError> for Error {
+    fn from(error: WorldError) -> Self {
+        Self::Scene(error.to_string())
+    }
 }
 
 /// Runs Avian's pipeline: colliders become known to its rays.
@@ -78,66 +86,59 @@ pub enum TerrainCollider {
     Border,
 }
 
-/// Adds Avian with a task's ground, obstacles and gravity.
-pub struct WorldPlugin {
-    scene: SceneConfig,
-    gravity: Vec3,
-    mirrors: bool,
+/// Adds Avian to an app.
+pub fn add_avian(app: &mut App) {
+    app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
+    app.insert_resource(Time::<()>::default());
+    app.add_plugins(PhysicsPlugins::new(UpdateWorld).with_collision_hooks::<SameEnv>().build());
 }
 
-impl WorldPlugin {
-    /// For a task.
-    pub fn new(config: &TaskConfig) -> Self {
-        let gravity = Vec3::from_array(config.sim.gravity.map(|x| x as f32));
-        Self { scene: config.scene.clone(), gravity, mirrors: config.physics.mirror_links }
+/// Spawns a task's ground and obstacles in Avian's world and sets its gravity, once the app's plugins are finished.
+///
+/// # Errors
+/// There is no ground, a tile or an obstacle has no shape, or they need too large a grid.
+pub fn build(world: &mut World, config: &TaskConfig) -> Result<Ground, Error> {
+    if config.physics.mirror_links {
+        prepare(world);
     }
-}
-
-impl Plugin for WorldPlugin {
-    fn build(&self, app: &mut App) {
-        app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
-        app.insert_resource(Time::<()>::default());
-        app.add_plugins(PhysicsPlugins::new(UpdateWorld).with_collision_hooks::<SameEnv>().build());
-        if self.mirrors {
-            mirrors::prepare(app.world_mut());
-        }
-        app.insert_resource(Gravity(self.gravity));
-        let ground = &self.scene.ground;
-        if let Some(terrain) = &self.scene.terrain {
-            for (tag, collider, position) in terrain_colliders(terrain) {
-                app.world_mut().spawn((
-                    (tag, GroundCollider),
-                    RigidBody::Static,
-                    collider,
-                    position,
-                    surface(ground),
-                    GlobalTransform::IDENTITY,
-                ));
-            }
-        } else {
-            app.world_mut().spawn((
-                GroundCollider,
+    world.insert_resource(Gravity(Vec3::from_array(config.sim.gravity.map(|x| x as f32))));
+    let scene = &config.scene;
+    let ground = &scene.ground;
+    if let Some(terrain) = &scene.terrain {
+        for (tag, collider, position) in terrain_colliders(terrain) {
+            world.spawn((
+                (tag, GroundCollider),
                 RigidBody::Static,
-                Collider::half_space(Vec3::Z),
+                collider,
+                position,
                 surface(ground),
-                // a collider takes its scale from this component, and zero without it
                 GlobalTransform::IDENTITY,
             ));
         }
-        for (index, obstacle) in self.scene.obstacles.iter().enumerate() {
-            for part in obstacles::parts(obstacle) {
-                app.world_mut().spawn((
-                    ObstacleCollider { index, reach: part.reach },
-                    RigidBody::Static,
-                    part.collider,
-                    part.position,
-                    part.rotation,
-                    surface(ground),
-                    GlobalTransform::IDENTITY,
-                ));
-            }
+    } else {
+        world.spawn((
+            GroundCollider,
+            RigidBody::Static,
+            Collider::half_space(Vec3::Z),
+            surface(ground),
+            // a collider takes its scale from this component, and zero without it
+            GlobalTransform::IDENTITY,
+        ));
+    }
+    for (index, obstacle) in scene.obstacles.iter().enumerate() {
+        for part in obstacles::parts(obstacle) {
+            world.spawn((
+                ObstacleCollider { index, reach: part.reach },
+                RigidBody::Static,
+                part.collider,
+                part.position,
+                part.rotation,
+                surface(ground),
+                GlobalTransform::IDENTITY,
+            ));
         }
     }
+    Ok(bake_ground(world, scene)?)
 }
 
 /// The tiles and the border; a tile of which no collider can be made is left out.
@@ -197,6 +198,16 @@ impl Ground {
         }
     }
 
+    /// Rows in the order of their tiles: those on the same tile in turn, which finds its heights in the cache. `None` on ground without
+    /// tiles.
+    pub(crate) fn order_of_tiles(&self, origins: &[EnvOrigin]) -> Option<Vec<u32>> {
+        self.layout.as_ref()?;
+        let tile = |origin: &EnvOrigin| u64::from(origin.terrain_level) << 16 | u64::from(origin.terrain_column);
+        let mut order: Vec<u64> = (0..).zip(origins).map(|(row, origin)| tile(origin) << 32 | row).collect();
+        order.sort_unstable();
+        Some(order.into_iter().map(|row| row as u32).collect())
+    }
+
     /// Static and dynamic friction of a robot's surface on the ground, by the ground's combine rule.
     pub fn friction_with(&self, of_robot: [f32; 2]) -> [f32; 2] {
         let ground = [self.friction.static_coefficient, self.friction.dynamic_coefficient];
@@ -237,20 +248,20 @@ const LONGEST_SIDE: usize = 4_000_000;
 /// The ground of a task, without robots.
 ///
 /// # Errors
-/// As [`bake_ground`].
-pub fn load(config: &TaskConfig) -> Result<Ground, WorldError> {
+/// As [`build`].
+pub fn load(config: &TaskConfig) -> Result<Ground, Error> {
     let mut app = App::empty();
-    app.add_plugins(WorldPlugin::new(config));
+    add_avian(&mut app);
     app.finish();
     app.cleanup();
-    bake_ground(app.world_mut(), &config.scene)
+    build(app.world_mut(), config)
 }
 
 /// Reads ground, obstacles and gravity from Avian's world, once the app's plugins are finished.
 ///
 /// # Errors
 /// There is no ground, a tile or an obstacle has no shape, or they need too large a grid.
-pub fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldError> {
+fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldError> {
     world.run_schedule(UpdateWorld);
     let obstacles: Vec<(Entity, ObstacleCollider, Vec3)> =
         world.query::<(Entity, &ObstacleCollider, &Position)>().iter(world).map(|(e, o, p)| (e, *o, p.0)).collect();
@@ -354,4 +365,42 @@ fn bake_terrain(
     }
     grid.note_squares();
     Ok(Some(grid))
+}
+
+/// Lets colliders of different envs pass through each other.
+#[derive(SystemParam)]
+struct SameEnv<'w, 's> {
+    envs: Query<'w, 's, &'static EnvId>,
+    bodies: Query<'w, 's, &'static ColliderOf>,
+}
+
+impl SameEnv<'_, '_> {
+    /// The env of a collider, or of the body that carries it.
+    fn env(&self, collider: Entity) -> Option<EnvId> {
+        let own = self.envs.get(collider).ok();
+        own.or_else(|| self.envs.get(self.bodies.get(collider).ok()?.body).ok()).copied()
+    }
+}
+
+impl CollisionHooks for SameEnv<'_, '_> {
+    fn filter_pairs(&self, a: Entity, b: Entity, _: &mut Commands) -> bool {
+        match (self.env(a), self.env(b)) {
+            (Some(a), Some(b)) => a == b,
+            _ => true,
+        }
+    }
+}
+
+/// Makes Avian's world one that is stepped and holds many envs; before anything is in it.
+fn prepare(world: &mut World) {
+    // Avian asks for pools even where it does not use them
+    let pool = || TaskPoolBuilder::new().num_threads(1).build();
+    ComputeTaskPool::get_or_init(pool);
+    AsyncComputeTaskPool::get_or_init(pool);
+    world.resource_mut::<ColliderTreeOptimization>().use_async_tasks = false;
+    let hooks = world
+        .try_register_required_components_with::<Collider, ActiveCollisionHooks>(|| ActiveCollisionHooks::FILTER_PAIRS);
+    if let Err(error) = hooks {
+        tracing::error!("envs are not kept apart in Avian's world: {error}");
+    }
 }

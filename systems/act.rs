@@ -1,12 +1,25 @@
 //! Actions become joint position targets.
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
+use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
 use crate::components::{Action, JointTargets, Morphology, Robot, Stance};
 use crate::dynamics::lanes::Kernel;
 use crate::morphology::Morphologies;
-use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
+use crate::rows::Rows;
+use crate::workers::{MatrixRows, Workers};
+
+/// Turns actions into joint targets.
+#[derive(Default)]
+pub struct ActPlugin;
+
+impl Plugin for ActPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(ControlStep, apply_actions.in_set(PipelineSet::Act));
+    }
+}
 
 /// `target = default + scale * action`, from canonical to physical order; the targets before become history.
 ///
@@ -15,15 +28,12 @@ pub(super) fn apply_actions(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     mut batch: ResMut<Batch>,
-    tags: Query<&'static Morphology, With<Robot>>,
-    stances: Query<&'static Stance>,
-    mut actions: Query<&'static mut Action>,
-    mut targets: Query<&'static mut JointTargets>,
-) {
-    let tags = read_rows(&tags);
+    mut robots: Rows<(&'static Morphology, &'static Stance, &'static mut Action, &'static mut JointTargets), Robot>,
+) -> Result {
     let width = batch.num_actions;
     let raw = MatrixRows { data: &mut batch.actions[..], width };
-    let rows = (tags, read_rows(&stances), write_rows(&mut actions), write_rows(&mut targets), raw);
+    let (tags, stances, actions, targets) = robots.write()?;
+    let rows = (tags, stances, actions, targets, raw);
     workers.vectorize_chunks(rows, tags.len(), |_, _, (tags, stances, actions, targets, raw)| ActionRows {
         morphologies: &morphologies,
         tags,
@@ -32,6 +42,7 @@ pub(super) fn apply_actions(
         targets,
         raw,
     });
+    Ok(())
 }
 
 struct ActionRows<'a> {

@@ -3,55 +3,10 @@
 use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::terminate::{StateLimits, Violation};
 use super::terms::CompiledTask;
-use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, EnvId, Episode, ExternalWrench, JointEffort,
-    JointState, JointTargets,
-};
-use crate::rows::read_rows;
-
-/// What physics moves of one robot.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Motion {
-    /// Pose of the base.
-    pub pose: BasePose,
-    /// Velocity of the base.
-    pub velocity: BaseVelocity,
-    /// Joint positions and velocities, physical order.
-    pub joints: JointState,
-    /// Joint efforts and accelerations of the last physics step, physical order.
-    pub effort: JointEffort,
-    /// Impulses of contacts and joint limits in the last physics step.
-    pub impulses: ConstraintImpulses,
-}
-
-impl Motion {
-    /// The first number that is not finite or beyond its limit.
-    pub fn violation(&self, limits: &StateLimits) -> Option<Violation> {
-        let numbers = [
-            &self.pose.position[..],
-            &self.pose.rotation,
-            &self.velocity.linear,
-            &self.velocity.angular,
-            &self.joints.position,
-            &self.joints.velocity,
-            &self.effort.applied,
-        ];
-        limits.violation(numbers, |x| x)
-    }
-}
-
-/// What physics saw of a control step that broke a state.
-pub(super) struct Evidence {
-    pub(super) morphology: usize,
-    pub(super) env: usize,
-    pub(super) before: Motion,
-    pub(super) targets: JointTargets,
-    pub(super) delay: ActuatorDelay,
-    pub(super) wrench: ExternalWrench,
-    pub(super) after: Motion,
-}
+use crate::components::{ActuatorDelay, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot};
+use crate::engine::{DivergenceRecord, Motion, StateLimits};
+use crate::rows::Rows;
 
 /// A control step that broke a state: what went in and what came out.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -84,7 +39,7 @@ pub struct BrokenStates {
     watched: Vec<bool>,
     seen: Vec<bool>,
     step: u64,
-    evidence: Vec<Evidence>,
+    evidence: Vec<DivergenceRecord>,
     found: Vec<(usize, BrokenState)>,
 }
 
@@ -111,7 +66,7 @@ impl BrokenStates {
         &self.watched
     }
 
-    pub(super) fn note(&mut self, evidence: Vec<Evidence>) {
+    pub(super) fn note(&mut self, evidence: Vec<DivergenceRecord>) {
         for found in &evidence {
             self.watched[found.morphology] = false;
             self.seen[found.morphology] = true;
@@ -124,14 +79,14 @@ impl BrokenStates {
 pub(super) fn describe_broken_states(
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
-    bodies: Query<&'static Body>,
-    episodes: Query<&'static Episode>,
-) {
+    robots: Rows<&'static Body, Robot>,
+    envs: Rows<&'static Episode, Env>,
+) -> Result {
     let broken = &mut *broken;
     if !broken.evidence.is_empty() {
-        let (bodies, episodes) = (read_rows(&bodies), read_rows(&episodes));
-        let described =
-            broken.evidence.drain(..).map(|Evidence { morphology, env, before, targets, delay, wrench, after }| {
+        let (bodies, episodes) = (robots.read()?, envs.read()?);
+        let described = broken.evidence.drain(..).map(
+            |DivergenceRecord { morphology, env, before, targets, delay, wrench, after }| {
                 let state = BrokenState {
                     env: EnvId(env as u32),
                     step: broken.step,
@@ -145,8 +100,10 @@ pub(super) fn describe_broken_states(
                     after,
                 };
                 (morphology, state)
-            });
+            },
+        );
         broken.found.extend(described);
     }
     broken.step += 1;
+    Ok(())
 }

@@ -1,24 +1,38 @@
 //! Velocity commands: drawn at reset and every few seconds, steered by heading in between.
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
 use super::terms::CompiledTask;
-use crate::components::{BasePose, Command, Env, EnvRng};
+use super::{ControlStep, PipelineSet};
+use crate::components::{BasePose, Command, Env, EnvRng, Robot};
 use crate::config::VelocityCommandConfig;
+use crate::dynamics::elementary::atan2;
 use crate::dynamics::lanes::Kernel;
-use crate::rows::{Workers, read_rows, write_rows};
+use crate::rows::Rows;
+use crate::workers::Workers;
+
+/// Draws and steers velocity commands.
+#[derive(Default)]
+pub struct CommandPlugin;
+
+impl Plugin for CommandPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(ControlStep, update_commands.in_set(PipelineSet::Command));
+    }
+}
 
 /// Counts down, draws anew where the time is up, and lets the yaw rate follow the heading.
 pub(super) fn update_commands(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
-    poses: Query<&'static BasePose>,
-    mut commands: Query<&'static mut Command>,
-    mut rngs: Query<&'static mut EnvRng, With<Env>>,
-) {
-    let poses = read_rows(&poses);
+    robots: Rows<&'static BasePose, Robot>,
+    mut envs: Rows<(&'static mut Command, &'static mut EnvRng), Env>,
+) -> Result {
+    let poses = robots.read()?;
+    let (commands, rngs) = envs.write()?;
     let (config, step_dt) = (&task.config.commands.base_velocity, task.step_dt);
-    let rows = (poses, write_rows(&mut commands), write_rows(&mut rngs));
+    let rows = (poses, commands, rngs);
     workers.vectorize_chunks(rows, poses.len(), |_, _, (poses, commands, rngs)| CommandRows {
         config,
         step_dt,
@@ -26,6 +40,7 @@ pub(super) fn update_commands(
         commands,
         rngs,
     });
+    Ok(())
 }
 
 struct CommandRows<'a> {
@@ -59,7 +74,6 @@ impl Kernel<f32> for CommandRows<'_> {
 /// Heading of the base's x axis in the world, rad.
 #[inline(always)]
 pub(super) fn heading([w, x, y, z]: &[f32; 4]) -> f32 {
-    // libm-free functions keep the bits the same on every machine
     atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 }
 
@@ -93,47 +107,9 @@ fn wrap_to_pi(angle: f32) -> f32 {
     angle - TURN * (angle / TURN).round_ties_even()
 }
 
-/// Angle of the vector (x, y), rad; error below 1e-6. A polynomial on the first octant (Abramowitz and Stegun 4.4.49)
-/// and reflections, with IEEE operations only.
-#[inline(always)]
-fn atan2(y: f32, x: f32) -> f32 {
-    use std::f32::consts::{FRAC_PI_2, PI};
-    let (ax, ay) = (x.abs(), y.abs());
-    let (small, large) = if ay < ax { (ay, ax) } else { (ax, ay) };
-    let t = if large > 0.0 { small / large } else { 0.0 };
-    let t2 = t * t;
-    let series = [
-        0.002_866_225_7,
-        -0.016_165_737,
-        0.042_909_614,
-        -0.075_289_64,
-        0.106_562_64,
-        -0.142_089,
-        0.199_935_51,
-        -0.333_331_45,
-    ];
-    let p = series.iter().fold(0.0f32, |p, &c: &f32| p.mul_add(t2, c));
-    let a = (p * t2).mul_add(t, t);
-    let a = if ay < ax { a } else { FRAC_PI_2 - a };
-    let a = if x < 0.0 { PI - a } else { a };
-    if y < 0.0 { -a } else { a }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn atan2_is_accurate_all_around() {
-        for i in 0..10_000 {
-            let angle = (f64::from(i) - 5000.0) * std::f64::consts::PI / 5000.0;
-            for radius in [1e-3, 1.0, 50.0] {
-                let (y, x) = ((radius * angle.sin()) as f32, (radius * angle.cos()) as f32);
-                let exact = f64::from(y).atan2(f64::from(x));
-                assert!((f64::from(atan2(y, x)) - exact).abs() < 1.5e-6, "{y} {x}");
-            }
-        }
-    }
 
     #[test]
     fn angles_wrap_to_half_a_turn() {

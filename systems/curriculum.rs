@@ -3,27 +3,14 @@
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
+use super::BlockSizes;
 use super::terms::{CompiledTask, Registry};
-use crate::components::{BasePose, Command, Env, EnvOrigin, EnvRng, Episode};
+use super::view::EpisodeEnd;
+use crate::components::{Env, EnvOrigin, EnvRng};
 use crate::config::{Columns, Placement, values};
+use crate::rows::Rows;
 use crate::terrain::TerrainLayout;
 use crate::world::Ground;
-
-/// An episode that is over, and what its end may change.
-pub struct EpisodeEnd<'a> {
-    /// How it ended.
-    pub episode: &'a Episode,
-    /// Where the robot was then.
-    pub pose: &'a BasePose,
-    /// What it was told to do then.
-    pub command: &'a Command,
-    /// Length of a full episode, s.
-    pub episode_length_s: f32,
-    /// The tiles, if the ground is generated terrain.
-    pub layout: Option<&'a TerrainLayout>,
-    /// Where the next episode begins.
-    pub origin: &'a mut EnvOrigin,
-}
 
 impl EnvOrigin {
     /// Moves to a level of the same column.
@@ -33,22 +20,19 @@ impl EnvOrigin {
     }
 }
 
-/// How many envs each robot has, in the order of their blocks.
-#[derive(Resource, Clone, Debug)]
-pub struct BlockSizes(pub Vec<usize>);
-
 /// Gives every env its place: a tile whose type does not depend on the robot and whose level the env's stream draws, or its
 /// place on a square grid.
 pub fn place_envs(
     ground: Res<Ground>,
     task: Res<CompiledTask>,
     blocks: Res<BlockSizes>,
-    mut envs: Query<(&mut EnvOrigin, &mut EnvRng), With<Env>>,
-) {
+    mut envs: Rows<(&'static mut EnvOrigin, &'static mut EnvRng), Env>,
+) -> Result {
     let scene = &task.config.scene;
     let total: usize = blocks.0.iter().sum();
     let places = blocks.0.iter().flat_map(|&count| 0..count);
-    for (env, ((mut origin, mut rng), index)) in envs.iter_mut().zip(places).enumerate() {
+    let (origins, rngs) = envs.write()?;
+    for (env, ((origin, rng), index)) in origins.iter_mut().zip(rngs).zip(places).enumerate() {
         *origin = EnvOrigin::default();
         if let Some(layout) = &ground.layout {
             let contiguous = scene.terrain.as_ref().is_some_and(|terrain| terrain.columns == Columns::Contiguous);
@@ -64,6 +48,7 @@ pub fn place_envs(
             origin.position = [place(env / side) as f32, place(env % side) as f32];
         }
     }
+    Ok(())
 }
 
 /// All built-in curriculum terms, under Isaac Lab's names.

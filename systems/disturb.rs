@@ -1,31 +1,41 @@
 //! Interval events: what happens to a robot again and again within an episode.
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::terms::{CompiledTask, EventBody, Registry};
+use super::terms::{CompiledTask, Registry};
+use super::view::EventBody;
+use super::{ControlStep, PipelineSet};
 use crate::components::{BaseVelocity, Env, EnvRng, EventTimers, ExternalWrench, Morphology, Robot};
 use crate::config::values;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{Workers, read_rows, write_rows};
+use crate::rows::Rows;
+use crate::workers::Workers;
+
+/// Lets interval events happen.
+#[derive(Default)]
+pub struct DisturbPlugin;
+
+impl Plugin for DisturbPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(ControlStep, apply_interval_events.in_set(PipelineSet::Disturb));
+    }
+}
 
 /// Counts each event's timer down; where it is up, the event happens and the timer starts anew.
 pub(super) fn apply_interval_events(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
-    tags: Query<&'static Morphology, With<Robot>>,
-    mut timers: Query<&'static mut EventTimers>,
-    mut rngs: Query<&'static mut EnvRng, With<Env>>,
-    mut velocities: Query<&'static mut BaseVelocity>,
-    mut wrenches: Query<&'static mut ExternalWrench>,
-) {
+    mut robots: Rows<(&'static Morphology, &'static mut BaseVelocity, &'static mut ExternalWrench), Robot>,
+    mut envs: Rows<(&'static mut EventTimers, &'static mut EnvRng), Env>,
+) -> Result {
     if task.interval_events.is_empty() {
-        return;
+        return Ok(());
     }
-    let tags = read_rows(&tags);
-    let own = (write_rows(&mut timers), write_rows(&mut rngs));
-    let rows = (tags, own, write_rows(&mut velocities), write_rows(&mut wrenches));
+    let ((tags, velocities, wrenches), own) = (robots.write()?, envs.write()?);
+    let rows = (tags, own, velocities, wrenches);
     workers.for_each_chunk(rows, tags.len(), |_, n, (tags, (timers, rngs), velocities, wrenches)| {
         for i in 0..n {
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
@@ -39,6 +49,7 @@ pub(super) fn apply_interval_events(
             }
         }
     });
+    Ok(())
 }
 
 #[derive(Deserialize)]

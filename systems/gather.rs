@@ -2,10 +2,13 @@
 
 use bevy_ecs::prelude::*;
 
+use super::faults;
 use super::terms::CompiledTask;
 use super::view::{RobotView, ViewParam};
-use crate::components::{ContactForces, Episode};
-use crate::rows::{MatrixRows, Workers, read_rows};
+use crate::components::{ContactForces, Env, Episode, Robot};
+use crate::error::Error;
+use crate::rows::Rows;
+use crate::workers::{MatrixRows, Workers};
 
 /// One quantity of every robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -140,11 +143,8 @@ impl StateField {
 }
 
 /// Writes one quantity of all robots, row-major `[num_envs, width]`. A broken state is written as zeros.
-pub(crate) fn gather_state(world: &mut World, field: StateField, out: &mut [f32]) {
-    // running a system once only fails when its parameters are missing, and all are inserted when the app is made
-    if let Err(error) = world.run_system_cached_with(gather, (field, out)) {
-        tracing::error!("the state was not gathered: {error}");
-    }
+pub(crate) fn gather_state(world: &mut World, field: StateField, out: &mut [f32]) -> Result<(), Error> {
+    faults::outcome(world.run_system_cached_with(gather, (field, out)))
 }
 
 fn gather(
@@ -152,11 +152,11 @@ fn gather(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
     views: ViewParam,
-    forces: Query<&'static ContactForces>,
-    episodes: Query<&'static Episode>,
-) {
-    let views = views.views(task.step_dt);
-    let rows = (read_rows(&forces), read_rows(&episodes), MatrixRows { data: out, width: field.width() });
+    robots: Rows<&'static ContactForces, Robot>,
+    envs: Rows<&'static Episode, Env>,
+) -> Result {
+    let views = views.views(task.step_dt)?;
+    let rows = (robots.read()?, envs.read()?, MatrixRows { data: out, width: field.width() });
     workers.for_each_chunk(rows, views.len(), |first, n, (forces, episodes, mut out)| {
         for i in 0..n {
             if episodes[i].invalid {
@@ -166,4 +166,5 @@ fn gather(
             }
         }
     });
+    Ok(())
 }

@@ -2,15 +2,29 @@
 
 use std::collections::BTreeMap;
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::terms::CompiledTask;
 use super::view::RobotView;
-use crate::components::{EnvOrigin, Episode, EpisodeSums, Morphology, Robot};
+use super::{ResetSet, Setup, SetupSet, for_both};
+use crate::components::{Env, EnvOrigin, Episode, EpisodeSums, Morphology, Robot};
 use crate::morphology::Morphologies;
-use crate::rows::{read_rows, write_rows};
+use crate::rows::Rows;
 use crate::world::Ground;
+
+/// Counts ended episodes.
+#[derive(Default)]
+pub struct LogsPlugin;
+
+impl Plugin for LogsPlugin {
+    fn build(&self, app: &mut App) {
+        let make = |mut commands: Commands, task: Res<CompiledTask>| commands.insert_resource(Logs::new(&task));
+        app.add_systems(Setup, make.in_set(SetupSet::Engine).ambiguous_with_all());
+        for_both(app, || collect_episodes.in_set(ResetSet::Log));
+    }
+}
 
 impl EpisodeSums {
     /// Adds the step's tracking errors.
@@ -50,6 +64,9 @@ pub struct EpisodeStats {
     /// Level of difficulty of the tile on which the episode was, if the ground is generated terrain.
     pub terrain_level: Option<f64>,
 }
+
+/// Largest count of a log that is restored: counting on from there does not overflow.
+const MAX_LOGGED: u64 = u64::MAX / 2;
 
 /// Sums over the finished episodes of one robot.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -97,6 +114,14 @@ impl RobotLog {
         }
     }
 
+    /// Whether it may take the place of `present`.
+    fn fits(&self, present: &Self) -> bool {
+        let counts = [self.episodes, self.falls, self.steps].into_iter().chain(self.causes.iter().copied());
+        self.terms.len() == present.terms.len()
+            && self.causes.len() == present.causes.len()
+            && counts.max() <= Some(MAX_LOGGED)
+    }
+
     /// The means.
     pub fn stats(&self, step_dt: f64) -> EpisodeStats {
         let steps = self.steps.max(1) as f64;
@@ -123,6 +148,14 @@ pub struct Logs {
 }
 
 impl Logs {
+    /// Whether they may take the place of `present`: they are of as many robots, terms and causes.
+    pub(crate) fn fits(&self, present: &Self) -> bool {
+        let same = |ours: &[RobotLog], theirs: &[RobotLog]| {
+            ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(a, b)| a.fits(b))
+        };
+        same(&self.recent, &present.recent) && same(&self.all, &present.all)
+    }
+
     /// Empty, for a task and its robots.
     pub fn new(task: &CompiledTask) -> Self {
         Self { recent: Self::empty(task), all: Self::empty(task) }
@@ -185,16 +218,15 @@ impl Logs {
 
 /// Counts the episodes that have just ended.
 pub(super) fn collect_episodes(
-    tags: Query<&'static Morphology, With<Robot>>,
-    mut episodes: Query<&'static mut Episode>,
-    sums: Query<&'static EpisodeSums>,
-    origins: Query<&'static EnvOrigin>,
+    robots: Rows<&'static Morphology, Robot>,
+    mut envs: Rows<(&'static mut Episode, &'static EpisodeSums, &'static EnvOrigin), Env>,
     ground: Res<Ground>,
     mut logs: ResMut<Logs>,
-) {
-    let (tags, sums, origins) = (read_rows(&tags), read_rows(&sums), read_rows(&origins));
+) -> Result {
+    let tags = robots.read()?;
+    let (episodes, sums, origins) = envs.write()?;
     let Logs { recent, all } = &mut *logs;
-    for (i, episode) in write_rows(&mut episodes).iter_mut().enumerate() {
+    for (i, episode) in episodes.iter_mut().enumerate() {
         if episode.done() && !episode.logged {
             episode.logged = true;
             let morphology = usize::from(tags[i].0);
@@ -203,4 +235,5 @@ pub(super) fn collect_episodes(
             all[morphology].add(episode, &sums[i], level);
         }
     }
+    Ok(())
 }

@@ -8,18 +8,54 @@ use avian3d::collider_tree::update_moved_collider_aabbs;
 use avian3d::prelude::{
     AngularInertia, AngularVelocity, CenterOfMass, Collider, LinearVelocity, Mass, Position, Rotation,
 };
+use bevy_app::{App, Plugin};
 use bevy_ecs::message::message_update_system;
 use bevy_ecs::prelude::*;
+use bevy_ecs::system::SystemParam;
 use bevy_math::{Quat, Vec3};
 use bevy_transform::components::Transform;
 
+use super::faults;
 use super::terms::CompiledTask;
-use crate::components::{BasePose, BaseVelocity, Body, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
+use super::{BlockSizes, ControlStep, PipelineSet, ResetSet, Setup, SetupSet, for_both};
+use crate::components::{BasePose, BaseVelocity, Body, Env, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
 use crate::dynamics::Parameters;
+use crate::error::Error;
 use crate::mirrors::{LinkMirror, LinkMirrors, LinkMotion, mass_properties};
 use crate::morphology::Morphologies;
-use crate::rows::{Workers, read_rows};
+use crate::rows::Rows;
+use crate::workers::Workers;
 use crate::world::step_world;
+
+/// Lets Avian's world follow the robots, with `physics.mirror_links`.
+#[derive(Default)]
+pub struct MirrorPlugin;
+
+impl Plugin for MirrorPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(Setup, spawn_mirrors.in_set(SetupSet::Mirror));
+        app.add_systems(
+            ControlStep,
+            (read_bodies, aim_mirrors, step_avian, settle_mirrors)
+                .chain()
+                .run_if(resource_exists::<LinkMirrors>)
+                .in_set(PipelineSet::Mirror),
+        );
+        for_both(app, || mirror_resets.run_if(resource_exists::<LinkMirrors>).in_set(ResetSet::Mirror));
+    }
+}
+
+/// Spawns the mirrors, where the task asks for them.
+fn spawn_mirrors(world: &mut World) {
+    let config = &world.resource::<CompiledTask>().config;
+    if config.physics.mirror_links {
+        let config = config.clone();
+        let counts = world.resource::<BlockSizes>().0.clone();
+        world.resource_scope(|world, morphologies: Mut<Morphologies>| {
+            LinkMirrors::spawn(world, &config, &morphologies, &counts);
+        });
+    }
+}
 
 /// What moves of a mirror.
 type Moving = (
@@ -42,13 +78,11 @@ type Placed = (
 );
 
 /// The states of the robots.
-type RobotRows<'w, 's> = (
-    Query<'w, 's, &'static Morphology, With<Robot>>,
-    Query<'w, 's, &'static BasePose>,
-    Query<'w, 's, &'static BaseVelocity>,
-    Query<'w, 's, &'static JointState>,
-    Query<'w, 's, &'static EnvOrigin>,
-);
+#[derive(SystemParam)]
+pub(super) struct States<'w, 's> {
+    robots: Rows<'w, 's, (&'static Morphology, &'static BasePose, &'static BaseVelocity, &'static JointState), Robot>,
+    envs: Rows<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
+}
 
 /// Masses and lengths of robots that were randomised.
 pub(super) fn read_bodies(
@@ -77,10 +111,10 @@ pub(super) fn aim_mirrors(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     mut mirrors: ResMut<LinkMirrors>,
-    robots: RobotRows,
+    states: States,
     mut links: Query<Moving>,
-) {
-    follow(&workers, &morphologies, &mut mirrors, &robots, |_| true);
+) -> Result {
+    follow(&workers, &morphologies, &mut mirrors, &states, |_| true)?;
     let rate = (1.0 / task.config.sim.step_dt()) as f32;
     for (env, mirror, com, position, rotation, mut linear, mut angular) in &mut links {
         let Some(to) = motion(&mirrors, *env, *mirror) else {
@@ -89,15 +123,15 @@ pub(super) fn aim_mirrors(
         linear.0 = (to.position + to.rotation * com.0 - position.0 - rotation.0 * com.0) * rate;
         angular.0 = shortest(to.rotation * rotation.0.inverse()) * rate;
     }
+    Ok(())
 }
 
 /// One step of Avian's world. What it told in the step before last is forgotten.
-pub(super) fn step_avian(world: &mut World) {
-    if let Err(error) = world.run_system_cached(message_update_system) {
-        tracing::error!("Avian's events of former steps were kept: {error}");
-    }
+pub(super) fn step_avian(world: &mut World) -> Result {
+    faults::outcome(world.run_system_cached(message_update_system))?;
     let seconds = world.resource::<CompiledTask>().config.sim.step_dt();
     step_world(world, seconds);
+    Ok(())
 }
 
 /// Gives each mirror the velocity of its link.
@@ -110,53 +144,43 @@ pub(super) fn settle_mirrors(mirrors: Res<LinkMirrors>, mut links: Query<Moving>
 }
 
 /// Puts the mirrors of robots that begin a new episode where these are, for Avian's rays too.
-pub(super) fn mirror_resets(world: &mut World) {
-    run(world, place_new);
+pub(super) fn mirror_resets(world: &mut World) -> Result {
+    Ok(run(world, place_new)?)
 }
 
 /// Puts all mirrors where the links are, if there are any.
-pub(crate) fn mirror_all(world: &mut World) {
-    if world.contains_resource::<LinkMirrors>() {
-        run(world, place_all);
-    }
+pub(crate) fn mirror_all(world: &mut World) -> Result<(), Error> {
+    if world.contains_resource::<LinkMirrors>() { run(world, place_all) } else { Ok(()) }
 }
 
-fn run<M>(world: &mut World, place: impl IntoSystem<(), bool, M> + 'static) {
-    if let Err(error) = world.run_system_cached(read_bodies) {
-        tracing::error!("mirrors keep the masses of their links: {error}");
-    }
-    match world.run_system_cached(place) {
+fn run<M>(world: &mut World, place: impl IntoSystem<(), bool, M> + 'static) -> Result<(), Error> {
+    faults::outcome(world.run_system_cached(read_bodies))?;
+    if faults::outcome(world.run_system_cached(place))? {
         // a ray looks for colliders in trees, which Avian updates in its steps
-        Ok(true) => {
-            if let Err(error) = world.run_system_cached(update_moved_collider_aabbs::<Collider>) {
-                tracing::error!("Avian's rays do not see where links are: {error}");
-            }
-        }
-        Ok(false) => {}
-        Err(error) => tracing::error!("mirrors do not follow their links: {error}"),
+        faults::outcome(world.run_system_cached(update_moved_collider_aabbs::<Collider>))?;
     }
+    Ok(())
 }
 
 fn place_new(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     mirrors: ResMut<LinkMirrors>,
-    robots: RobotRows,
-    episodes: Query<&'static Episode>,
+    states: States,
     links: Query<Placed, With<LinkMirror>>,
-) -> bool {
-    let new: Vec<bool> = read_rows(&episodes).iter().map(|episode| episode.fresh).collect();
-    place(&workers, &morphologies, mirrors, &robots, links, |env| new.get(env) == Some(&true))
+) -> Result<bool> {
+    let (_, episodes) = states.envs.read()?;
+    Ok(place(&workers, &morphologies, mirrors, &states, links, |env| episodes.get(env).is_some_and(|e| e.fresh))?)
 }
 
 fn place_all(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     mirrors: ResMut<LinkMirrors>,
-    robots: RobotRows,
+    states: States,
     links: Query<Placed, With<LinkMirror>>,
-) -> bool {
-    place(&workers, &morphologies, mirrors, &robots, links, |_| true)
+) -> Result<bool> {
+    Ok(place(&workers, &morphologies, mirrors, &states, links, |_| true)?)
 }
 
 /// Whether there was any to be placed.
@@ -164,14 +188,14 @@ fn place(
     workers: &Workers,
     morphologies: &Morphologies,
     mut mirrors: ResMut<LinkMirrors>,
-    robots: &RobotRows,
+    states: &States,
     mut links: Query<Placed, With<LinkMirror>>,
     due: impl Fn(usize) -> bool + Sync,
-) -> bool {
+) -> Result<bool, Error> {
     if !(0..mirrors.robots.len()).any(&due) {
-        return false;
+        return Ok(false);
     }
-    follow(workers, morphologies, &mut mirrors, robots, &due);
+    follow(workers, morphologies, &mut mirrors, states, &due)?;
     for env in (0..mirrors.robots.len()).filter(|env| due(*env)) {
         let entities = mirrors.links(EnvId(env as u32));
         for (to, &entity) in mirrors.robots[env].motions.iter().zip(entities) {
@@ -183,7 +207,7 @@ fn place(
             }
         }
     }
-    true
+    Ok(true)
 }
 
 /// Where the links of robots that are due are.
@@ -191,19 +215,19 @@ fn follow(
     workers: &Workers,
     morphologies: &Morphologies,
     mirrors: &mut LinkMirrors,
-    robots: &RobotRows,
+    states: &States,
     due: impl Fn(usize) -> bool + Sync,
-) {
-    let (tags, poses, velocities, joints, origins) = robots;
+) -> Result<(), Error> {
+    let ((tags, poses, velocities, joints), (origins, _)) = (states.robots.read()?, states.envs.read()?);
     let robots = mirrors.robots.as_mut_slice();
     let n = robots.len();
-    let states = (read_rows(poses), read_rows(velocities), read_rows(joints));
-    let rows = (robots, read_rows(origins), read_rows(tags), states);
+    let rows = (robots, origins, tags, (poses, velocities, joints));
     workers.for_each_chunk(rows, n, |first, n, (robots, origins, tags, (poses, velocities, joints))| {
         for i in (0..n).filter(|i| due(first + i)) {
             robots[i].follow(morphologies.get(tags[i]), &origins[i], &poses[i], &velocities[i], &joints[i]);
         }
     });
+    Ok(())
 }
 
 fn motion(mirrors: &LinkMirrors, env: EnvId, mirror: LinkMirror) -> Option<&LinkMotion> {

@@ -1,52 +1,100 @@
 //! The pipeline: what happens to every env in one control step, and in which order.
+//!
+//! [`PolypodPlugins`] is the whole of it, one plugin per concern. A user leaves one out and adds another, or adds systems to a
+//! [`PipelineSet`]:
+//!
+//! ```
+//! use bevy_app::{App, Plugin, PluginGroup};
+//! use polypod::batch::Batch;
+//! use polypod::systems::{ControlStep, PipelineSet, PolypodPlugins, RewardPlugin};
+//! use polypod::{Sim, SimOptions};
+//! use bevy_ecs::prelude::*;
+//!
+//! struct StayUpright;
+//!
+//! impl Plugin for StayUpright {
+//!     fn build(&self, app: &mut App) {
+//!         let reward = |mut batch: ResMut<Batch>| batch.rewards.fill(1.0);
+//!         app.add_systems(ControlStep, reward.in_set(PipelineSet::Reward));
+//!     }
+//! }
+//!
+//! let mut app = App::empty();
+//! app.add_plugins(PolypodPlugins::default().build().disable::<RewardPlugin>().add(StayUpright));
+//! app.insert_resource(SimOptions::new("velocity_flat", 16));
+//! let mut sim = Sim::from_app(app)?;
+//! sim.step(&vec![0.0; sim.batch().actions.len()])?;
+//! assert!(sim.batch().rewards.iter().all(|reward| *reward == 1.0));
+//! # Ok::<(), polypod::Error>(())
+//! ```
 
 mod act;
-mod bench;
 mod broken;
 mod command;
 mod curriculum;
 mod disturb;
-mod draw;
+mod faults;
+mod finite;
 mod gather;
-mod line_up;
+mod load;
 mod logs;
 mod mirror;
 mod observe;
-mod own_numbers;
-mod packs;
 mod physics;
-mod physics_avian;
 mod reset;
 mod reward;
+mod sampling;
+mod saved;
+mod scene;
 mod sense;
+mod spawn;
 mod startup;
 mod terminate;
 mod terms;
 mod view;
 
-use bevy_app::{App, Plugin};
+use bevy_app::{App, Plugin, plugin_group};
+use bevy_ecs::error::FallbackErrorHandler;
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
+use bevy_ecs::system::ScheduleSystem;
 
-use crate::app::SimError;
-use crate::mirrors::LinkMirrors;
+use crate::options::Autoreset;
+use crate::rows::{RowKind, restore_order};
 
-pub use broken::{BrokenState, BrokenStates, Motion};
-pub use curriculum::{BlockSizes, EpisodeEnd, place_envs};
+pub use act::ActPlugin;
+pub use broken::{BrokenState, BrokenStates};
+pub use command::CommandPlugin;
+pub use curriculum::place_envs;
+pub use disturb::DisturbPlugin;
+pub(crate) use faults::{outcome, run};
+pub use finite::{FinitePlugin, NonFinite};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;
-pub use logs::{EpisodeStats, Logs, RobotLog};
+pub use load::{BlockSizes, LoadPlugin, distribute};
+pub(crate) use load::{InstructionSet, Loaded};
+pub use logs::{EpisodeStats, Logs, LogsPlugin, RobotLog};
+pub use mirror::MirrorPlugin;
 pub(crate) use mirror::mirror_all;
-pub use physics::PhysicsEngine;
-pub(crate) use physics::{check_engine, history_length, load_engine, run_physics, save_engine};
-pub(crate) use reset::ACTION_DELAY;
-pub use reset::NewState;
-pub use sense::ScanRays;
-pub(crate) use sense::scan_heights;
-pub use startup::{NewBody, randomise_at_startup};
-pub use terminate::{Quantity, StateLimits, Violation};
-pub use terms::{CompiledTask, EventBody, Registry, TermError};
-pub use view::RobotView;
+pub use observe::{ObservePlugin, add_observation};
+pub use physics::{PhysicsEngine, PhysicsPlugin};
+pub(crate) use physics::{check_engine, load_engine, run_physics, save_engine};
+pub use reset::ResetPlugin;
+pub use reward::RewardPlugin;
+pub use saved::{Place, Saved, save_component};
+pub(crate) use saved::{SavedColumn, SavedComponents};
+pub use scene::WorldPlugin;
+pub use sense::{ScanRays, SensePlugin, SensedRobot, Sensor, SensorSettings, add_sensor};
+pub use spawn::SpawnPlugin;
+pub use startup::randomise_at_startup;
+pub use terminate::TerminatePlugin;
+pub(crate) use terms::ACTION_DELAY;
+pub use terms::{CompiledTask, ObservationTerm, Registry, RewardTerm, TerminationTerm};
+pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
+
+/// Makes a simulation: loads the task and its robots and spawns everything. Runs once.
+#[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Setup;
 
 /// One control step of all envs.
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
@@ -56,7 +104,24 @@ pub struct ControlStep;
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ResetEnvs;
 
-/// The sets of a control step, in this order. Nothing else orders systems across sets; within a set a chain does.
+/// The sets of [`Setup`], in this order.
+#[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
+pub enum SetupSet {
+    /// The task and its robots are read.
+    Load,
+    /// Ground and obstacles.
+    World,
+    /// Envs, robots and sensors.
+    Spawn,
+    /// The engine that steps the bodies.
+    Engine,
+    /// The robots' mirrors in Avian's world.
+    Mirror,
+}
+
+/// The sets of a control step, in this order. Nothing else orders systems across sets.
+///
+/// When a system returns an error, the sets after its own are left out and [`Sim::step`](crate::Sim::step) returns the error.
 #[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
 pub enum PipelineSet {
     /// Actions become joint targets.
@@ -75,53 +140,97 @@ pub enum PipelineSet {
     Terminate,
     /// Rewards of the step, of ended episodes too.
     Reward,
-    /// Final observations; then curriculum, and ended episodes begin anew.
+    /// Final observations; then curriculum, and ended episodes begin anew: see [`ResetSet`].
     Reset,
     /// Observations of all envs.
     Observe,
 }
 
-/// Who resets an env whose episode has ended.
-#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum Autoreset {
-    /// The control step in which it ended.
-    #[default]
-    SameStep,
-    /// The next control step, which then does nothing else to this env.
-    NextStep,
-    /// Only the caller.
-    Disabled,
+/// The sets within [`PipelineSet::Reset`], in this order.
+#[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
+pub enum ResetSet {
+    /// Final observations of ended episodes.
+    Observe,
+    /// Ended episodes are counted.
+    Log,
+    /// Bodies of the envs that begin anew are drawn.
+    Bodies,
+    /// States, targets, commands and sums of these envs.
+    Envs,
+    /// Their sensors.
+    Sensors,
+    /// Their mirrors.
+    Mirror,
 }
 
-impl std::str::FromStr for Autoreset {
-    type Err = SimError;
-
-    fn from_str(name: &str) -> Result<Self, SimError> {
-        match name {
-            "same_step" => Ok(Self::SameStep),
-            "next_step" => Ok(Self::NextStep),
-            "disabled" => Ok(Self::Disabled),
-            _ => Err(SimError::Argument {
-                element: "autoreset",
-                problem: format!("there is no mode `{name}`"),
-                remedy: "use same_step, next_step or disabled".into(),
-            }),
-        }
-    }
-}
+/// The entities of each kind are put in the order of their env ids, before all else.
+#[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
+struct RowOrder;
 
 /// Whether the caller asked for the resets of the running schedule ([`ResetEnvs`]), or the pipeline did.
 #[derive(Resource, Clone, Copy, Debug, Default)]
 pub struct ResetRequest(pub bool);
 
-/// Adds the pipeline's schedules to an app.
+plugin_group! {
+    /// A simulation of many envs. [`Sim::from_app`](crate::Sim::from_app) makes it of an app that has these plugins and
+    /// [`SimOptions`](crate::SimOptions) as a resource.
+    ///
+    /// | plugin | what it does |
+    /// |---|---|
+    /// | [`PipelinePlugin`] | schedules, their sets and the registry of terms |
+    /// | [`LoadPlugin`] | reads the task and its robots |
+    /// | [`WorldPlugin`] | Avian with ground, terrain and obstacles |
+    /// | [`SpawnPlugin`] | spawns envs and robots |
+    /// | [`ActPlugin`] | actions become joint targets |
+    /// | [`CommandPlugin`] | velocity commands |
+    /// | [`DisturbPlugin`] | interval events, such as pushes |
+    /// | [`PhysicsPlugin`] | the engine and its steps; dumps of broken states |
+    /// | [`MirrorPlugin`] | robots in Avian's world, with `physics.mirror_links` |
+    /// | [`SensePlugin`] | contact sensors, IMUs, height scanners |
+    /// | [`TerminatePlugin`] | which episodes end |
+    /// | [`RewardPlugin`] | rewards |
+    /// | [`ResetPlugin`] | randomisation, curriculum, new episodes |
+    /// | [`ObservePlugin`] | observations |
+    /// | [`LogsPlugin`] | statistics of ended episodes |
+    /// | [`FinitePlugin`] | says which set wrote a number that is not finite; in debug builds |
+    #[derive(Debug)]
+    pub struct PolypodPlugins {
+        :PipelinePlugin,
+        :LoadPlugin,
+        :WorldPlugin,
+        :SpawnPlugin,
+        :ActPlugin,
+        :CommandPlugin,
+        :DisturbPlugin,
+        :PhysicsPlugin,
+        :MirrorPlugin,
+        :SensePlugin,
+        :TerminatePlugin,
+        :RewardPlugin,
+        :ResetPlugin,
+        :ObservePlugin,
+        :LogsPlugin,
+        #[custom(cfg(debug_assertions))]
+        :FinitePlugin,
+    }
+}
+
+/// Adds the schedules and the registry of built-in terms.
+#[derive(Default)]
 pub struct PipelinePlugin;
 
 impl Plugin for PipelinePlugin {
     fn build(&self, app: &mut App) {
+        let mut setup = schedule(Setup);
+        setup.configure_sets(
+            (SetupSet::Load, SetupSet::World, SetupSet::Spawn, SetupSet::Engine, SetupSet::Mirror)
+                .chain()
+                .distributive_run_if(faults::none),
+        );
         let mut step = schedule(ControlStep);
         step.configure_sets(
             (
+                RowOrder,
                 PipelineSet::Act,
                 PipelineSet::Command,
                 PipelineSet::Disturb,
@@ -133,48 +242,50 @@ impl Plugin for PipelinePlugin {
                 PipelineSet::Reset,
                 PipelineSet::Observe,
             )
-                .chain(),
+                .chain()
+                .distributive_run_if(faults::none),
         );
-        step.add_systems((
-            act::apply_actions.in_set(PipelineSet::Act),
-            command::update_commands.in_set(PipelineSet::Command),
-            disturb::apply_interval_events.in_set(PipelineSet::Disturb),
-            (physics::upload_bodies, physics::step_physics, broken::describe_broken_states)
-                .chain()
-                .in_set(PipelineSet::Physics),
-            (mirror::read_bodies, mirror::aim_mirrors, mirror::step_avian, mirror::settle_mirrors)
-                .chain()
-                .run_if(resource_exists::<LinkMirrors>)
-                .in_set(PipelineSet::Mirror),
-            (sense::read_sensors, sense::look_down).chain().in_set(PipelineSet::Sense),
-            terminate::end_episodes.in_set(PipelineSet::Terminate),
-            reward::compute_rewards.in_set(PipelineSet::Reward),
-        ));
         let mut reset = schedule(ResetEnvs);
-        reset.configure_sets((PipelineSet::Reset, PipelineSet::Observe).chain());
+        reset.configure_sets(
+            (RowOrder, PipelineSet::Reset, PipelineSet::Observe).chain().distributive_run_if(faults::none),
+        );
         for schedule in [&mut step, &mut reset] {
-            schedule.add_systems((
+            schedule.configure_sets(
                 (
-                    observe::observe_final,
-                    logs::collect_episodes,
-                    startup::reset_bodies,
-                    reset::reset_envs,
-                    mirror::mirror_resets.run_if(resource_exists::<LinkMirrors>),
+                    ResetSet::Observe,
+                    ResetSet::Log,
+                    ResetSet::Bodies,
+                    ResetSet::Envs,
+                    ResetSet::Sensors,
+                    ResetSet::Mirror,
                 )
                     .chain()
                     .in_set(PipelineSet::Reset),
-                observe::observe.in_set(PipelineSet::Observe),
-            ));
+            );
         }
-        app.add_schedule(step).add_schedule(reset);
-        app.init_resource::<Autoreset>().init_resource::<ResetRequest>();
+        app.add_schedule(setup).add_schedule(step).add_schedule(reset);
+        app.init_resource::<Autoreset>().init_resource::<ResetRequest>().init_resource::<SavedComponents>();
+        app.insert_resource(FallbackErrorHandler(faults::note));
+        if !app.world().contains_resource::<Registry>() {
+            app.insert_resource(Registry::builtin());
+        }
     }
 }
 
-/// Systems run one after the other; each spreads its rows over the [`Workers`](crate::rows::Workers) itself.
+/// Systems run one after the other; each spreads its rows over the [`Workers`](crate::workers::Workers) itself.
 fn schedule(label: impl ScheduleLabel) -> Schedule {
     let mut schedule = Schedule::new(label);
     schedule.set_executor(SingleThreadedExecutor::new());
     schedule.set_build_settings(ScheduleBuildSettings { ambiguity_detection: LogLevel::Error, ..Default::default() });
     schedule
+}
+
+/// Adds systems to both [`ControlStep`] and [`ResetEnvs`].
+fn for_both<M, S: IntoScheduleConfigs<ScheduleSystem, M>>(app: &mut App, systems: impl Fn() -> S) {
+    app.add_systems(ControlStep, systems()).add_systems(ResetEnvs, systems());
+}
+
+/// Keeps the entities of a kind in the order of their env ids.
+pub fn keep_row_order<K: RowKind>(app: &mut App) {
+    for_both(app, || restore_order::<K>.in_set(RowOrder).ambiguous_with_all());
 }

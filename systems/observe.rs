@@ -1,16 +1,30 @@
 //! Observations: the terms of the policy's observation, side by side, with their noise.
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::terms::{CompiledTask, NoParams, Registry};
+use super::terms::{CompiledTask, NoParams, ObservationTerm, Registry};
 use super::view::{RobotView, ViewParam, Views};
-use super::{Autoreset, ResetRequest};
+use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
 use crate::components::{Env, EnvRng, Episode};
 use crate::config::TaskConfig;
 use crate::dynamics::lanes::Kernel;
-use crate::rows::{MatrixRows, Workers, read_rows, write_rows};
+use crate::options::Autoreset;
+use crate::rows::{RowKind, Rows};
+use crate::workers::{MatrixRows, Workers};
+
+/// Observes the robots.
+#[derive(Default)]
+pub struct ObservePlugin;
+
+impl Plugin for ObservePlugin {
+    fn build(&self, app: &mut App) {
+        for_both(app, || observe.in_set(PipelineSet::Observe));
+        for_both(app, || observe_final.in_set(ResetSet::Observe));
+    }
+}
 
 /// Observes all envs; after resets that the caller asked for only those that were reset, so that the others keep their
 /// observation and their random streams.
@@ -19,14 +33,14 @@ pub(super) fn observe(
     task: Res<CompiledTask>,
     request: Res<ResetRequest>,
     views: ViewParam,
-    episodes: Query<&'static Episode>,
     mut batch: ResMut<Batch>,
-    mut rngs: Query<&'static mut EnvRng, With<Env>>,
-) {
-    let views = views.views(task.step_dt);
+    mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+) -> Result {
+    let views = views.views(task.step_dt)?;
+    let (episodes, rngs) = envs.write()?;
     let width = batch.num_obs;
     let out = MatrixRows { data: &mut batch.observations[..], width };
-    let rows = (read_rows(&episodes), write_rows(&mut rngs), out);
+    let rows = (episodes, rngs, out);
     workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out)| {
         for i in 0..n {
             if request.0 && !episodes[i].fresh {
@@ -34,9 +48,10 @@ pub(super) fn observe(
             }
             let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
             let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
-            workers.entry().vectorize(observation);
+            workers.dispatch().vectorize(observation);
         }
     });
+    Ok(())
 }
 
 /// Observes the envs whose episode has just ended and that are about to be reset.
@@ -46,26 +61,27 @@ pub(super) fn observe_final(
     autoreset: Res<Autoreset>,
     request: Res<ResetRequest>,
     views: ViewParam,
-    episodes: Query<&'static Episode>,
     mut batch: ResMut<Batch>,
-    mut rngs: Query<&'static mut EnvRng, With<Env>>,
-) {
+    mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+) -> Result {
     let wanted = *autoreset == Autoreset::SameStep && !request.0;
-    let views = views.views(task.step_dt);
+    let views = views.views(task.step_dt)?;
+    let (episodes, rngs) = envs.write()?;
     let width = batch.num_obs;
     let batch = &mut *batch;
     let out = MatrixRows { data: &mut batch.final_observations[..], width };
-    let rows = (read_rows(&episodes), write_rows(&mut rngs), out, &mut batch.has_final[..]);
+    let rows = (episodes, rngs, out, &mut batch.has_final[..]);
     workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, has_final)| {
         for i in 0..n {
             has_final[i] = wanted && episodes[i].done();
             if has_final[i] {
                 let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
                 let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
-                workers.entry().vectorize(observation);
+                workers.dispatch().vectorize(observation);
             }
         }
     });
+    Ok(())
 }
 
 /// Writes the observation of one env. A broken state is observed as zeros: no NaN reaches a learner.
@@ -91,23 +107,83 @@ impl Kernel<f32> for Observation<'_> {
         let mut rest = self.out;
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
-            (term.write)(&view, mine);
-            if term.noise > 0.0 {
-                self.rng.add_uniform([-term.noise, term.noise], mine);
-            }
-            if let Some([low, high]) = term.clip {
-                for x in &mut *mine {
-                    *x = x.max(low).min(high);
-                }
-            }
-            if term.scale != 1.0 {
-                for x in mine {
-                    *x *= term.scale;
-                }
+            if let Some(write) = &term.write {
+                write(&view, mine);
+                term.treat(mine, self.rng);
             }
             rest = more;
         }
     }
+}
+
+impl ObservationTerm {
+    /// Adds noise to what was written, limits and scales it.
+    #[inline(always)]
+    fn treat(&self, numbers: &mut [f32], rng: &mut EnvRng) {
+        if self.noise > 0.0 {
+            rng.add_uniform([-self.noise, self.noise], numbers);
+        }
+        if let Some([low, high]) = self.clip {
+            for x in &mut *numbers {
+                *x = x.max(low).min(high);
+            }
+        }
+        if self.scale != 1.0 {
+            for x in numbers {
+                *x *= self.scale;
+            }
+        }
+    }
+}
+
+/// Adds an observation term that is read from a component of the entities of kind `K`, in a plugin's `build`. Tasks name it like any
+/// other term.
+pub fn add_observation<C: Component, K: RowKind>(
+    app: &mut App,
+    name: &'static str,
+    size: usize,
+    f: fn(&C, &mut [f32]),
+) {
+    app.world_mut().get_resource_or_insert_with(Registry::builtin).observation_by_system(name, size);
+    let write = move |is_final: bool| {
+        move |task: Res<CompiledTask>,
+              request: Res<ResetRequest>,
+              mut batch: ResMut<Batch>,
+              mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+              values: Rows<&'static C, K>|
+              -> Result {
+            let (episodes, rngs) = envs.write()?;
+            let values = values.read()?;
+            let batch = &mut *batch;
+            let mut start = 0;
+            for term in &task.observations {
+                let columns = start..start + term.size;
+                start = columns.end;
+                if term.name != name {
+                    continue;
+                }
+                for env in 0..values.len() {
+                    let (due, rows) = match is_final {
+                        true => (batch.has_final[env], &mut batch.final_observations),
+                        false => (!request.0 || episodes[env].fresh, &mut batch.observations),
+                    };
+                    if due {
+                        let row = &mut rows[env * batch.num_obs..(env + 1) * batch.num_obs];
+                        let out = &mut row[columns.clone()];
+                        if episodes[env].invalid {
+                            out.fill(0.0);
+                        } else {
+                            f(&values[env], out);
+                            term.treat(out, &mut rngs[env]);
+                        }
+                    }
+                }
+            }
+            Ok(())
+        }
+    };
+    for_both(app, || write(false).after(observe).in_set(PipelineSet::Observe).ambiguous_with_all());
+    for_both(app, || write(true).after(observe_final).in_set(ResetSet::Observe).ambiguous_with_all());
 }
 
 /// All built-in observation terms, under Isaac Lab's names.

@@ -1,134 +1,106 @@
 //! Ended episodes begin anew.
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::command::{draw_command, steer};
-use super::curriculum::EpisodeEnd;
+use super::ResetRequest;
+use super::command::{draw_command, heading, steer};
 use super::disturb::{EXTERNAL_WRENCH, WrenchRanges};
-use super::sense::{ScanRays, measure};
-use super::terms::{CompiledTask, NoParams, Registry};
-use super::{Autoreset, ResetRequest};
+use super::startup::is_due;
+use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, NoParams, Registry};
+use super::view::{EpisodeEnd, NewState};
+use super::{ResetSet, for_both, startup};
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu, JointEffort,
-    JointState, JointTargets, Morphology, Robot, Stance,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, Env, EnvOrigin,
+    EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Morphology,
+    Robot, Stance,
 };
 use crate::config::JointPositionMode;
-use crate::dynamics::Parameters;
-use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{OptionalRows, Workers, read_rows, write_rows};
+use crate::morphology::Morphologies;
+use crate::options::Autoreset;
+use crate::rows::Rows;
+use crate::workers::Workers;
 use crate::world::Ground;
 
-/// The state in which an episode begins, as reset events may change it.
-pub struct NewState<'a> {
-    /// What kind of robot it is.
-    pub morphology: &'a MorphologyModel,
-    /// Pose of the base; starts at the env's origin, at the spawn height, level. Afterwards it is lifted onto
-    /// what stands there.
-    pub pose: &'a mut BasePose,
-    /// Velocity of the base; starts at rest.
-    pub velocity: &'a mut BaseVelocity,
-    /// Joints; start at rest in the default pose.
-    pub joints: &'a mut JointState,
-    /// How late each joint's targets come; starts as the actuators' own delays.
-    pub delay: &'a mut ActuatorDelay,
-    /// Force and torque from outside; start at zero.
-    pub wrench: &'a mut ExternalWrench,
-    /// The robot's own numbers.
-    pub body: &'a Parameters<f32>,
+/// Begins new episodes.
+#[derive(Default)]
+pub struct ResetPlugin;
+
+impl Plugin for ResetPlugin {
+    fn build(&self, app: &mut App) {
+        for_both(app, || (startup::reset_bodies.in_set(ResetSet::Bodies), reset_envs.in_set(ResetSet::Envs)));
+    }
 }
 
-type RobotRows<'w, 's> = (
-    Query<'w, 's, &'static mut BasePose>,
-    Query<'w, 's, &'static mut BaseVelocity>,
-    Query<'w, 's, &'static mut JointState>,
-    Query<'w, 's, &'static mut Action>,
-    Query<'w, 's, &'static mut JointTargets>,
-    Query<'w, 's, &'static mut ActuatorDelay>,
-    Query<'w, 's, &'static mut JointEffort>,
-    Query<'w, 's, &'static mut ConstraintImpulses>,
-    Query<'w, 's, &'static mut Feet>,
-    Query<'w, 's, &'static mut ExternalWrench>,
+/// What a reset reads and writes of robots.
+type RobotColumns = (
+    &'static Morphology,
+    &'static Body,
+    &'static Stance,
+    &'static mut BasePose,
+    &'static mut BaseVelocity,
+    &'static mut JointState,
+    &'static mut Action,
+    &'static mut JointTargets,
+    &'static mut ActuatorDelay,
+    &'static mut JointEffort,
+    &'static mut ConstraintImpulses,
+    &'static mut ContactForces,
+    &'static mut Feet,
+    &'static mut ExternalWrench,
 );
 
-type EnvRows<'w, 's> = (
-    Query<'w, 's, &'static mut Episode>,
-    Query<'w, 's, &'static mut EnvRng, With<Env>>,
-    Query<'w, 's, &'static mut Command>,
-    Query<'w, 's, &'static mut EventTimers>,
-    Query<'w, 's, &'static mut EpisodeSums>,
-    Query<'w, 's, &'static mut EnvOrigin>,
-);
-
-type SensorRows<'w, 's> = (
-    Query<'w, 's, &'static mut ContactForces>,
-    Query<'w, 's, &'static mut ContactSensor>,
-    Query<'w, 's, &'static mut Imu>,
-    Query<'w, 's, &'static mut HeightScan>,
+/// What a reset writes of envs.
+type EnvColumns = (
+    &'static mut Episode,
+    &'static mut EnvRng,
+    &'static mut Command,
+    &'static mut EventTimers,
+    &'static mut EpisodeSums,
+    &'static mut EnvOrigin,
 );
 
 /// Half the side of the square about the base's origin in which a robot begins above everything, m.
 const FOOTPRINT: f32 = 0.5;
 
-/// Whether an env is reset now: in the schedule that `request` tells of.
-pub(super) fn is_due(episode: &Episode, autoreset: Autoreset, request: ResetRequest) -> bool {
-    episode.needs_reset
-        && (request.0
-            || match autoreset {
-                Autoreset::SameStep => true,
-                Autoreset::NextStep => !episode.done(),
-                Autoreset::Disabled => false,
-            })
-}
-
-/// Resets what is due: state, targets, delays, timers, sums, sensors and command, each from the env's own stream.
+/// Resets what is due: state, targets, delays, timers, sums and command, each from the env's own stream. Sensors follow, see
+/// [`Sensor::begin`](super::Sensor::begin).
 pub(super) fn reset_envs(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     autoreset: Res<Autoreset>,
     request: Res<ResetRequest>,
-    (ground, rays): (Res<Ground>, Res<ScanRays>),
-    tags: Query<&'static Morphology, With<Robot>>,
-    bodies: Query<&'static Body>,
-    stances: Query<&'static Stance>,
-    (
-        mut poses,
-        mut velocities,
-        mut joints,
-        mut actions,
-        mut targets,
-        mut delays,
-        mut efforts,
-        mut impulses,
-        mut feet,
-        mut wrenches,
-    ): RobotRows,
-    (mut episodes, mut rngs, mut commands, mut timers, mut sums, mut origins): EnvRows,
-    (mut forces, mut contacts, mut imus, mut scans): SensorRows,
-) {
-    let tags = read_rows(&tags);
-    let robot_rows = (
-        (write_rows(&mut poses), write_rows(&mut velocities), write_rows(&mut joints)),
-        (write_rows(&mut actions), write_rows(&mut targets), write_rows(&mut delays)),
-        (write_rows(&mut efforts), write_rows(&mut impulses), write_rows(&mut feet), write_rows(&mut wrenches)),
-    );
-    let env_rows = (
-        write_rows(&mut episodes),
-        write_rows(&mut rngs),
-        write_rows(&mut commands),
-        write_rows(&mut timers),
-        write_rows(&mut sums),
-        write_rows(&mut origins),
-    );
-    let scans = OptionalRows(write_rows(&mut scans));
-    let sensor_rows = (write_rows(&mut forces), write_rows(&mut contacts), write_rows(&mut imus), scans);
-    let rows = (tags, (read_rows(&bodies), read_rows(&stances)), robot_rows, env_rows, sensor_rows);
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, (bodies, stances), robots, envs, sensors)| {
-        let ((poses, velocities, joints), (actions, targets, delays), (efforts, impulses, feet, wrenches)) = robots;
+    ground: Res<Ground>,
+    mut robots: Rows<RobotColumns, Robot>,
+    mut envs: Rows<EnvColumns, Env>,
+) -> Result {
+    let (
+        tags,
+        bodies,
+        stances,
+        poses,
+        velocities,
+        joints,
+        actions,
+        targets,
+        delays,
+        efforts,
+        impulses,
+        forces,
+        feet,
+        wrenches,
+    ) = robots.write()?;
+    let of_kind = (tags, bodies, stances);
+    let motion = (poses, velocities, joints);
+    let drive = (actions, targets, delays, wrenches);
+    let report = (efforts, impulses, forces, feet);
+    let rows = (of_kind, motion, drive, report, envs.write()?);
+    workers.for_each_chunk(rows, tags.len(), |_, n, (of_kind, motion, drive, report, envs)| {
+        let ((tags, bodies, stances), (poses, velocities, joints)) = (of_kind, motion);
+        let ((actions, targets, delays, wrenches), (efforts, impulses, forces, feet)) = (drive, report);
         let (episodes, rngs, commands, timers, sums, origins) = envs;
-        let (forces, contacts, imus, scans) = sensors;
         for i in 0..n {
             if !is_due(&episodes[i], *autoreset, *request) {
                 continue;
@@ -185,11 +157,6 @@ pub(super) fn reset_envs(
             feet[i] = Feet::default();
 
             forces[i].clear();
-            contacts[i].clear();
-            imus[i] = measure(pose, velocity, &bodies[i].0.com[0]);
-            if let Some(scan) = scans.0.get_mut(i) {
-                rays.scan(&ground, origin, pose, scan);
-            }
 
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
                 *left = rng.uniform(event.range_s);
@@ -197,20 +164,13 @@ pub(super) fn reset_envs(
             let config = &task.config.commands.base_velocity;
             if !commands[i].pinned {
                 draw_command(config, &mut commands[i], rng);
-                steer(config, &mut commands[i], imus[i].heading);
+                steer(config, &mut commands[i], heading(&pose.rotation));
             }
             sums[i].clear();
             episodes[i] = Episode { fresh: true, ..Episode::default() };
         }
     });
-}
-
-impl ContactSensor {
-    fn clear(&mut self) {
-        let mut peak_force = std::mem::take(&mut self.peak_force);
-        peak_force.fill(0.0);
-        *self = Self { peak_force, ..Self::default() };
-    }
+    Ok(())
 }
 
 impl EpisodeSums {
@@ -243,24 +203,6 @@ pub(super) fn register(registry: &mut Registry) {
         let steps = rng.integer(p.range(state.morphology)) as f32;
         state.delay.0.iter_mut().for_each(|delay| *delay += steps);
     });
-}
-
-/// The event that delays all targets of a robot.
-pub(crate) const ACTION_DELAY: &str = "action_delay";
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct ActionDelay {
-    /// Fewest and most physics steps, both included. Default: each robot's own range.
-    #[serde(default, deserialize_with = "crate::config::values::optional_step_range")]
-    delay_range: Option<[u32; 2]>,
-}
-
-impl ActionDelay {
-    /// Fewest and most physics steps for a robot.
-    pub(super) fn range(&self, morphology: &MorphologyModel) -> [u32; 2] {
-        self.delay_range.unwrap_or(morphology.config.randomization.action_delay)
-    }
 }
 
 /// Position and heading from the task's ranges, velocity from the robot's.

@@ -3,39 +3,31 @@
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::draw::{self, Source};
-use super::reset::is_due;
-use super::terms::{CompiledTask, NoParams, Registry};
-use super::{Autoreset, ResetRequest};
-use crate::components::{Body, Env, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
+use super::ResetRequest;
+use super::sampling::{self, Source};
+use super::terms::{BODY_VARIATION, CompiledTask, NoParams, Registry};
+use super::view::NewBody;
+use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
 use crate::config::{Distribution, Draw, Operation, values};
-use crate::dynamics::Parameters;
-use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{read_rows, write_rows};
+use crate::morphology::Morphologies;
+use crate::options::Autoreset;
+use crate::rows::Rows;
 use crate::variation::BodyScales;
 use crate::world::Ground;
-
-/// A robot's numbers, as events of its body may change them.
-pub struct NewBody<'a> {
-    /// What kind of robot it is.
-    pub morphology: &'a MorphologyModel,
-    /// What it will stand on.
-    pub ground: &'a Ground,
-    /// Masses, lengths, gains and friction: at startup those of the morphology, at a reset what startup made of them.
-    pub parameters: &'a mut Parameters<f32>,
-    /// Default pose, action scale and the height at which its episodes begin: likewise.
-    pub stance: &'a mut Stance,
-}
 
 /// Gives every robot its material and applies the task's startup events, each env from its own stream.
 pub fn randomise_at_startup(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     ground: Res<Ground>,
-    mut robots: Query<(&Morphology, &mut Body, &mut Stance, &mut StartupBody), With<Robot>>,
-    mut rngs: Query<&mut EnvRng, With<Env>>,
-) {
-    for ((tag, mut body, mut stance, mut startup), mut rng) in robots.iter_mut().zip(rngs.iter_mut()) {
+    mut robots: Query<(&EnvId, &Morphology, &mut Body, &mut Stance, &mut StartupBody), With<Robot>>,
+    mut envs: Rows<&'static mut EnvRng, Env>,
+) -> Result {
+    let rngs = envs.write()?;
+    for (env, tag, mut body, mut stance, mut startup) in &mut robots {
+        let Some(rng) = rngs.get_mut(env.0 as usize) else {
+            continue;
+        };
         let morphology = morphologies.get(*tag);
         stance.clone_from(&morphology.stance);
         let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, stance: &mut stance };
@@ -43,10 +35,22 @@ pub fn randomise_at_startup(
         new.set_material(material.static_friction as f32, material.dynamic_friction as f32);
         new.parameters.restitution = ground.restitution_with(material.restitution as f32);
         for event in &task.startup_events {
-            event(&mut new, &mut rng);
+            event(&mut new, rng);
         }
         startup.0 = (!task.reset_body_events.is_empty()).then(|| Box::new((body.0.as_ref().clone(), stance.clone())));
     }
+    Ok(())
+}
+
+/// Whether an env is reset now: in the schedule that `request` tells of.
+pub(super) fn is_due(episode: &Episode, autoreset: Autoreset, request: ResetRequest) -> bool {
+    episode.needs_reset
+        && (request.0
+            || match autoreset {
+                Autoreset::SameStep => true,
+                Autoreset::NextStep => !episode.done(),
+                Autoreset::Disabled => false,
+            })
 }
 
 /// Bodies of the envs that are about to be reset are drawn anew, from what startup made of them.
@@ -56,18 +60,18 @@ pub(super) fn reset_bodies(
     autoreset: Res<Autoreset>,
     request: Res<ResetRequest>,
     ground: Res<Ground>,
-    episodes: Query<&'static Episode>,
-    mut robots: Query<(&Morphology, &mut Body, &mut Stance, &StartupBody), With<Robot>>,
-    mut rngs: Query<&'static mut EnvRng, With<Env>>,
-) {
+    mut robots: Query<(&EnvId, &Morphology, &mut Body, &mut Stance, &StartupBody), With<Robot>>,
+    mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+) -> Result {
     if task.reset_body_events.is_empty() {
-        return;
+        return Ok(());
     }
-    let rows = read_rows(&episodes).iter().zip(write_rows(&mut rngs));
-    for ((tag, mut body, mut stance, startup), (episode, rng)) in robots.iter_mut().zip(rows) {
-        if !is_due(episode, *autoreset, *request) {
+    let (episodes, rngs) = envs.write()?;
+    for (env, tag, mut body, mut stance, startup) in &mut robots {
+        let env = env.0 as usize;
+        let Some(rng) = rngs.get_mut(env).filter(|_| is_due(&episodes[env], *autoreset, *request)) else {
             continue;
-        }
+        };
         if let Some(startup) = &startup.0 {
             *body.0 = startup.0.clone();
             *stance = startup.1.clone();
@@ -78,15 +82,7 @@ pub(super) fn reset_bodies(
             event(&mut new, rng);
         }
     }
-}
-
-impl NewBody<'_> {
-    /// Sets the robot's friction coefficients; the ground's are combined with them.
-    pub fn set_material(&mut self, static_friction: f32, dynamic_friction: f32) {
-        let [static_friction, dynamic_friction] = self.ground.friction_with([static_friction, dynamic_friction]);
-        self.parameters.static_friction = static_friction;
-        self.parameters.dynamic_friction = dynamic_friction;
-    }
+    Ok(())
 }
 
 #[derive(Deserialize)]
@@ -127,7 +123,7 @@ impl TryFrom<UncheckedGains> for ActuatorGains {
 
     fn try_from(p: UncheckedGains) -> Result<Self, String> {
         let params = [p.stiffness_distribution_params, p.damping_distribution_params];
-        draw::of_task(params, p.operation, p.distribution).map(Self)
+        sampling::of_task(params, p.operation, p.distribution).map(Self)
     }
 }
 
@@ -150,7 +146,7 @@ impl TryFrom<UncheckedJoints> for JointParameters {
 
     fn try_from(p: UncheckedJoints) -> Result<Self, String> {
         let params = [p.armature_distribution_params, p.friction_distribution_params];
-        draw::of_task(params, p.operation, p.distribution).map(Self)
+        sampling::of_task(params, p.operation, p.distribution).map(Self)
     }
 }
 
@@ -197,9 +193,6 @@ pub(super) fn register(registry: &mut Registry) {
     registry.body_event("randomize_joint_parameters", randomize_joint_parameters);
     registry.body_event("randomize_motor_strength", randomize_motor_strength);
 }
-
-/// The event that changes the shapes of links.
-pub(super) const BODY_VARIATION: &str = "body_variation";
 
 /// Another body of the same kind, from the ranges of the robot's `[variation]` and those of the task.
 fn body_variation(p: &TaskVariation, body: &mut NewBody, rng: &mut EnvRng) {
@@ -288,7 +281,7 @@ fn randomize_joint_parameters(p: &JointParameters, body: &mut NewBody, rng: &mut
 fn each_joint(draw: Option<Draw>, values: &mut [f32], rng: &mut EnvRng) {
     if let Some(draw) = draw {
         for value in values {
-            *value = draw::apply(&draw, *value, rng);
+            *value = sampling::apply(&draw, *value, rng);
         }
     }
 }

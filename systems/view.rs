@@ -1,15 +1,18 @@
-//! One robot as the terms see it.
+//! What terms see and may change: a robot, its body, its new state, the end of an episode.
 
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 
 use crate::components::{
-    Action, BasePose, BaseVelocity, Body, Command, ContactSensor, Feet, HeightScan, Imu, JointEffort, JointState,
-    Morphology, Robot, Stance,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactSensor, Env, EnvOrigin, Episode,
+    ExternalWrench, Feet, HeightScan, Imu, JointEffort, JointState, Morphology, Robot, Stance,
 };
 use crate::dynamics::Parameters;
+use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::read_rows;
+use crate::rows::Rows;
+use crate::terrain::TerrainLayout;
+use crate::world::Ground;
 
 /// All that reward, observation and termination terms may read of one robot and its env.
 #[derive(Clone, Copy)]
@@ -50,40 +53,46 @@ pub struct RobotView<'a> {
 #[derive(SystemParam)]
 pub(super) struct ViewParam<'w, 's> {
     morphologies: Res<'w, Morphologies>,
-    tags: Query<'w, 's, &'static Morphology, With<Robot>>,
-    commands: Query<'w, 's, &'static Command>,
-    poses: Query<'w, 's, &'static BasePose>,
-    velocities: Query<'w, 's, &'static BaseVelocity>,
-    imus: Query<'w, 's, &'static Imu>,
-    joints: Query<'w, 's, &'static JointState>,
-    efforts: Query<'w, 's, &'static JointEffort>,
-    actions: Query<'w, 's, &'static Action>,
-    contacts: Query<'w, 's, &'static ContactSensor>,
-    feet: Query<'w, 's, &'static Feet>,
-    scans: Query<'w, 's, &'static HeightScan>,
-    bodies: Query<'w, 's, &'static Body>,
-    stances: Query<'w, 's, &'static Stance>,
+    robots: Rows<'w, 's, RobotColumns, Robot>,
+    commands: Rows<'w, 's, &'static Command, Env>,
+    imus: Rows<'w, 's, &'static Imu, Imu>,
+    contacts: Rows<'w, 's, &'static ContactSensor, ContactSensor>,
+    scans: Rows<'w, 's, &'static HeightScan, HeightScan>,
 }
 
+/// What terms read of robots themselves.
+type RobotColumns = (
+    &'static Morphology,
+    &'static BasePose,
+    &'static BaseVelocity,
+    &'static JointState,
+    &'static JointEffort,
+    &'static Action,
+    &'static Feet,
+    &'static Body,
+    &'static Stance,
+);
+
 impl ViewParam<'_, '_> {
-    pub(super) fn views(&self, step_dt: f32) -> Views<'_> {
-        Views {
+    pub(super) fn views(&self, step_dt: f32) -> Result<Views<'_>, Error> {
+        let (tags, poses, velocities, joints, efforts, actions, feet, bodies, stances) = self.robots.read()?;
+        Ok(Views {
             morphologies: &self.morphologies,
-            tags: read_rows(&self.tags),
-            commands: read_rows(&self.commands),
-            poses: read_rows(&self.poses),
-            velocities: read_rows(&self.velocities),
-            imus: read_rows(&self.imus),
-            joints: read_rows(&self.joints),
-            efforts: read_rows(&self.efforts),
-            actions: read_rows(&self.actions),
-            contacts: read_rows(&self.contacts),
-            feet: read_rows(&self.feet),
-            scans: read_rows(&self.scans),
-            bodies: read_rows(&self.bodies),
-            stances: read_rows(&self.stances),
+            tags,
+            commands: self.commands.read()?,
+            poses,
+            velocities,
+            imus: self.imus.read()?,
+            joints,
+            efforts,
+            actions,
+            contacts: self.contacts.read()?,
+            feet,
+            scans: if self.scans.exist() { self.scans.read()? } else { &[] },
+            bodies,
+            stances,
             step_dt,
-        }
+        })
     }
 }
 
@@ -132,4 +141,70 @@ impl<'a> Views<'a> {
             step_dt: self.step_dt,
         }
     }
+}
+
+/// A robot's numbers, as events of its body may change them.
+pub struct NewBody<'a> {
+    /// What kind of robot it is.
+    pub morphology: &'a MorphologyModel,
+    /// What it will stand on.
+    pub ground: &'a Ground,
+    /// Masses, lengths, gains and friction: at startup those of the morphology, at a reset what startup made of them.
+    pub parameters: &'a mut Parameters<f32>,
+    /// Default pose, action scale and the height at which its episodes begin: likewise.
+    pub stance: &'a mut Stance,
+}
+
+impl NewBody<'_> {
+    /// Sets the robot's friction coefficients; the ground's are combined with them.
+    pub fn set_material(&mut self, static_friction: f32, dynamic_friction: f32) {
+        let [static_friction, dynamic_friction] = self.ground.friction_with([static_friction, dynamic_friction]);
+        self.parameters.static_friction = static_friction;
+        self.parameters.dynamic_friction = dynamic_friction;
+    }
+}
+
+/// The state in which an episode begins, as reset events may change it.
+pub struct NewState<'a> {
+    /// What kind of robot it is.
+    pub morphology: &'a MorphologyModel,
+    /// Pose of the base; starts at the env's origin, at the spawn height, level. Afterwards it is lifted onto
+    /// what stands there.
+    pub pose: &'a mut BasePose,
+    /// Velocity of the base; starts at rest.
+    pub velocity: &'a mut BaseVelocity,
+    /// Joints; start at rest in the default pose.
+    pub joints: &'a mut JointState,
+    /// How late each joint's targets come; starts as the actuators' own delays.
+    pub delay: &'a mut ActuatorDelay,
+    /// Force and torque from outside; start at zero.
+    pub wrench: &'a mut ExternalWrench,
+    /// The robot's own numbers.
+    pub body: &'a Parameters<f32>,
+}
+
+/// An episode that is over, and what its end may change.
+pub struct EpisodeEnd<'a> {
+    /// How it ended.
+    pub episode: &'a Episode,
+    /// Where the robot was then.
+    pub pose: &'a BasePose,
+    /// What it was told to do then.
+    pub command: &'a Command,
+    /// Length of a full episode, s.
+    pub episode_length_s: f32,
+    /// The tiles, if the ground is generated terrain.
+    pub layout: Option<&'a TerrainLayout>,
+    /// Where the next episode begins.
+    pub origin: &'a mut EnvOrigin,
+}
+
+/// What an interval event may change.
+pub struct EventBody<'a> {
+    /// What kind of robot it is.
+    pub morphology: &'a MorphologyModel,
+    /// Force and torque from outside; hold until the next reset or event.
+    pub wrench: &'a mut ExternalWrench,
+    /// Velocity of the base.
+    pub velocity: &'a mut BaseVelocity,
 }

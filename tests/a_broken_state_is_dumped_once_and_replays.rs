@@ -4,10 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use polypod::Autoreset;
 use polypod::components::{ActuatorDelay, BasePose, BaseVelocity, Body, EnvId, JointState};
 use polypod::dump::Dump;
 use polypod::dynamics::Simd;
-use polypod::systems::{Autoreset, Quantity};
+use polypod::engine::Quantity;
 use polypod::{Sim, SimOptions};
 
 use crate::common::{assert_all_same, busy, step};

@@ -4,18 +4,18 @@ use std::process::Output;
 
 use polypod::config::ConfigErrorKind;
 use polypod::simulation::Precision;
-use polypod::{Sim, SimError, SimOptions, Simulation, SimulationOptions};
+use polypod::{Error, Sim, SimOptions, Simulation, SimulationOptions};
 
 use crate::common::{self, busy};
 
-fn error(change: impl FnOnce(&mut SimOptions)) -> SimError {
+fn error(change: impl FnOnce(&mut SimOptions)) -> Error {
     let mut options = busy(&["anymal_c", "spot"], 4);
     change(&mut options);
     Sim::new(&options).err().expect("it must be refused")
 }
 
 #[track_caller]
-fn assert_says(error: &SimError, words: &[&str]) {
+fn assert_says(error: &Error, words: &[&str]) {
     let text = error.to_string();
     for word in words {
         assert!(text.contains(word), "`{text}` does not say `{word}`");
@@ -24,10 +24,9 @@ fn assert_says(error: &SimError, words: &[&str]) {
 }
 
 #[track_caller]
-fn assert_config(error: &SimError, kind: ConfigErrorKind, words: &[&str]) {
+fn assert_config(error: &Error, kind: ConfigErrorKind, words: &[&str]) {
     let found = match error {
-        SimError::Config(error) => error.kind,
-        SimError::Term(polypod::systems::TermError::Config(error)) => error.kind,
+        Error::Config(error) => error.kind,
         other => panic!("not a config error: {other:?}"),
     };
     assert_eq!(found, kind);
@@ -35,8 +34,8 @@ fn assert_config(error: &SimError, kind: ConfigErrorKind, words: &[&str]) {
 }
 
 #[track_caller]
-fn assert_argument(error: &SimError, name: &str, words: &[&str]) {
-    assert!(matches!(error, SimError::Argument { element, .. } if *element == name), "{error:?}");
+fn assert_argument(error: &Error, name: &str, words: &[&str]) {
+    assert!(matches!(error, Error::Argument { element, .. } if *element == name), "{error:?}");
     assert_says(error, &[name]);
     assert_says(error, words);
 }
@@ -65,7 +64,7 @@ fn overrides_that_cannot_be_applied() {
     assert_config(&e, ConfigErrorKind::InvalidValue, &["sim.decimation"]);
     let e = overridden("rewards.spot.gait.stdd=0.1");
     assert_config(&e, ConfigErrorKind::UnknownKey, &["rewards.spot.gait", "stdd", "did you mean `std`?"]);
-    assert!(matches!(overridden("sim.decimation"), SimError::Config(_)));
+    assert!(matches!(overridden("sim.decimation"), Error::Config(_)));
     let e = error(|o| o.overrides = ["physics.engine=avian", "sim.dt=1e-6"].map(String::from).to_vec());
     assert_argument(&e, "physics.engine", &["too short", "sim.dt"]);
 }

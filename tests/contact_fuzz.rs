@@ -242,14 +242,14 @@ struct Outcome {
 }
 
 /// Some physics steps of a sample; without ground if `ground` is false.
-struct Bench {
+struct PackWorkspace {
     articulation: Articulation,
     parameters: Parameters<f32>,
     work: Workspace<f32>,
     settings: ContactSettings,
 }
 
-impl Bench {
+impl PackWorkspace {
     fn new(sample: &Sample) -> Self {
         let articulation = sample.articulation();
         let mut parameters = Parameters::from_scalars(&articulation.topology, &articulation.parameters);
@@ -302,7 +302,7 @@ fn motion(state: &State<f32>) -> ([f32; 3], [f32; 4], [f32; 3], [f32; 3]) {
 /// What is wrong with a sample, if anything.
 fn check(sample: &Sample) -> Result<(), String> {
     let ensure = |holds: bool, what: &dyn Fn() -> String| if holds { Ok(()) } else { Err(what()) };
-    let mut bench = Bench::new(sample);
+    let mut bench = PackWorkspace::new(sample);
     let before = sample.distance(&sample.state);
     let gap = bench.gap(&sample.state);
     ensure(gap > before - EXACT && gap < before + EXACT + sample.slack(), &|| {
@@ -379,7 +379,7 @@ fn bodies_are_pushed_out() {
     samples.retain(|(_, sample)| sample.distance(&sample.state) < 0.0);
     assert!(samples.len() > 1000);
     for (index, sample) in samples {
-        let mut bench = Bench::new(&sample);
+        let mut bench = PackWorkspace::new(&sample);
         let mut state = sample.state.clone();
         let mut distance = sample.distance(&state);
         let mut highest = distance;

@@ -6,11 +6,11 @@ use bevy_ecs::component::{Component, Mutable};
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
 use polypod::Sim;
-use polypod::app::distribute;
 use polypod::components::{
     BasePose, ContactSensor, Env, EnvId, EnvRng, Episode, Imu, JointState, Morphology, MountedOn, Robot,
 };
-use polypod::rows::read_rows;
+use polypod::rows::{RowKind, Rows};
+use polypod::systems::distribute;
 
 use crate::common::{ROBOTS, busy, step};
 
@@ -81,7 +81,7 @@ fn every_entity_is_tagged_once_and_in_order() {
 }
 
 /// The slice that systems read holds all rows of `C`, row `i` being env `i`.
-fn check_rows<C: Component<Mutability = Mutable>>(world: &mut World, num_envs: usize) {
+fn check_rows<C: Component<Mutability = Mutable>, K: RowKind>(world: &mut World, num_envs: usize) {
     let by_env: Vec<*const C> = {
         let mut rows: Vec<_> =
             world.query::<(&EnvId, &C)>().iter(world).map(|(e, c)| (e.0, std::ptr::from_ref(c))).collect();
@@ -91,8 +91,8 @@ fn check_rows<C: Component<Mutability = Mutable>>(world: &mut World, num_envs: u
     assert_eq!(by_env.len(), num_envs);
     let expected = by_env.iter().map(|p| p.addr()).collect::<Vec<_>>();
     let found = world
-        .run_system_once(|query: Query<&'static C>| {
-            read_rows(&query).iter().map(|row| std::ptr::from_ref(row).addr()).collect::<Vec<_>>()
+        .run_system_once(|rows: Rows<&'static C, K>| {
+            rows.read().unwrap().iter().map(|row| std::ptr::from_ref(row).addr()).collect::<Vec<_>>()
         })
         .unwrap();
     assert_eq!(found, expected);
@@ -102,10 +102,10 @@ fn check_rows<C: Component<Mutability = Mutable>>(world: &mut World, num_envs: u
 fn systems_read_components_as_rows_by_env() {
     let mut sim = Sim::new(&busy(&ROBOTS, 19)).unwrap();
     let world = sim.world_mut();
-    check_rows::<EnvRng>(world, 19);
-    check_rows::<Episode>(world, 19);
-    check_rows::<BasePose>(world, 19);
-    check_rows::<JointState>(world, 19);
-    check_rows::<ContactSensor>(world, 19);
-    check_rows::<Imu>(world, 19);
+    check_rows::<EnvRng, Env>(world, 19);
+    check_rows::<Episode, Env>(world, 19);
+    check_rows::<BasePose, Robot>(world, 19);
+    check_rows::<JointState, Robot>(world, 19);
+    check_rows::<ContactSensor, ContactSensor>(world, 19);
+    check_rows::<Imu, Imu>(world, 19);
 }

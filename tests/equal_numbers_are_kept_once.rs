@@ -1,7 +1,7 @@
 //! What all robots of a kind have in common is in memory once; what one has of its own is its own.
 
 use polypod::components::{Body, EnvId};
-use polypod::dynamics::{Numbers, Parameters};
+use polypod::dynamics::{Parameters, SharedArray};
 use polypod::{Sim, SimOptions};
 
 fn sim(task: &str) -> Sim {
@@ -79,7 +79,7 @@ fn bodies_that_all_differ_are_each_whole() {
 
 #[test]
 fn a_change_of_a_list_is_its_own() {
-    let first = Numbers::from(vec![1.0, 2.0]);
+    let first = SharedArray::from(vec![1.0, 2.0]);
     let mut second = first.clone();
     assert!(std::ptr::eq(&*first, &*second));
     second[1] = 3.0;

@@ -36,3 +36,14 @@ fn thrown_ball_prints_where_the_ball_is() {
     assert_eq!(text.lines().count(), 5, "{text}");
     assert!(text.lines().all(|line| line.contains("m from the env's origin")), "{text}");
 }
+
+#[test]
+fn headless_app_prints_what_the_policy_observes_of_its_component() {
+    let text = String::from_utf8(run("headless_app").stdout).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 8, "{text}");
+    for line in lines {
+        let kelvin: f32 = line.trim_end_matches(" K").rsplit(' ').next().unwrap().parse().unwrap();
+        assert!(kelvin > 0.0 && kelvin < 50.0, "{line}");
+    }
+}

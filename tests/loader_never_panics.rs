@@ -98,7 +98,7 @@ fn exercise(text: &str, source: &Path) -> Result<(), TestCaseError> {
     }
 }
 
-/// Numbers are finite, also to the engine; parents come first; the articulation can be built and stepped.
+/// SharedArray are finite, also to the engine; parents come first; the articulation can be built and stepped.
 fn sound(model: &Model) -> Result<(), TestCaseError> {
     prop_assert_eq!(model.links.len(), model.joints.len() + 1);
     let finite = |numbers: &[f64]| numbers.iter().all(|number| (*number as f32).is_finite());

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::Output;
 
-use polypod::systems::Autoreset;
+use polypod::Autoreset;
 use polypod::{Sim, SimOptions};
 use polypod_sim::policy::{Policy, PolicyManifest, sha256};
 use serde::Deserialize;

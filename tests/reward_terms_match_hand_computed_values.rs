@@ -1,13 +1,13 @@
 //! Every reward term of every set, recomputed in double precision from its formula and the state of the step.
 
 use bevy_ecs::prelude::*;
+use polypod::Autoreset;
 use polypod::components::{
     Action, BasePose, BaseVelocity, Body, Command, ContactForces, ContactSensor, EnvId, EpisodeSums, Feet, JointEffort,
     JointState,
 };
 use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
-use polypod::systems::Autoreset;
 use polypod::{Sim, SimOptions};
 
 use crate::common::noise;

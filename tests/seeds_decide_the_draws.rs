@@ -1,7 +1,7 @@
 //! The seed, the robot and the env's place among that robot's envs decide what is drawn for it.
 
 use polypod::components::{Command, EnvId};
-use polypod::{Sim, SimError, SimOptions};
+use polypod::{Error, Sim, SimOptions};
 
 use crate::common::{ROBOTS, assert_all_same, assert_same, busy, env_bits, step};
 
@@ -72,7 +72,7 @@ fn a_reset_without_a_seed_goes_on_with_the_streams() {
     for env in 0..24 {
         assert_eq!(before[env] != after[env], mask[env], "env {env}");
     }
-    assert!(matches!(sim.reset(Some(1), Some(&mask)), Err(SimError::Argument { element: "seed", .. })));
+    assert!(matches!(sim.reset(Some(1), Some(&mask)), Err(Error::Argument { element: "seed", .. })));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use polypod::config::ConfigErrorKind;
 use polypod::simulation::Precision;
-use polypod::{Control, Simulation, SimulationError, SimulationOptions};
+use polypod::{Control, Error, Simulation, SimulationOptions};
 
 fn urdf(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/urdf").join(format!("{name}.urdf"))
@@ -52,7 +52,7 @@ fn one_row_serves_all_envs() {
 #[test]
 fn wrong_arguments_are_named() {
     let mut sim = simulation("biped", 2);
-    let message = |error: SimulationError| error.to_string();
+    let message = |error: Error| error.to_string();
     let error = message(sim.set_state(None, Some(&[0.0; 12]), None).unwrap_err());
     assert!(error.contains("qpos: 12 numbers") && error.contains("2 x 13"), "{error}");
     let error = message(sim.step(&Control { torque: Some(&[0.0; 5]), ..Control::default() }, 1).unwrap_err());
@@ -62,16 +62,16 @@ fn wrong_arguments_are_named() {
     let error = message(sim.set_gains(Some(&[2]), Some(&[1.0]), None).unwrap_err());
     assert!(error.contains("no env 2"), "{error}");
     match sim.set_mass(None, "left_fot", &[1.0]).unwrap_err() {
-        SimulationError::Config(error) => {
+        Error::Config(error) => {
             assert_eq!(error.kind, ConfigErrorKind::UnknownName);
             assert!(error.remedy.contains("left_foot"), "{error}");
         }
         other => panic!("{other}"),
     }
     let unknown = Simulation::new(&SimulationOptions::new("no_such_robot", 1)).err().unwrap();
-    assert!(matches!(unknown, SimulationError::Config(_)), "{unknown}");
+    assert!(matches!(unknown, Error::Config(_)), "{unknown}");
     let missing = Simulation::new(&options("no_such_file", 1)).err().unwrap();
-    assert!(matches!(missing, SimulationError::Robot(_)), "{missing}");
+    assert!(matches!(missing, Error::Robot(_)), "{missing}");
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn a_snapshot_belongs_to_its_simulation() {
     let double = SimulationOptions { precision: Precision::Double, ..options("biped", 3) };
     for options in [options("biped", 4), options("cart", 3), double] {
         let error = Simulation::new(&options).unwrap().restore(&snapshot).unwrap_err();
-        assert!(matches!(error, SimulationError::Snapshot(_)), "{error}");
+        assert!(matches!(error, Error::Snapshot(_)), "{error}");
     }
 }
 

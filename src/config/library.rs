@@ -14,6 +14,7 @@ use super::scene::embed_meshes;
 use super::suggest::did_you_mean;
 use super::task::TaskConfig;
 use crate::files;
+use crate::hash::fnv1a;
 
 /// Environment variable with further roots, separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
@@ -347,21 +348,5 @@ fn make_package_dirs_absolute(layer: &mut Layer) {
                 *path = dir.join(&*path).display().to_string();
             }
         }
-    }
-}
-
-/// 64-bit FNV-1a (Fowler, Noll, Vo).
-pub(crate) fn fnv1a(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fnv1a_of_published_test_vectors() {
-        assert_eq!(fnv1a(b""), 0xcbf2_9ce4_8422_2325);
-        assert_eq!(fnv1a(b"foobar"), 0x8594_4171_f739_67e8);
     }
 }

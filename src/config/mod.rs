@@ -16,7 +16,6 @@ mod terrain;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
-pub(crate) use library::fnv1a;
 pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE};
 pub use names::{RobotEntry, TaskEntry};
 pub use parse::parse_params;
@@ -28,9 +27,9 @@ pub use robot::{
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
 pub use task::{
-    CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig, MaterialConfig,
-    ObservationTerm, ObservationsConfig, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig,
-    VelocityCommandConfig,
+    AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig,
+    MaterialConfig, ObservationTerm, ObservationsConfig, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig,
+    TaskConfig, VelocityCommandConfig,
 };
 pub use terrain::{
     BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,

@@ -11,7 +11,6 @@ use super::parse::params_beside;
 use super::scene::SceneConfig;
 use super::suggest::did_you_mean;
 use super::values;
-use crate::avian::SUBSTEPS;
 use crate::bounds::{MAX_DECIMATION, MAX_SUBSTEPS, MAX_SWEEPS};
 use crate::dynamics::SWEEPS;
 
@@ -104,6 +103,9 @@ fn env_spacing() -> f64 {
     4.0
 }
 
+/// Usual number of substeps of a physics step of the engine `avian`.
+pub const AVIAN_SUBSTEPS: usize = 8;
+
 /// The physics engine and its settings.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
@@ -132,7 +134,7 @@ impl Default for PhysicsConfig {
         Self {
             engine: EngineKind::Articulated,
             solver_iterations: SWEEPS as u32,
-            avian_substeps: SUBSTEPS as u32,
+            avian_substeps: AVIAN_SUBSTEPS as u32,
             max_depenetration_velocity: 1.0,
             depenetration_rate: 0.2,
             mirror_links: false,
@@ -377,7 +379,7 @@ impl TaskConfig {
     }
 
     /// Checks what no single value can tell; errors name the task in place of a file.
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         let invalid = |element: String, problem: &str, remedy: &str| {
             Err(ConfigError::invalid(self.name.clone(), element, problem, remedy))
         };

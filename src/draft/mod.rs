@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
-use crate::morphology::{MorphologyError, MorphologyModel};
+use crate::error::Error;
+use crate::morphology::MorphologyModel;
 use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
@@ -76,7 +77,7 @@ struct Group {
 ///
 /// # Errors
 /// A name without letters or digits; those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
-pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyError> {
+pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     if let Some(name) = &options.name
         && !name.contains(|c: char| c.is_ascii_alphanumeric())
     {
@@ -121,7 +122,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, MorphologyErr
 }
 
 /// That of the known robot whose mass is nearest to `mass` (kg), as a ratio.
-fn reward_set(mass: f64) -> Result<String, MorphologyError> {
+fn reward_set(mass: f64) -> Result<String, Error> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(f64, String)> = None;
     for entry in library.robots()? {

@@ -1,4 +1,4 @@
-//! SIMD lanes: the one place that knows instruction sets, and but for `crew.rs` the only file of the crate with `unsafe` code.
+//! SIMD lanes: the one place that knows instruction sets, and but for `thread_team.rs` the only file of the crate with `unsafe` code.
 //!
 //! The kernels of [`dynamics`](super) are written once, over the [`Real`] trait. A value of a `Real` type holds
 //! [`Real::LANES`] independent numbers, one per robot of a pack; no operation mixes lanes, and each operation is one
@@ -564,12 +564,12 @@ pub enum Simd {
 /// The way into code on single numbers that is compiled for an instruction set: fused multiply-adds are then instructions
 /// instead of function calls, and the compiler may put loops into lanes. Bits do not depend on it.
 #[derive(Clone, Copy, Debug)]
-pub struct Entry {
+pub struct SimdDispatch {
     /// AVX2 with FMA, which the machine has; else what all machines of the architecture have.
     avx2: bool,
 }
 
-impl Entry {
+impl SimdDispatch {
     /// Runs a computation.
     #[inline]
     pub fn vectorize<K: Kernel<f32>>(self, kernel: K) -> K::Output {
@@ -579,7 +579,7 @@ impl Entry {
             fn compiled<K: Kernel<f32>>(kernel: K) -> K::Output {
                 kernel.run()
             }
-            // SAFETY: `Simd::entry` has found that the machine has what it is compiled for
+            // SAFETY: `Simd::dispatch` has found that the machine has what it is compiled for
             return unsafe { compiled(kernel) };
         }
         kernel.run()
@@ -604,18 +604,18 @@ pub fn prefetch<T>(value: &T) {
 }
 
 /// An instruction set was asked for that this machine does not have, or that does not exist.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, thiserror::Error)]
 #[error("instruction set: `{0}` is not available here; use one of {1}, or leave it and POLYPOD_SIMD unset")]
 pub struct SimdError(String, String);
 
 impl Simd {
     /// The way into code on single numbers that is compiled for this instruction set, as far as this machine has it.
-    pub fn entry(self) -> Entry {
+    pub fn dispatch(self) -> SimdDispatch {
         #[cfg(target_arch = "x86_64")]
         let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
         #[cfg(not(target_arch = "x86_64"))]
         let avx2 = false;
-        Entry { avx2: avx2 && matches!(self, Simd::Avx512 | Simd::Avx2) }
+        SimdDispatch { avx2: avx2 && matches!(self, Simd::Avx512 | Simd::Avx2) }
     }
 
     /// Those this machine has, fastest first.
@@ -753,7 +753,7 @@ mod tests {
                 .iter()
                 .map(|x| {
                     let mut d = [x[0], x[1], x[2], 0.0, 0.0, 0.0];
-                    simd.entry().vectorize(Everything(&mut d));
+                    simd.dispatch().vectorize(Everything(&mut d));
                     [d[3].to_bits(), d[4].to_bits(), d[5].to_bits()]
                 })
                 .collect();

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::articulation::{ContactKind, Topology};
 use super::lanes::Real;
 use super::math::{Sym3, Vec3};
-use super::numbers::Numbers;
+use super::shared_array::SharedArray;
 
 macro_rules! parameters {
     (
@@ -17,7 +17,7 @@ macro_rules! parameters {
         /// Frames: every link's axes are parallel to the base's when all joints are at zero. Clones share what neither changes.
         #[derive(Clone, Debug, Serialize, Deserialize)]
         pub struct Parameters<S> {
-            $( $(#[$doc])* pub $name: Numbers<$t>, )*
+            $( $(#[$doc])* pub $name: SharedArray<$t>, )*
             $( $(#[$one_doc])* pub $one: S, )*
         }
 
@@ -48,7 +48,7 @@ macro_rules! parameters {
             )*
         }
 
-        impl<S: Real> BodyNumbers<S> for Alike<'_, S> {
+        impl<S: Real> BodyNumbers<S> for UniformParameters<'_, S> {
             $(
                 #[inline(always)]
                 fn $name(self, i: usize) -> $t {
@@ -76,7 +76,12 @@ macro_rules! parameters {
                 false $( || $visit::any(&self.$name, &other.$name, &mut f) )* $( || f(&self.$one, &other.$one) )*
             }
 
-            /// Whether the first lane differs from a kind's body in nothing but what [`Alike`] bodies have of their own.
+            /// Whether all lists are as long as those of `other`.
+            pub fn has_sizes_of<T>(&self, other: &Parameters<T>) -> bool {
+                true $( && self.$name.len() == other.$name.len() )*
+            }
+
+            /// Whether the first lane differs from a kind's body in nothing but what [`UniformParameters`] bodies have of their own.
             pub fn is_alike<T: Real>(&self, kind: &Parameters<T>) -> bool {
                 let mut differ = |x: &S, y: &T| x.lane_f32(0).to_bits() != y.lane_f32(0).to_bits();
                 true $( && !$visit::any(&self.$name[$own..], &kind.$name[$own..], &mut differ) )*
@@ -132,14 +137,14 @@ macro_rules! parameters {
 /// The bodies of a pack where they differ in little: in what their bases weigh and in what their feet are made of. The numbers that
 /// they have in common are held once, not once per lane: a kilobyte or two instead of thirty.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Alike<'a, S> {
+pub(super) struct UniformParameters<'a, S> {
     /// What they have in common.
     pub(super) kind: &'a Parameters<f32>,
     /// What each has of its own; the rest is not looked at.
     pub(super) own: &'a Parameters<S>,
 }
 
-/// Of a list of links' numbers, [`Alike`] bodies have those of the base of their own: the first.
+/// Of a list of links' numbers, [`UniformParameters`] bodies have those of the base of their own: the first.
 const BASE: usize = 1;
 /// Of other lists they have none.
 const NONE: usize = 0;

@@ -9,7 +9,7 @@ use super::lanes::{Kernel, Lanes, Real};
 use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
-use super::parameters::{Alike, BodyNumbers, Parameters};
+use super::parameters::{BodyNumbers, Parameters, UniformParameters};
 use super::rows::ContactWork;
 use super::self_contact;
 use super::solver;
@@ -64,7 +64,7 @@ impl<L: Lanes> ControlStep<'_, L> {
         let parameters = self.parameters;
         match self.kind {
             Some(kind) if L::READS_ALIKE => {
-                L::vectorize(StepOf { parameters: Alike { kind, own: parameters }, step: self })
+                L::vectorize(StepOf { parameters: UniformParameters { kind, own: parameters }, step: self })
             }
             _ => L::vectorize(StepOf { parameters, step: self }),
         }

@@ -9,11 +9,8 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
-use polypod::app::SimError;
-use polypod::config::{ConfigError, ConfigErrorKind};
-use polypod::morphology::MorphologyError;
-use polypod::simulation::SimulationError;
-use polypod::systems::TermError;
+use polypod::Error;
+use polypod::config::ConfigErrorKind;
 
 struct Exceptions {
     polypod: Py<PyType>,
@@ -58,43 +55,19 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// The exception of an error.
-pub(super) fn to_python(py: Python<'_>, error: SimError) -> PyErr {
-    let all = match exceptions(py) {
-        Ok(all) => all,
-        Err(error) => return error,
-    };
-    let message = error.to_string();
-    let class = match &error {
-        SimError::Config(error)
-        | SimError::Term(TermError::Config(error))
-        | SimError::Morphology(MorphologyError::Config(error)) => config_class(all, error),
-        SimError::Morphology(MorphologyError::Robot(_)) => &all.robot,
-        SimError::Argument { .. }
-        | SimError::Simd(_)
-        | SimError::World(_)
-        | SimError::Snapshot(_)
-        | SimError::Dump(_) => &all.config,
-    };
-    PyErr::from_type(class.bind(py).clone(), message)
-}
-
-/// The exception of an error of a simulation without a task.
-pub(super) fn simulation_error(py: Python<'_>, error: SimulationError) -> PyErr {
+pub(super) fn to_python(py: Python<'_>, error: Error) -> PyErr {
     let all = match exceptions(py) {
         Ok(all) => all,
         Err(error) => return error,
     };
     let class = match &error {
-        SimulationError::Config(error) => config_class(all, error),
-        SimulationError::Robot(_) => &all.robot,
-        // arguments, instruction sets, snapshots
+        Error::Config(error) if error.kind == ConfigErrorKind::UnknownName => &all.unknown_name,
+        Error::Robot(_) => &all.robot,
+        // systems are the program's: nothing that a user can change
+        Error::System { .. } => &all.polypod,
         _ => &all.config,
     };
     PyErr::from_type(class.bind(py).clone(), error.to_string())
-}
-
-fn config_class<'a>(all: &'a Exceptions, error: &ConfigError) -> &'a Py<PyType> {
-    if error.kind == ConfigErrorKind::UnknownName { &all.unknown_name } else { &all.config }
 }
 
 /// A whole number of any size; beyond 128 bits the nearest of those.
@@ -116,10 +89,7 @@ pub(super) fn optional_whole(value: &Bound<'_, PyAny>) -> PyResult<Option<i128>>
 pub(super) fn unsigned<T: TryFrom<i128>>(py: Python<'_>, element: &'static str, value: i128) -> PyResult<T> {
     T::try_from(value).map_err(|_| {
         let remedy = if value < 0 { "pass no negative number" } else { "pass a smaller number" };
-        to_python(
-            py,
-            SimError::Argument { element, problem: format!("{value} is out of range"), remedy: remedy.into() },
-        )
+        to_python(py, Error::Argument { element, problem: format!("{value} is out of range"), remedy: remedy.into() })
     })
 }
 

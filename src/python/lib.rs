@@ -15,7 +15,6 @@ use exceptions::{guarded, to_python};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::Simd;
-use polypod::morphology::MorphologyError;
 use polypod::robot::{self, LoadOptions};
 
 #[pyfunction]
@@ -57,7 +56,7 @@ fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
 #[pyfunction]
 fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>) -> PyResult<String> {
     let options = LoadOptions { package_dirs, ..LoadOptions::default() };
-    guarded(py, || robot::check(&path, &options))?.map_err(|error| to_python(py, MorphologyError::from(error).into()))
+    guarded(py, || robot::check(&path, &options))?.map_err(|error| to_python(py, error.into()))
 }
 
 #[pyfunction]
@@ -71,7 +70,7 @@ fn draft_robot(
     gain_factor: f64,
 ) -> PyResult<Bound<'_, PyDict>> {
     let options = DraftOptions { name, urdf, package_dirs, gain_factor: Some(gain_factor) };
-    let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error.into()))?;
+    let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;
     dict.set_item("toml", draft.toml)?;

@@ -9,11 +9,12 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use super::exceptions::{Guarded, optional_whole, simulation_error, type_error, unsigned, value_error, whole};
+use super::exceptions::{Guarded, optional_whole, to_python, type_error, unsigned, value_error, whole};
 use super::vec_sim::tuple;
 use polypod::AVIAN_SUBSTEPS;
+use polypod::Error;
 use polypod::dynamics::{SWEEPS, Simd};
-use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationError, SimulationOptions};
+use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationOptions};
 
 #[pyclass(module = "polypod._core")]
 pub(super) struct Simulation {
@@ -90,7 +91,7 @@ fn link_of(link: &Bound<'_, PyAny>, num_links: usize) -> PyResult<Link> {
     usize::try_from(index).map(Link::Index).map_err(|_| {
         let remedy = format!("the links are 0 to {}, in the order of link_names", num_links - 1);
         let problem = format!("there is no link {index}");
-        simulation_error(link.py(), SimulationError::Argument { element: "link", problem, remedy })
+        to_python(link.py(), Error::Argument { element: "link", problem, remedy })
     })
 }
 
@@ -122,7 +123,7 @@ fn options(
 ) -> PyResult<SimulationOptions> {
     let py = friction.py();
     let config = |element, problem: String, remedy: &str| {
-        simulation_error(py, SimulationError::Argument { element, problem, remedy: remedy.into() })
+        to_python(py, Error::Argument { element, problem, remedy: remedy.into() })
     };
     let friction = match numbers("friction", friction, &[vec![], vec![2]])?[..] {
         [both] => [both, both],
@@ -144,7 +145,7 @@ fn options(
         other => return Err(config("dtype", format!("no simulation in {other}"), "use \"float32\" or \"float64\"")),
     };
     let armature = armature.map(|value| numbers_of_any_length("armature", value)).transpose()?;
-    let simd = simd.map(Simd::named).transpose().map_err(|error| simulation_error(py, error.into()))?;
+    let simd = simd.map(Simd::named).transpose().map_err(|error| to_python(py, error.into()))?;
     Ok(SimulationOptions {
         ground,
         friction,
@@ -209,7 +210,7 @@ impl Simulation {
             threads: threads.map(|threads| unsigned(py, "threads", threads)).transpose()?,
             ..given
         };
-        let sim = Guarded::new(py, || Inner::new(&options), simulation_error)?;
+        let sim = Guarded::new(py, || Inner::new(&options), to_python)?;
         if options.is_urdf_path() {
             for warning in sim.warnings() {
                 let message = CString::new(warning.to_string().replace('\0', " "))?;
@@ -315,7 +316,7 @@ impl Simulation {
         let qvel = Self::optional("qvel", qvel.as_ref(), &shapes(self.sim.nv()))?;
         self.sim
             .run(py, |sim| sim.set_state(ids.as_deref(), qpos.as_deref(), qvel.as_deref()))?
-            .map_err(|error| simulation_error(py, error))
+            .map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (*, torque=None, targets=None, kp=None, kd=None, effort_limit=None, implicit=None, n=1))]
@@ -345,7 +346,7 @@ impl Simulation {
             implicit,
         };
         let n = usize::try_from(n).unwrap_or(0);
-        self.sim.run(py, |sim| sim.step(&control, n))?.map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.step(&control, n))?.map_err(|error| to_python(py, error))
     }
 
     fn link_pose<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
@@ -381,24 +382,21 @@ impl Simulation {
             let at = if given.len() == width { 0 } else { env * width };
             force.extend(std::iter::repeat_n(0.0, nv - width).chain(given[at..at + width].iter().copied()));
         }
-        let qacc =
-            self.sim.look(py, |sim| sim.forward_dynamics(&force))?.map_err(|error| simulation_error(py, error))?;
+        let qacc = self.sim.look(py, |sim| sim.forward_dynamics(&force))?.map_err(|error| to_python(py, error))?;
         array(py, qacc, &[n, nv])
     }
 
     fn inverse_dynamics<'py>(&self, py: Python<'py>, qacc: Bound<'py, PyAny>) -> Array<'py> {
         let (n, nv) = (self.sim.num_envs(), self.sim.nv());
         let qacc = numbers("qacc", &qacc, &[vec![nv], vec![n, nv]])?;
-        let force =
-            self.sim.look(py, |sim| sim.inverse_dynamics(&qacc))?.map_err(|error| simulation_error(py, error))?;
+        let force = self.sim.look(py, |sim| sim.inverse_dynamics(&qacc))?.map_err(|error| to_python(py, error))?;
         array(py, force, &[n, nv])
     }
 
     #[pyo3(signature = (link, point=[0.0, 0.0, 0.0]))]
     fn jacobian<'py>(&self, py: Python<'py>, link: Bound<'py, PyAny>, point: [f64; 3]) -> Array<'py> {
         let link = link_of(&link, self.sim.num_links())?;
-        let rows =
-            self.sim.look(py, |sim| sim.jacobian(link.id(), point))?.map_err(|error| simulation_error(py, error))?;
+        let rows = self.sim.look(py, |sim| sim.jacobian(link.id(), point))?.map_err(|error| to_python(py, error))?;
         array(py, rows, &[self.sim.num_envs(), 6, self.sim.nv()])
     }
 
@@ -433,9 +431,7 @@ impl Simulation {
         let ids = env_indices(env_ids.as_ref())?;
         let mass = numbers("mass", &mass, &[vec![], vec![self.count(ids.as_ref())]])?;
         let link = link_of(&link, self.sim.num_links())?;
-        self.sim
-            .run(py, |sim| sim.set_mass(ids.as_deref(), link.id(), &mass))?
-            .map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.set_mass(ids.as_deref(), link.id(), &mass))?.map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (link, com, env_ids=None))]
@@ -449,9 +445,7 @@ impl Simulation {
         let ids = env_indices(env_ids.as_ref())?;
         let com = numbers("com", &com, &[vec![3], vec![self.count(ids.as_ref()), 3]])?;
         let link = link_of(&link, self.sim.num_links())?;
-        self.sim
-            .run(py, |sim| sim.set_com(ids.as_deref(), link.id(), &com))?
-            .map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.set_com(ids.as_deref(), link.id(), &com))?.map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (link, inertia, env_ids=None))]
@@ -470,7 +464,7 @@ impl Simulation {
         let link = link_of(&link, self.sim.num_links())?;
         self.sim
             .run(py, |sim| sim.set_inertia(ids.as_deref(), link.id(), &inertia))?
-            .map_err(|error| simulation_error(py, error))
+            .map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (r#static, dynamic=None, env_ids=None))]
@@ -487,7 +481,7 @@ impl Simulation {
         let sliding = Self::optional("dynamic", dynamic.as_ref(), &shapes)?;
         self.sim
             .run(py, |sim| sim.set_friction(ids.as_deref(), &sticking, sliding.as_deref()))?
-            .map_err(|error| simulation_error(py, error))
+            .map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (kp=None, kd=None, env_ids=None))]
@@ -504,7 +498,7 @@ impl Simulation {
         let kd = Self::optional("kd", kd.as_ref(), &shapes)?;
         self.sim
             .run(py, |sim| sim.set_gains(ids.as_deref(), kp.as_deref(), kd.as_deref()))?
-            .map_err(|error| simulation_error(py, error))
+            .map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (armature, env_ids=None))]
@@ -516,18 +510,16 @@ impl Simulation {
     ) -> PyResult<()> {
         let ids = env_indices(env_ids.as_ref())?;
         let armature = numbers("armature", &armature, &self.of_joints(self.count(ids.as_ref())))?;
-        self.sim
-            .run(py, |sim| sim.set_armature(ids.as_deref(), &armature))?
-            .map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.set_armature(ids.as_deref(), &armature))?.map_err(|error| to_python(py, error))
     }
 
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = self.sim.run(py, |sim| sim.snapshot())?.map_err(|error| simulation_error(py, error))?;
+        let bytes = self.sim.run(py, |sim| sim.snapshot())?.map_err(|error| to_python(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
     fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
-        self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| simulation_error(py, error))
+        self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| to_python(py, error))
     }
 }
 

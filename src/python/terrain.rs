@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::exceptions::{guarded, to_python};
-use polypod::app::SimError;
+use polypod::Error;
 use polypod::config::{Library, TaskConfig};
 use polypod::terrain::{Mesh, TerrainLayout, border, generate};
 use polypod::world::{self, Ground};
@@ -13,12 +13,12 @@ use polypod::world::{self, Ground};
 #[pyfunction]
 #[pyo3(signature = (task, overrides=Vec::new()))]
 pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
-    let failed = |error: SimError| to_python(py, error);
+    let failed = |error: Error| to_python(py, error);
     let task = guarded(py, || Library::new(Vec::new()).task(task, &overrides))?;
     let config = task.map_err(|error| failed(error.into()))?.config;
-    let ground = guarded(py, || world::load(&config))?.map_err(|error| failed(error.into()))?;
+    let ground = guarded(py, || world::load(&config))?.map_err(failed)?;
     entry(py, &config, &ground)?.ok_or_else(|| {
-        failed(SimError::Argument {
+        failed(Error::Argument {
             element: "task",
             problem: format!("the ground of {} is a plane", config.name),
             remedy: "name a task with terrain or obstacles, such as velocity_rough".into(),

@@ -16,13 +16,13 @@ use super::exceptions::{
     Guarded, fault_exception, optional_whole, to_python, type_error, unsigned, value_error, whole,
 };
 use super::terrain;
-use polypod::app::{Sim, SimOptions};
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::robot::CANONICAL_JOINT_NAMES;
-use polypod::rows::Workers;
-use polypod::systems::{Autoreset, CompiledTask, Logs, StateField};
+use polypod::systems::{CompiledTask, Logs, StateField};
+use polypod::workers::Workers;
 use polypod::world::Ground;
+use polypod::{Autoreset, Sim, SimOptions};
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {

@@ -1,12 +1,12 @@
 //! The engine avian behind the same interface as the articulated one.
 
-use super::options::{SimulationError, argument};
 use super::packs::{Actuation, JointField, Packs};
 use super::robot::Robot;
 use super::rows::{EnvIds, Rows};
-use crate::avian::{Engine, EngineError, Settings};
 use crate::dynamics::{Parameters, State, StepSettings, Topology};
-use crate::rows::Workers;
+use crate::engine::avian::{Engine, EngineError, Settings};
+use crate::error::Error;
+use crate::workers::Workers;
 
 /// A world of Avian's per thread.
 pub(super) fn packs(
@@ -15,7 +15,7 @@ pub(super) fn packs(
     substeps: usize,
     num_envs: usize,
     threads: usize,
-) -> Result<Box<dyn Packs>, SimulationError> {
+) -> Result<Box<dyn Packs>, Error> {
     let of_engine = Settings { dt: settings.dt, substeps, gravity: settings.gravity, ground: settings.contact.ground };
     let (topology, nominal) = (&robot.topology, &robot.nominal);
     Engine::new(&robot.model, &robot.align, &robot.shape_pairs, topology, nominal, &of_engine, &[], num_envs, threads)
@@ -25,7 +25,7 @@ pub(super) fn packs(
                 EngineError::Step(_) => "dt",
                 EngineError::Prismatic(_) | EngineError::Order => "engine",
             };
-            argument(element, error.to_string(), "use \"articulated\", or another step or robot")
+            Error::argument(element, error.to_string(), "use \"articulated\", or another step or robot")
         })
 }
 

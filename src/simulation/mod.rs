@@ -12,7 +12,7 @@
 //! let stand = Control { targets: Some(&[0.0]), kp: Some(&[400.0]), kd: Some(&[10.0]), ..Control::default() };
 //! sim.step(&stand, 200)?;
 //! assert!((sim.qpos()[2] - sim.default_qpos()[2]).abs() < 0.02);
-//! # Ok::<(), polypod::SimulationError>(())
+//! # Ok::<(), polypod::Error>(())
 //! ```
 
 mod avian;
@@ -24,16 +24,16 @@ mod robot;
 mod rows;
 mod snapshot;
 
-pub use options::{Precision, SimulationError, SimulationOptions};
+pub use options::{Precision, SimulationOptions};
 pub use parameters::LinkId;
 pub use queries::{LinkPoses, LinkVelocities};
 
 use crate::bounds::{BYTES_PER_LINK, check_num_envs};
 use crate::config::EngineKind;
 use crate::dynamics::{ContactSettings, Plane, Simd, State, StepSettings};
+use crate::error::Error;
 use crate::robot::{UNLIMITED, Warning};
-use crate::rows::{Workers, packs_of};
-use options::argument;
+use crate::workers::{Workers, packs_of};
 use packs::{Actuation, JointField, Packs};
 use robot::Robot;
 use rows::{EnvIds, Rows};
@@ -80,7 +80,7 @@ impl Simulation {
     ///
     /// # Errors
     /// Whatever is wrong with the options, the robot's config or its URDF.
-    pub fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
+    pub fn new(options: &SimulationOptions) -> Result<Self, Error> {
         options.validate()?;
         let simd = Simd::choose(options.simd)?;
         let robot = Robot::new(options)?;
@@ -107,7 +107,8 @@ impl Simulation {
         }
         default_qpos.extend(&robot.default_position);
         let bytes = BYTES_PER_LINK * robot.topology.num_links();
-        check_num_envs(options.num_envs, bytes).map_err(|(problem, remedy)| argument("num_envs", problem, remedy))?;
+        check_num_envs(options.num_envs, bytes)
+            .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;
         let pieces = match (options.engine(), options.precision) {
             (EngineKind::Articulated, Precision::Single) => packs_of(options.num_envs),
             _ => options.num_envs,
@@ -273,7 +274,7 @@ impl Simulation {
         env_ids: Option<&[usize]>,
         qpos: Option<&[f64]>,
         qvel: Option<&[f64]>,
-    ) -> Result<(), SimulationError> {
+    ) -> Result<(), Error> {
         let envs = EnvIds::new(env_ids, self.num_envs)?;
         let (nq, nv) = (self.nq(), self.nv());
         let qpos = qpos.map(|values| Rows::vectors("qpos", values, nq, envs.len())).transpose()?;
@@ -284,7 +285,11 @@ impl Simulation {
             for row in 0..envs.len() {
                 let given = std::array::from_fn(|k| rows.get(row, 3 + k));
                 let unit = self.unit_quaternion(given).ok_or_else(|| {
-                    argument("qpos", format!("the quaternion of row {row} is {given:?}"), "pass (w, x, y, z), not zero")
+                    Error::argument(
+                        "qpos",
+                        format!("the quaternion of row {row} is {given:?}"),
+                        "pass (w, x, y, z), not zero",
+                    )
                 })?;
                 rotations.push(unit);
             }
@@ -335,14 +340,14 @@ impl Simulation {
     ///
     /// # Errors
     /// `n` zero, both efforts and targets, another number of values, or one that is not finite.
-    pub fn step(&mut self, control: &Control, n: usize) -> Result<(), SimulationError> {
+    pub fn step(&mut self, control: &Control, n: usize) -> Result<(), Error> {
         if n == 0 {
-            return Err(argument("n", "0 steps", "pass at least 1"));
+            return Err(Error::argument("n", "0 steps", "pass at least 1"));
         }
         let (joints, envs) = (self.num_joints(), self.num_envs);
         let (actuation, values, element) = match (control.torque, control.targets) {
             (Some(_), Some(_)) => {
-                return Err(argument("torque", "given together with targets", "pass one of them"));
+                return Err(Error::argument("torque", "given together with targets", "pass one of them"));
             }
             (Some(torque), None) => (Actuation::Effort, torque, "torque"),
             (None, Some(targets)) => (Actuation::Targets, targets, "targets"),

@@ -3,14 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::avian::SUBSTEPS;
 use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT};
-use crate::config::{ConfigError, EngineKind};
-use crate::dynamics::lanes::SimdError;
+use crate::config::{AVIAN_SUBSTEPS, EngineKind};
 use crate::dynamics::{SWEEPS, Simd};
-use crate::robot::RobotError;
+use crate::error::Error;
 
-/// Numbers that a simulation computes with.
+/// SharedArray that a simulation computes with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
     /// Single precision, many envs side by side in SIMD lanes.
@@ -79,7 +77,7 @@ impl SimulationOptions {
             armature: None,
             self_collision: None,
             solver_iterations: SWEEPS,
-            avian_substeps: SUBSTEPS,
+            avian_substeps: AVIAN_SUBSTEPS,
             threads: None,
             simd: None,
             precision: Precision::Single,
@@ -102,98 +100,72 @@ impl SimulationOptions {
     ///
     /// # Errors
     /// Names the first option that is out of its range.
-    pub fn validate(&self) -> Result<(), SimulationError> {
+    pub fn validate(&self) -> Result<(), Error> {
         match self.engine.as_str() {
             "articulated" => {}
             "avian" if self.precision == Precision::Double => {
                 let remedy = "use single precision, or the engine \"articulated\"";
-                return Err(argument("precision", "the engine avian has single precision only", remedy));
+                return Err(Error::argument("precision", "the engine avian has single precision only", remedy));
             }
             "avian" => {}
             other => {
                 let remedy = "use \"articulated\" or \"avian\"";
-                return Err(argument("engine", format!("there is no engine `{other}`"), remedy));
+                return Err(Error::argument("engine", format!("there is no engine `{other}`"), remedy));
             }
         }
         if self.num_envs == 0 {
-            return Err(argument("num_envs", "0 envs", "pass at least 1"));
+            return Err(Error::argument("num_envs", "0 envs", "pass at least 1"));
         }
         if self.num_envs > MAX_ENVS {
-            return Err(argument("num_envs", format!("{} envs", self.num_envs), format!("pass at most {MAX_ENVS}")));
+            return Err(Error::argument(
+                "num_envs",
+                format!("{} envs", self.num_envs),
+                format!("pass at most {MAX_ENVS}"),
+            ));
         }
         if self.threads == Some(0) {
-            return Err(argument("threads", "0 threads", "pass at least 1, or nothing for all cores"));
+            return Err(Error::argument("threads", "0 threads", "pass at least 1, or nothing for all cores"));
         }
         check_count("solver_iterations", self.solver_iterations, MAX_SWEEPS, "sweeps")?;
         check_count("avian_substeps", self.avian_substeps, MAX_SUBSTEPS, "substeps")?;
         if !(self.dt >= MIN_DT && self.dt.is_finite()) {
             let remedy = format!("pass a positive number of seconds, at least {MIN_DT:e}");
-            return Err(argument("dt", format!("a step of {:e} s", self.dt), remedy));
+            return Err(Error::argument("dt", format!("a step of {:e} s", self.dt), remedy));
         }
         if self.gravity.iter().any(|g| !g.is_finite()) {
-            return Err(argument("gravity", format!("{:?}", self.gravity), "pass three finite numbers in m/s^2"));
+            return Err(Error::argument(
+                "gravity",
+                format!("{:?}", self.gravity),
+                "pass three finite numbers in m/s^2",
+            ));
         }
         if let Some(normal) = self.ground
             // its length must be a number
             && !normal.iter().map(|x| x * x).sum::<f64>().is_normal()
         {
             let remedy = "pass three finite numbers, not all zero; a length of 1 is usual";
-            return Err(argument("ground_normal", format!("{normal:?}"), remedy));
+            return Err(Error::argument("ground_normal", format!("{normal:?}"), remedy));
         }
         check_non_negative("friction", &self.friction)?;
         if !(0.0..=1.0).contains(&self.restitution) {
-            return Err(argument("restitution", format!("{}", self.restitution), "pass a number from 0 to 1"));
+            return Err(Error::argument("restitution", format!("{}", self.restitution), "pass a number from 0 to 1"));
         }
         Ok(())
     }
 }
 
-/// A simulation could not be made, or an argument of one of its methods does not fit.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SimulationError {
-    /// The robot's config or a name.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The robot's URDF.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
-    /// The instruction set asked for.
-    #[error(transparent)]
-    Simd(#[from] SimdError),
-    /// An argument.
-    #[error("{element}: {problem}; {remedy}")]
-    Argument {
-        /// Which one.
-        element: &'static str,
-        /// What is wrong with it.
-        problem: String,
-        /// What to do.
-        remedy: String,
-    },
-    /// A snapshot.
-    #[error("snapshot: {0}")]
-    Snapshot(String),
-}
-
-pub(super) fn argument(
-    element: &'static str,
-    problem: impl Into<String>,
-    remedy: impl Into<String>,
-) -> SimulationError {
-    SimulationError::Argument { element, problem: problem.into(), remedy: remedy.into() }
-}
-
-fn check_count(element: &'static str, count: usize, most: u32, what: &str) -> Result<(), SimulationError> {
+fn check_count(element: &'static str, count: usize, most: u32, what: &str) -> Result<(), Error> {
     if (1..=most as usize).contains(&count) {
         return Ok(());
     }
-    Err(argument(element, format!("{count} {what}"), format!("pass a number from 1 to {most}")))
+    Err(Error::argument(element, format!("{count} {what}"), format!("pass a number from 1 to {most}")))
 }
 
-pub(super) fn check_non_negative(element: &'static str, values: &[f64]) -> Result<(), SimulationError> {
+pub(super) fn check_non_negative(element: &'static str, values: &[f64]) -> Result<(), Error> {
     match values.iter().find(|x| !(x.is_finite() && **x >= 0.0)) {
-        Some(bad) => Err(argument(element, format!("{bad} among the values"), "pass finite numbers of at least 0")),
+        Some(bad) => {
+            Err(Error::argument(element, format!("{bad} among the values"), "pass finite numbers of at least 0"))
+        }
         None => Ok(()),
     }
 }

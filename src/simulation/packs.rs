@@ -1,12 +1,12 @@
 //! Envs side by side in lanes: the part of a simulation that knows in which type it computes.
 
 use super::rows::{EnvIds, Rows};
-pub(super) use crate::avian::JointField;
 use crate::dynamics::lanes::{self, Real};
 use crate::dynamics::{
     ControlStep, Drive, Kernels, Parameters, Report, Simd, State, StepSettings, Topology, Workspace,
 };
-use crate::rows::Workers;
+pub(super) use crate::engine::avian::JointField;
+use crate::workers::Workers;
 
 /// Physics steps that packs make in one go; their contact reports grow with it.
 const MAX_RUN: usize = 32;

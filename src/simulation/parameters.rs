@@ -3,11 +3,12 @@
 use glam::{DMat3, DVec3};
 
 use super::Simulation;
-use super::options::{SimulationError, argument, check_non_negative};
+use super::options::check_non_negative;
 use super::packs::JointField;
 use super::rows::{EnvIds, Rows};
 use crate::config::{ConfigError, ConfigErrorKind, did_you_mean};
 use crate::dynamics::Parameters;
+use crate::error::Error;
 use crate::robot::{UNLIMITED, symmetric};
 
 /// A link, by name or index.
@@ -36,13 +37,13 @@ impl Simulation {
     ///
     /// # Errors
     /// When there is no such link, or it is fixed to another and has no mass of its own.
-    pub fn link_index<'a>(&self, link: impl Into<LinkId<'a>>) -> Result<usize, SimulationError> {
+    pub fn link_index<'a>(&self, link: impl Into<LinkId<'a>>) -> Result<usize, Error> {
         let links = &self.robot.model.links;
         let name = match link.into() {
             LinkId::Index(index) if index < links.len() => return Ok(index),
             LinkId::Index(index) => {
                 let remedy = format!("the links are 0 to {}", links.len() - 1);
-                return Err(argument("link", format!("there is no link {index}"), remedy));
+                return Err(Error::argument("link", format!("there is no link {index}"), remedy));
             }
             LinkId::Name(name) => name,
         };
@@ -80,11 +81,11 @@ impl Simulation {
         env_ids: Option<&[usize]>,
         link: impl Into<LinkId<'a>>,
         mass: &[f64],
-    ) -> Result<(), SimulationError> {
+    ) -> Result<(), Error> {
         let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs)?);
         let rows = Rows::vectors("mass", mass, 1, envs.len())?;
         if let Some(bad) = mass.iter().find(|m| **m <= 0.0) {
-            return Err(argument("mass", format!("{bad} kg"), "pass positive masses"));
+            return Err(Error::argument("mass", format!("{bad} kg"), "pass positive masses"));
         }
         self.edit(&envs, |row, p| {
             let mass = rows.get(row, 0);
@@ -104,7 +105,7 @@ impl Simulation {
         env_ids: Option<&[usize]>,
         link: impl Into<LinkId<'a>>,
         com: &[f64],
-    ) -> Result<(), SimulationError> {
+    ) -> Result<(), Error> {
         let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs)?);
         let rows = Rows::vectors("com", com, 3, envs.len())?;
         let align = self.robot.align[link];
@@ -122,13 +123,13 @@ impl Simulation {
         env_ids: Option<&[usize]>,
         link: impl Into<LinkId<'a>>,
         inertia: &[f64],
-    ) -> Result<(), SimulationError> {
+    ) -> Result<(), Error> {
         let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs)?);
         let rows = Rows::vectors("inertia", inertia, 6, envs.len())?;
         for row in 0..envs.len() {
             let given = std::array::from_fn(|k| rows.get(row, k));
             if !is_physical(given) {
-                return Err(argument(
+                return Err(Error::argument(
                     "inertia",
                     format!("row {row}, {given:?} (xx, yy, zz, xy, xz, yz), is the inertia of no rigid body"),
                     "pass a positive definite matrix whose principal moments obey the triangle inequality",
@@ -153,7 +154,7 @@ impl Simulation {
         env_ids: Option<&[usize]>,
         static_friction: &[f64],
         dynamic_friction: Option<&[f64]>,
-    ) -> Result<(), SimulationError> {
+    ) -> Result<(), Error> {
         let envs = EnvIds::new(env_ids, self.num_envs)?;
         let dynamic_friction = dynamic_friction.unwrap_or(static_friction);
         check_non_negative("static friction", static_friction)?;
@@ -176,7 +177,7 @@ impl Simulation {
         env_ids: Option<&[usize]>,
         kp: Option<&[f64]>,
         kd: Option<&[f64]>,
-    ) -> Result<(), SimulationError> {
+    ) -> Result<(), Error> {
         let envs = EnvIds::new(env_ids, self.num_envs)?;
         let joints = self.num_joints();
         let rows = |element, values: Option<_>| match values {
@@ -200,7 +201,7 @@ impl Simulation {
     ///
     /// # Errors
     /// A negative limit, another number of values, no such env.
-    pub fn set_effort_limit(&mut self, env_ids: Option<&[usize]>, limit: &[f64]) -> Result<(), SimulationError> {
+    pub fn set_effort_limit(&mut self, env_ids: Option<&[usize]>, limit: &[f64]) -> Result<(), Error> {
         let envs = EnvIds::new(env_ids, self.num_envs)?;
         let joints = self.num_joints();
         let limit: Vec<f64> = limit.iter().map(|&x| if x > UNLIMITED { UNLIMITED } else { x }).collect();
@@ -218,7 +219,7 @@ impl Simulation {
     ///
     /// # Errors
     /// A negative value, another number of values, no such env.
-    pub fn set_armature(&mut self, env_ids: Option<&[usize]>, armature: &[f64]) -> Result<(), SimulationError> {
+    pub fn set_armature(&mut self, env_ids: Option<&[usize]>, armature: &[f64]) -> Result<(), Error> {
         let envs = EnvIds::new(env_ids, self.num_envs)?;
         check_non_negative("armature", armature)?;
         let rows = Rows::of_joints("armature", armature, self.num_joints(), envs.len())?;

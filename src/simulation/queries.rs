@@ -5,12 +5,12 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::Simulation;
-use super::options::SimulationError;
 use super::parameters::LinkId;
 use super::rows::Rows;
 use crate::dynamics::math::{Spatial, mul_vec, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{Dynamics, Parameters, Scalar, State, Workspace, point_motion};
-use crate::rows::MatrixRows;
+use crate::error::Error;
+use crate::workers::MatrixRows;
 
 /// Where the links are, in the world.
 #[derive(Clone, Debug, PartialEq)]
@@ -114,7 +114,7 @@ impl Simulation {
     ///
     /// # Errors
     /// Another number of values, or one that is not finite.
-    pub fn forward_dynamics(&self, force: &[f64]) -> Result<Vec<f64>, SimulationError> {
+    pub fn forward_dynamics(&self, force: &[f64]) -> Result<Vec<f64>, Error> {
         let (nv, joints) = (self.nv(), self.num_joints());
         let of_joints = force.len() == joints || (force.len() == joints * self.num_envs && force.len() != nv);
         let width = if of_joints { joints } else { nv };
@@ -130,7 +130,7 @@ impl Simulation {
     ///
     /// # Errors
     /// Another number of values, or one that is not finite.
-    pub fn inverse_dynamics(&self, qacc: &[f64]) -> Result<Vec<f64>, SimulationError> {
+    pub fn inverse_dynamics(&self, qacc: &[f64]) -> Result<Vec<f64>, Error> {
         let nv = self.nv();
         let rows = Rows::vectors("qacc", qacc, nv, self.num_envs)?;
         Ok(self.query(nv, |body, env, out| {
@@ -144,7 +144,7 @@ impl Simulation {
     ///
     /// # Errors
     /// No such link, or a point that is not finite.
-    pub fn jacobian<'a>(&self, link: impl Into<LinkId<'a>>, point: [f64; 3]) -> Result<Vec<f64>, SimulationError> {
+    pub fn jacobian<'a>(&self, link: impl Into<LinkId<'a>>, point: [f64; 3]) -> Result<Vec<f64>, Error> {
         let link = self.link_index(link)?;
         Rows::vectors("point", &point, 3, 1)?;
         let point = (self.robot.align[link] * DVec3::from_array(point)).to_array();

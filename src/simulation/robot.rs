@@ -4,11 +4,12 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
-use super::options::{SimulationError, SimulationOptions, argument, check_non_negative};
+use super::options::{SimulationOptions, check_non_negative};
 use super::rows::Rows;
 use crate::config::Library;
 use crate::dynamics::math::Spatial;
 use crate::dynamics::{ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
+use crate::error::Error;
 use crate::morphology::apply_actuator;
 use crate::robot::{self, Articulation, LoadOptions, Model};
 
@@ -27,7 +28,7 @@ pub(super) struct Robot {
 }
 
 impl Robot {
-    pub(super) fn new(options: &SimulationOptions) -> Result<Self, SimulationError> {
+    pub(super) fn new(options: &SimulationOptions) -> Result<Self, Error> {
         let mut robot = if options.is_urdf_path() {
             let load = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
             let model = robot::load(Path::new(&options.robot), &load)?;
@@ -39,7 +40,11 @@ impl Robot {
         let depth = robot.topology.max_depth();
         if depth > MAX_DEPTH {
             let problem = format!("{}: a chain of {depth} moving joints", robot.model.source.display());
-            return Err(argument("robot", problem, format!("fix joints until no chain has more than {MAX_DEPTH}")));
+            return Err(Error::argument(
+                "robot",
+                problem,
+                format!("fix joints until no chain has more than {MAX_DEPTH}"),
+            ));
         }
         let joints = robot.topology.num_joints();
         if let Some(armature) = &options.armature {
@@ -59,7 +64,7 @@ impl Robot {
         Self { model, topology, nominal: parameters, align, shape_pairs, default_position }
     }
 
-    fn of_library(options: &SimulationOptions) -> Result<Self, SimulationError> {
+    fn of_library(options: &SimulationOptions) -> Result<Self, Error> {
         let loaded = Library::new(Vec::new()).robot(&options.robot)?;
         let config = &loaded.config;
         let mut package_dirs = config.package_dirs.clone();

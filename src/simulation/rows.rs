@@ -1,6 +1,6 @@
 //! Arguments that hold one value, one row, or one row per env.
 
-use super::options::{SimulationError, argument};
+use crate::error::Error;
 
 /// Envs that an operation is about.
 pub(super) enum EnvIds<'a> {
@@ -9,12 +9,12 @@ pub(super) enum EnvIds<'a> {
 }
 
 impl<'a> EnvIds<'a> {
-    pub(super) fn new(env_ids: Option<&'a [usize]>, num_envs: usize) -> Result<Self, SimulationError> {
+    pub(super) fn new(env_ids: Option<&'a [usize]>, num_envs: usize) -> Result<Self, Error> {
         let Some(ids) = env_ids else {
             return Ok(Self::All(num_envs));
         };
         match ids.iter().find(|&&id| id >= num_envs) {
-            Some(bad) => Err(argument(
+            Some(bad) => Err(Error::argument(
                 "env_ids",
                 format!("there is no env {bad}"),
                 format!("this simulation has the envs 0 to {}", num_envs - 1),
@@ -53,7 +53,7 @@ impl<'a> Rows<'a> {
         values: &'a [f64],
         width: usize,
         rows: usize,
-    ) -> Result<Self, SimulationError> {
+    ) -> Result<Self, Error> {
         if values.len() == 1 {
             check_finite(element, values, width)?;
             return Ok(Self { values, width });
@@ -62,14 +62,9 @@ impl<'a> Rows<'a> {
     }
 
     /// The same without the single number.
-    pub(super) fn vectors(
-        element: &'static str,
-        values: &'a [f64],
-        width: usize,
-        rows: usize,
-    ) -> Result<Self, SimulationError> {
+    pub(super) fn vectors(element: &'static str, values: &'a [f64], width: usize, rows: usize) -> Result<Self, Error> {
         if values.len() != width && values.len() != rows * width {
-            return Err(argument(
+            return Err(Error::argument(
                 element,
                 format!("{} numbers", values.len()),
                 format!("pass {width}, the same in every env, or {rows} x {width}"),
@@ -102,11 +97,11 @@ impl<'a> Rows<'a> {
     }
 }
 
-fn check_finite(element: &'static str, values: &[f64], width: usize) -> Result<(), SimulationError> {
+fn check_finite(element: &'static str, values: &[f64], width: usize) -> Result<(), Error> {
     let Some(at) = values.iter().position(|x| !x.is_finite()) else {
         return Ok(());
     };
     let place =
         if values.len() > width { format!("row {}, column {}", at / width, at % width) } else { format!("[{at}]") };
-    Err(argument(element, format!("{} at {place}", values[at]), "pass finite numbers"))
+    Err(Error::argument(element, format!("{} at {place}", values[at]), "pass finite numbers"))
 }

@@ -3,30 +3,20 @@
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
-use super::options::{Precision, SimulationError};
+use super::options::Precision;
 use super::robot::Robot;
 use crate::config::EngineKind;
-use crate::config::fnv1a;
 use crate::dynamics::{Parameters, State, StepSettings, Topology};
+use crate::error::Error;
+use crate::hash::fnv1a;
+use crate::sealed::{self, Header};
 
+const KIND: &str = "polypod snapshot of a simulation";
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 4;
-/// Length of the checksum after the encoded snapshot: FNV-1a over it, little endian.
-const CHECKSUM: usize = size_of::<u64>();
-
-#[derive(Serialize, Deserialize, PartialEq, Debug)]
-struct Header {
-    format: u32,
-    version: String,
-    robot: String,
-    fingerprint: u64,
-    double: bool,
-    num_envs: usize,
-}
+const FORMAT: u32 = 5;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
-    header: Header,
     steps: u64,
     envs: Vec<Env>,
 }
@@ -48,93 +38,15 @@ struct Env {
     engine: Vec<u8>,
 }
 
-/// Lengths of the lists of an [`Env`].
-#[derive(PartialEq)]
-struct Sizes {
-    joints: [usize; 4],
-    impulse: usize,
-    force: usize,
-    parameters: [usize; 23],
-}
-
-impl Sizes {
-    fn of(topology: &Topology) -> Self {
-        Self {
-            joints: [topology.num_joints(); 4],
-            impulse: State::<f64>::zeros(topology).impulse.len(),
-            force: topology.num_bodies,
-            parameters: lengths(&Parameters::zeros(topology)),
-        }
-    }
-}
-
 impl Env {
-    fn sizes(&self) -> Sizes {
-        Sizes {
-            joints: [&self.joint_position, &self.joint_velocity, &self.bound_impulse, &self.effort].map(Vec::len),
-            impulse: self.impulse.len(),
-            force: self.force.len(),
-            parameters: lengths(&self.parameters),
-        }
+    /// Whether all lists are as long as a robot's of this topology.
+    fn fits(&self, topology: &Topology, state: &State<f64>, parameters: &Parameters<f64>) -> bool {
+        let joints = [&self.joint_position, &self.joint_velocity, &self.bound_impulse, &self.effort];
+        joints.into_iter().all(|list| list.len() == topology.num_joints())
+            && self.impulse.len() == state.impulse.len()
+            && self.force.len() == topology.num_bodies
+            && self.parameters.has_sizes_of(parameters)
     }
-}
-
-/// Lengths of all lists of a body's numbers.
-fn lengths(parameters: &Parameters<f64>) -> [usize; 23] {
-    // whole, so that a list that is added is not forgotten here
-    let Parameters {
-        joint_offset,
-        mass,
-        com,
-        inertia,
-        stiffness,
-        damping,
-        effort_limit,
-        saturation_effort,
-        motor_velocity_limit,
-        armature,
-        joint_damping,
-        joint_friction,
-        lower,
-        upper,
-        velocity_limit,
-        contact_position,
-        contact_radius,
-        contact_rim,
-        link_box,
-        collider_centre,
-        collider_half,
-        collider_radius,
-        site_position,
-        static_friction: _,
-        dynamic_friction: _,
-        restitution: _,
-    } = parameters;
-    [
-        joint_offset.len(),
-        mass.len(),
-        com.len(),
-        inertia.len(),
-        stiffness.len(),
-        damping.len(),
-        effort_limit.len(),
-        saturation_effort.len(),
-        motor_velocity_limit.len(),
-        armature.len(),
-        joint_damping.len(),
-        joint_friction.len(),
-        lower.len(),
-        upper.len(),
-        velocity_limit.len(),
-        contact_position.len(),
-        contact_radius.len(),
-        contact_rim.len(),
-        link_box.len(),
-        collider_centre.len(),
-        collider_half.len(),
-        collider_radius.len(),
-        site_position.len(),
-    ]
 }
 
 /// A hash of what decides a step but for the state and the envs' own numbers. `substeps` are those of the engine `avian`.
@@ -148,14 +60,9 @@ pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: Engine
 
 impl Simulation {
     fn header(&self) -> Header {
-        Header {
-            format: FORMAT,
-            version: env!("CARGO_PKG_VERSION").to_string(),
-            robot: self.robot.model.name.clone(),
-            fingerprint: self.fingerprint,
-            double: self.precision == Precision::Double,
-            num_envs: self.num_envs,
-        }
+        let precision = if self.precision == Precision::Double { "double" } else { "single" };
+        let robots = format!("{}, {precision} precision", self.robot.model.name);
+        Header::new(KIND, FORMAT, robots, self.fingerprint, self.num_envs)
     }
 
     /// State, time, contact warm starts and all numbers of all envs: restoring them and stepping gives, bit for bit, what
@@ -163,8 +70,8 @@ impl Simulation {
     ///
     /// # Errors
     /// When it cannot be encoded.
-    pub fn snapshot(&self) -> Result<Vec<u8>, SimulationError> {
-        let unwritable = |error: postcard::Error| SimulationError::Snapshot(error.to_string());
+    pub fn snapshot(&self) -> Result<Vec<u8>, Error> {
+        let unwritable = |error: postcard::Error| Error::Snapshot(error.to_string());
         let topology = &self.robot.topology;
         let mut state = State::zeros(topology);
         let envs = (0..self.num_envs)
@@ -192,41 +99,27 @@ impl Simulation {
             })
             .collect::<Result<_, postcard::Error>>()
             .map_err(unwritable)?;
-        let snapshot = Snapshot { header: self.header(), steps: self.steps, envs };
-        let mut bytes = postcard::to_stdvec(&snapshot).map_err(unwritable)?;
-        bytes.extend(fnv1a(&bytes).to_le_bytes());
-        Ok(bytes)
+        sealed::seal(&self.header(), &Snapshot { steps: self.steps, envs }).map_err(unwritable)
     }
 
     /// Goes back to a snapshot of a simulation with the same robot, options and number of envs.
     ///
     /// # Errors
     /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
-    pub fn restore(&mut self, bytes: &[u8]) -> Result<(), SimulationError> {
-        let unreadable = |error: postcard::Error| {
-            SimulationError::Snapshot(format!(
-                "not a snapshot of a polypod simulation ({error}); pass what snapshot() gave"
-            ))
-        };
-        let (theirs, _) = postcard::take_from_bytes::<Header>(bytes).map_err(unreadable)?;
-        let ours = self.header();
-        if theirs != ours {
-            return Err(SimulationError::Snapshot(format!(
-                "it is of another simulation ({theirs:?}) than this one ({ours:?}); restore it where it was taken"
-            )));
-        }
-        let intact = bytes.split_last_chunk::<CHECKSUM>().filter(|(data, sum)| fnv1a(data).to_le_bytes() == **sum);
-        let Some((data, _)) = intact else {
-            return Err(SimulationError::Snapshot("it is damaged: its checksum does not fit; take it again".into()));
-        };
-        let snapshot = postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?;
+    pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // nothing is written before all is checked
-        let sizes = Sizes::of(&self.robot.topology);
-        if snapshot.envs.len() != self.num_envs || snapshot.envs.iter().any(|env| env.sizes() != sizes) {
+        let topology = &self.robot.topology;
+        let (state, parameters) = (State::zeros(topology), Parameters::zeros(topology));
+        let fits = |env: &Env| env.fits(topology, &state, &parameters);
+        // steps are counted on from there
+        let too_many = snapshot.steps > u64::MAX / 2;
+        if too_many || snapshot.envs.len() != self.num_envs || !snapshot.envs.iter().all(fits) {
             let problem = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
-            return Err(SimulationError::Snapshot(problem.into()));
+            return Err(Error::Snapshot(problem.into()));
         }
         let engine: Vec<&[u8]> = snapshot.envs.iter().map(|env| &env.engine[..]).collect();
+        let unreadable = |error: postcard::Error| Error::Snapshot(format!("its engine's part cannot be read: {error}"));
         self.packs.check_saved(&engine).map_err(unreadable)?;
         let mut engine = Vec::with_capacity(snapshot.envs.len());
         for (env, from) in snapshot.envs.into_iter().enumerate() {

@@ -5,7 +5,8 @@
 use serde::Deserialize;
 
 use super::motion_terms::is_moving;
-use super::{exp, norm, tanh_positive};
+use super::norm;
+use crate::dynamics::elementary::{exp, tanh_positive};
 use crate::robot::BodyGroup;
 use crate::systems::terms::Registry;
 use crate::systems::view::RobotView;

@@ -3,14 +3,27 @@
 mod contact_terms;
 mod motion_terms;
 
+use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
-use super::Autoreset;
 use super::terms::{CompiledTask, Registry};
 use super::view::{RobotView, ViewParam};
+use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
-use crate::components::{Episode, EpisodeSums};
-use crate::rows::{Workers, read_rows, write_rows};
+use crate::components::{Env, Episode, EpisodeSums};
+use crate::options::Autoreset;
+use crate::rows::Rows;
+use crate::workers::Workers;
+
+/// Computes rewards.
+#[derive(Default)]
+pub struct RewardPlugin;
+
+impl Plugin for RewardPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(ControlStep, compute_rewards.in_set(PipelineSet::Reward));
+    }
+}
 
 /// `reward = sum of weight * value * step_dt`, summed per term for the logs, as are the tracking errors.
 ///
@@ -21,12 +34,12 @@ pub(super) fn compute_rewards(
     task: Res<CompiledTask>,
     autoreset: Res<Autoreset>,
     views: ViewParam,
-    episodes: Query<&'static Episode>,
     mut batch: ResMut<Batch>,
-    mut sums: Query<&'static mut EpisodeSums>,
-) {
-    let views = views.views(task.step_dt);
-    let rows = (read_rows(&episodes), write_rows(&mut sums), &mut batch.rewards[..]);
+    mut envs: Rows<(&'static Episode, &'static mut EpisodeSums), Env>,
+) -> Result {
+    let views = views.views(task.step_dt)?;
+    let (episodes, sums) = envs.write()?;
+    let rows = (episodes, sums, &mut batch.rewards[..]);
     workers.for_each_chunk(rows, views.len(), |first, n, (episodes, sums, rewards)| {
         for i in 0..n {
             let episode = &episodes[i];
@@ -41,7 +54,7 @@ pub(super) fn compute_rewards(
             sums.add_errors(&view);
             let mut total = 0.0;
             for (term, sum) in terms.iter().zip(sums.terms.iter_mut()) {
-                let value = term.weight * (term.value)(&view, workers.entry()) * task.step_dt;
+                let value = term.weight * (term.value)(&view, workers.dispatch()) * task.step_dt;
                 *sum += value;
                 total += value;
             }
@@ -49,6 +62,7 @@ pub(super) fn compute_rewards(
             rewards[i] = total;
         }
     });
+    Ok(())
 }
 
 /// All built-in reward terms, under Isaac Lab's names.
@@ -67,43 +81,4 @@ fn sum_of_squares(x: &[f32]) -> f32 {
 #[inline(always)]
 fn norm(x: &[f32]) -> f32 {
     sum_of_squares(x).sqrt()
-}
-
-/// `e^x`, relative error below 3e-7: range reduction and a polynomial (the single-precision coefficients of the Cephes
-/// library), with IEEE operations only, so that the bits are the same on every machine.
-#[inline(always)]
-fn exp(x: f32) -> f32 {
-    if x < -87.0 {
-        return 0.0;
-    }
-    let x = x.min(88.0);
-    let k = (x * std::f32::consts::LOG2_E).round_ties_even();
-    let r = (-k).mul_add(-2.121_944_4e-4, (-k).mul_add(0.693_359_4, x));
-    let series = [1.987_569_2e-4, 1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_66, 0.5];
-    let p = series.iter().fold(0.0f32, |p, &c: &f32| p.mul_add(r, c));
-    let y = p.mul_add(r * r, r) + 1.0;
-    y * f32::from_bits(((k as i32 + 127) as u32) << 23)
-}
-
-/// Hyperbolic tangent of a non-negative number.
-#[inline(always)]
-fn tanh_positive(x: f32) -> f32 {
-    let e = exp(-2.0 * x);
-    (1.0 - e) / (1.0 + e)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn exponential_and_tangent_are_accurate() {
-        for i in -8000..8000 {
-            let x = i as f32 * 0.01;
-            let exact = f64::from(x).exp();
-            assert!((f64::from(exp(x)) - exact).abs() <= 4e-7 * exact + 1e-37, "{x}: {} {exact}", exp(x));
-            let x = x.abs();
-            assert!((f64::from(tanh_positive(x)) - f64::from(x).tanh()).abs() < 2e-7, "{x}");
-        }
-    }
 }

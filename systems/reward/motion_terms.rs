@@ -4,7 +4,8 @@
 
 use serde::Deserialize;
 
-use super::{exp, norm, sum_of_squares};
+use super::{norm, sum_of_squares};
+use crate::dynamics::elementary::exp;
 use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
 

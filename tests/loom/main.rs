@@ -1,16 +1,16 @@
-//! The thread team of `src/crew.rs` under loom, which runs each test once for every order in which the threads' steps can follow one
+//! The thread team of `src/thread_team.rs` under loom, which runs each test once for every order in which the threads' steps can follow one
 //! another, weak memory included. `make test` runs it; it is a program, so that the unit tests of that file stay out of it.
 
-#[path = "../../src/crew.rs"]
-mod crew;
+#[path = "../../src/thread_team.rs"]
+mod thread_team;
 mod sync;
 
 use loom::cell::UnsafeCell;
 use loom::model::Builder;
 
-use crew::Crew;
+use thread_team::ThreadTeam;
 
-/// Numbers that loom watches: two accesses that nothing keeps apart, one of them a write, fail the test.
+/// SharedArray that loom watches: two accesses that nothing keeps apart, one of them a write, fail the test.
 struct Watched(Vec<UnsafeCell<u32>>);
 
 // SAFETY: loom checks every access
@@ -58,7 +58,7 @@ fn main() {
 
 fn a_job_has_ended_everywhere_when_the_call_returns() {
     explore(3, || {
-        let (crew, numbers) = (Crew::new(1), Watched::zeros(2));
+        let (crew, numbers) = (ThreadTeam::new(1), Watched::zeros(2));
         crew.for_each(0..2, 2, |i| numbers.increase(i));
         // the caller's memory is its own again: loom would see a helper that still writes
         assert_eq!(numbers.all(), [1, 1]);
@@ -67,7 +67,7 @@ fn a_job_has_ended_everywhere_when_the_call_returns() {
 
 fn jobs_follow_one_another_whether_helpers_are_awake_or_asleep() {
     explore(2, || {
-        let crew = Crew::new(1);
+        let crew = ThreadTeam::new(1);
         for _ in 0..2 {
             let numbers = Watched::zeros(2);
             crew.for_each(0..2, 2, |i| numbers.increase(i));
@@ -78,7 +78,7 @@ fn jobs_follow_one_another_whether_helpers_are_awake_or_asleep() {
 
 fn two_helpers_share_a_job() {
     explore(2, || {
-        let (crew, numbers) = (Crew::new(2), Watched::zeros(3));
+        let (crew, numbers) = (ThreadTeam::new(2), Watched::zeros(3));
         crew.for_each(0..3, 3, |i| numbers.increase(i));
         assert_eq!(numbers.all(), [1, 1, 1]);
     });
@@ -86,7 +86,7 @@ fn two_helpers_share_a_job() {
 
 fn a_job_within_a_job_is_done() {
     explore(2, || {
-        let (crew, numbers) = (Crew::new(1), Watched::zeros(2));
+        let (crew, numbers) = (ThreadTeam::new(1), Watched::zeros(2));
         crew.for_each(0..2, 2, |i| crew.for_each(0..1, 2, |_| numbers.increase(i)));
         assert_eq!(numbers.all(), [1, 1]);
     });

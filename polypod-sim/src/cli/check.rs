@@ -4,8 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Args;
-use polypod::SimError;
-use polypod::morphology::MorphologyError;
+use polypod::Error;
 use polypod::robot::{LoadOptions, check};
 
 /// Arguments of `check`.
@@ -28,7 +27,7 @@ fn package_dir(text: &str) -> Result<(String, PathBuf), String> {
 impl Check {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let options = LoadOptions { package_dirs: self.package_dirs.into_iter().collect(), ..LoadOptions::default() };
-        let text = check(&self.file, &options).map_err(|error| SimError::from(MorphologyError::from(error)))?;
+        let text = check(&self.file, &options).map_err(|error| Error::from(error))?;
         std::io::stdout().lock().write_all(text.as_bytes())?;
         Ok(())
     }

@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use clap::Args;
-use polypod::SimError;
+use polypod::Error;
 use polypod::config::Library;
 use polypod::morphology::MorphologyModel;
 use polypod::robot::{CANONICAL_JOINT_NAMES, Geometry};
@@ -19,8 +19,8 @@ pub(super) struct Inspect {
 impl Inspect {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
-        let loaded = Library::new(Vec::new()).robot(&self.robot).map_err(SimError::from)?;
-        let robot = MorphologyModel::new(&loaded).map_err(SimError::from)?;
+        let loaded = Library::new(Vec::new()).robot(&self.robot).map_err(Error::from)?;
+        let robot = MorphologyModel::new(&loaded).map_err(Error::from)?;
         let model = &robot.model;
         writeln!(out, "{} ({}), {}", robot.name(), robot.config.title, loaded.urdf_path.display())?;
         writeln!(

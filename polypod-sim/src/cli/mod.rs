@@ -10,7 +10,7 @@ mod soak;
 use std::io::Write;
 
 use clap::{Parser, Subcommand};
-use polypod::SimError;
+use polypod::Error;
 use polypod::config::Library;
 
 /// Headless simulator of many different legged robots.
@@ -45,7 +45,7 @@ impl Cli {
     /// Runs the command.
     ///
     /// # Errors
-    /// Bad input, as [`SimError`] or [`PolicyError`](crate::policy::PolicyError); anything else that went wrong.
+    /// Bad input, as [`Error`] or [`PolicyError`](crate::policy::PolicyError); anything else that went wrong.
     pub fn run(self) -> anyhow::Result<()> {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),
@@ -63,11 +63,11 @@ fn list() -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     let library = Library::new(Vec::new());
     writeln!(out, "robots")?;
-    for robot in library.robots().map_err(SimError::from)? {
+    for robot in library.robots().map_err(Error::from)? {
         writeln!(out, "  {:<14} {}", robot.name, robot.title)?;
     }
     writeln!(out, "tasks")?;
-    for task in library.tasks().map_err(SimError::from)? {
+    for task in library.tasks().map_err(Error::from)? {
         writeln!(out, "  {:<44} {}", task.name, task.aliases.join(", "))?;
     }
     Ok(())

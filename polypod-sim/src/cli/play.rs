@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use polypod::Autoreset;
 use polypod::components::{BasePose, Command, EnvId, Imu, MountedOn};
 use polypod::config::Library;
-use polypod::systems::Autoreset;
-use polypod::{Sim, SimError, SimOptions};
+use polypod::{Error, Sim, SimOptions};
 use serde::Serialize;
 
 use crate::policy::{Policy, PolicyManifest};
@@ -155,7 +155,7 @@ impl Play {
 }
 
 /// The Play variant of a task, without noise, pushes and randomisation; the task itself where there is none.
-fn play_task(task: &str) -> Result<String, SimError> {
+fn play_task(task: &str) -> Result<String, Error> {
     let tasks = Library::new(Vec::new()).tasks()?;
     let entry = tasks.iter().find(|entry| entry.name == task || entry.aliases.iter().any(|alias| alias == task));
     let name = entry.map_or(task, |entry| &entry.name);

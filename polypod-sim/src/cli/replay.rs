@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::Args;
-use polypod::SimError;
+use polypod::Error;
 use polypod::dump::{Dump, Replay as Replayed};
 use polypod::dynamics::Simd;
-use polypod::systems::{Motion, Quantity, Violation};
+use polypod::engine::{Motion, Quantity, Violation};
 
 /// Arguments of `replay`.
 #[derive(Args)]
@@ -27,7 +27,7 @@ impl Replay {
     /// Fails when the state does not break again with the same bits.
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
-        let dump = Dump::read(&self.file).map_err(SimError::from)?;
+        let dump = Dump::read(&self.file).map_err(Error::from)?;
         let replayed = dump.replay(self.simd.as_deref().map(instruction_set).transpose()?)?;
         let state = &dump.state;
         writeln!(
@@ -65,11 +65,11 @@ impl Replay {
     }
 }
 
-fn instruction_set(name: &str) -> Result<Simd, SimError> {
+fn instruction_set(name: &str) -> Result<Simd, Error> {
     let available = Simd::available();
     available.iter().copied().find(|simd| simd.name() == name.to_lowercase()).ok_or_else(|| {
         let names: Vec<&str> = available.iter().map(|simd| simd.name()).collect();
-        SimError::Argument {
+        Error::Argument {
             element: "--simd",
             problem: format!("`{name}` is not available here"),
             remedy: format!("use one of {}", names.join(", ")),

@@ -10,7 +10,7 @@ use polypod::components::EnvRng;
 use polypod::config::Library;
 use polypod::dynamics::math::integrate_quat;
 use polypod::morphology::MorphologyModel;
-use polypod::{Control, SimError, Simulation, SimulationOptions};
+use polypod::{Control, Error, Simulation, SimulationOptions};
 
 /// Arguments of `soak`.
 #[derive(Args)]
@@ -72,17 +72,17 @@ impl Soak {
         let library = Library::new(Vec::new());
         let robots = match &self.robots {
             Some(robots) => robots.clone(),
-            None => library.robots().map_err(SimError::from)?.into_iter().map(|robot| robot.name).collect(),
+            None => library.robots().map_err(Error::from)?.into_iter().map(|robot| robot.name).collect(),
         };
         let least = robots.len().max(1);
         if self.minutes == 0 {
             let (problem, remedy) = ("0 minutes".into(), "pass at least 1".into());
-            return Err(SimError::Argument { element: "minutes", problem, remedy }.into());
+            return Err(Error::Argument { element: "minutes", problem, remedy }.into());
         }
         if robots.is_empty() || self.num_envs < least {
             let problem = format!("{} envs for {} robots", self.num_envs, robots.len());
             let remedy = format!("pass at least {least}, and at least one robot");
-            return Err(SimError::Argument { element: "num_envs", problem, remedy }.into());
+            return Err(Error::Argument { element: "num_envs", problem, remedy }.into());
         }
         // before anything is printed
         SimulationOptions { dt: self.dt, threads: self.threads, ..SimulationOptions::new("", self.num_envs) }
@@ -142,7 +142,7 @@ impl Soak {
     }
 
     fn soak(&self, library: &Library, robot: &str, envs: usize) -> anyhow::Result<Worst> {
-        let model = MorphologyModel::new(&library.robot(robot).map_err(SimError::from)?).map_err(SimError::from)?;
+        let model = MorphologyModel::new(&library.robot(robot).map_err(Error::from)?).map_err(Error::from)?;
         let options =
             SimulationOptions { dt: self.dt, threads: self.threads, ..SimulationOptions::new(robot.to_string(), envs) };
         let mut sim = Simulation::new(&options)?;

@@ -5,6 +5,7 @@
 //! in every substep.
 
 mod joints;
+mod robots;
 mod saved;
 mod shapes;
 mod world;
@@ -25,10 +26,11 @@ use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_
 use crate::dynamics::{JointMotion, Parameters, Plane, Scalar, State, Topology, Workspace};
 use crate::obstacles::Part;
 use crate::robot::Model;
-use crate::rows::Workers;
+use crate::workers::Workers;
 use joints::{Joint, JointNumbers, Joints, Wrench};
+pub(crate) use robots::AvianRobots;
 use shapes::LinkCollider;
-pub(crate) use shapes::{hull, link_colliders};
+pub(crate) use shapes::link_colliders;
 use world::Bodies;
 
 /// Why a robot cannot be simulated.
@@ -61,9 +63,6 @@ pub(crate) enum JointField {
     /// kg m^2.
     Armature,
 }
-
-/// Substeps of a physics step that are usual.
-pub const SUBSTEPS: usize = 8;
 
 /// What all envs share.
 #[derive(Clone, Copy)]

@@ -19,7 +19,7 @@ use crate::sync::{
 };
 
 /// The caller's thread and helpers, which work on one job at a time.
-pub(crate) struct Crew {
+pub(crate) struct ThreadTeam {
     pool: Pool,
     shared: Arc<Shared>,
     /// Whether a job is being worked on.
@@ -31,19 +31,19 @@ type Job<'a> = dyn Fn() + Sync + 'a;
 /// A cache line of its own (two, which some processors fetch together): one thread's writes do not slow what others look at.
 #[derive(Default)]
 #[repr(align(128))]
-struct Apart<T>(T);
+struct CachePadded<T>(T);
 
 struct Shared {
     /// Jobs so far.
-    jobs: Apart<AtomicUsize>,
+    jobs: CachePadded<AtomicUsize>,
     /// Helpers that the present one has work for, the first so many.
     wanted: AtomicUsize,
     /// It itself.
-    job: Apart<RwLock<Option<&'static Job<'static>>>>,
+    job: CachePadded<RwLock<Option<&'static Job<'static>>>>,
     /// Helpers that look at it or work on it.
-    inside: Apart<AtomicUsize>,
+    inside: CachePadded<AtomicUsize>,
     /// Which helpers are awake, or on the way.
-    awake: Apart<Vec<AtomicBool>>,
+    awake: CachePadded<Vec<AtomicBool>>,
     /// What a helper panicked with.
     panic: Mutex<Option<Box<dyn Any + Send>>>,
 }
@@ -77,16 +77,16 @@ impl Wait {
     }
 }
 
-impl Crew {
+impl ThreadTeam {
     /// The caller's thread and so many helpers.
     pub(crate) fn new(helpers: usize) -> Self {
         let pool = Pool::new(helpers);
         let shared = Shared {
-            jobs: Apart::default(),
+            jobs: CachePadded::default(),
             wanted: AtomicUsize::new(0),
-            job: Apart::default(),
-            inside: Apart::default(),
-            awake: Apart((0..helpers).map(|_| AtomicBool::new(false)).collect()),
+            job: CachePadded::default(),
+            inside: CachePadded::default(),
+            awake: CachePadded((0..helpers).map(|_| AtomicBool::new(false)).collect()),
             panic: Mutex::default(),
         };
         Self { pool, shared: Arc::new(shared), busy: AtomicBool::new(false) }
@@ -95,7 +95,7 @@ impl Crew {
     /// Runs `f(task)` on every task, on at most `threads` threads. Threads take one task after the other.
     pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, threads: usize, f: impl Fn(T) + Sync) {
         let tasks: Vec<Mutex<Option<T>>> = tasks.map(|task| Mutex::new(Some(task))).collect();
-        let next = Apart(AtomicUsize::new(0));
+        let next = CachePadded(AtomicUsize::new(0));
         let job = || {
             while let Some(task) = tasks.get(next.0.fetch_add(1, Ordering::Relaxed)) {
                 let task = open(task.lock()).take();
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn every_task_is_done_once_before_the_job_ends() {
-        let crew = Crew::new(3);
+        let crew = ThreadTeam::new(3);
         let mut counts = vec![0u32; 1000];
         for round in 0..2000 {
             let n = 1 + round % 40;
@@ -197,14 +197,14 @@ mod tests {
 
     #[test]
     fn a_job_within_a_job_is_done() {
-        let (crew, sum) = (Crew::new(2), AtomicUsize::new(0));
+        let (crew, sum) = (ThreadTeam::new(2), AtomicUsize::new(0));
         crew.for_each(0..10, 3, |i| crew.for_each(0..i, 3, |_| _ = sum.fetch_add(1, Ordering::Relaxed)));
         assert_eq!(sum.into_inner(), 45);
     }
 
     #[test]
     fn a_panic_reaches_the_caller_after_all_have_returned() {
-        let crew = Crew::new(2);
+        let crew = ThreadTeam::new(2);
         for bad in [0, 7, 99] {
             let done = AtomicUsize::new(0);
             let result = catch_unwind(AssertUnwindSafe(|| {

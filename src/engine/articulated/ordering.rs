@@ -45,13 +45,13 @@ impl DemandBits {
 
 /// Rows in the order of their keys; a scratch list that threads keep.
 #[derive(Default)]
-pub(super) struct LineUp {
+pub(super) struct PackOrder {
     /// Key, then row.
     keyed: Vec<u64>,
     rows: Vec<usize>,
 }
 
-impl LineUp {
+impl PackOrder {
     /// All rows as they are.
     pub(super) fn keep(&mut self, count: usize) -> &[usize] {
         self.rows.clear();
@@ -92,15 +92,15 @@ mod tests {
             bits.key(&demands, 0)
         };
         let keys: Vec<u32> = (0..43).map(key).collect();
-        let mut line_up = LineUp::default();
-        let order = line_up.sort(&keys).to_vec();
+        let mut pack_ordering = PackOrder::default();
+        let order = pack_ordering.sort(&keys).to_vec();
         let mut stand: Vec<Option<usize>> = order.iter().map(|&row| kind(row)).collect();
         stand.dedup();
         assert_eq!(stand, [None, Some(0), Some(1), Some(2), Some(3), Some(4), Some(5)], "{order:?}");
         let mut rows = order;
         rows.sort_unstable();
         assert!(rows.iter().copied().eq(0..43));
-        assert_eq!(line_up.keep(3), [0, 1, 2]);
+        assert_eq!(pack_ordering.keep(3), [0, 1, 2]);
     }
 
     #[test]

@@ -7,9 +7,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// A list of fixed length. Clones share its memory; the first change of one gives that one memory of its own.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Numbers<T>(Arc<[T]>);
+pub struct SharedArray<T>(Arc<[T]>);
 
-impl<T> Deref for Numbers<T> {
+impl<T> Deref for SharedArray<T> {
     type Target = [T];
 
     #[inline(always)]
@@ -18,26 +18,26 @@ impl<T> Deref for Numbers<T> {
     }
 }
 
-impl<T: Clone> DerefMut for Numbers<T> {
+impl<T: Clone> DerefMut for SharedArray<T> {
     #[inline]
     fn deref_mut(&mut self) -> &mut [T] {
         Arc::make_mut(&mut self.0)
     }
 }
 
-impl<T> From<Vec<T>> for Numbers<T> {
+impl<T> From<Vec<T>> for SharedArray<T> {
     fn from(numbers: Vec<T>) -> Self {
         Self(numbers.into())
     }
 }
 
-impl<T> FromIterator<T> for Numbers<T> {
+impl<T> FromIterator<T> for SharedArray<T> {
     fn from_iter<I: IntoIterator<Item = T>>(numbers: I) -> Self {
         Self(numbers.into_iter().collect())
     }
 }
 
-impl<'a, T> IntoIterator for &'a Numbers<T> {
+impl<'a, T> IntoIterator for &'a SharedArray<T> {
     type Item = &'a T;
     type IntoIter = std::slice::Iter<'a, T>;
 
@@ -46,7 +46,7 @@ impl<'a, T> IntoIterator for &'a Numbers<T> {
     }
 }
 
-impl<'a, T: Clone> IntoIterator for &'a mut Numbers<T> {
+impl<'a, T: Clone> IntoIterator for &'a mut SharedArray<T> {
     type Item = &'a mut T;
     type IntoIter = std::slice::IterMut<'a, T>;
 
@@ -55,13 +55,13 @@ impl<'a, T: Clone> IntoIterator for &'a mut Numbers<T> {
     }
 }
 
-impl<T: Serialize> Serialize for Numbers<T> {
+impl<T: Serialize> Serialize for SharedArray<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         self.0.as_ref().serialize(serializer)
     }
 }
 
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Numbers<T> {
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for SharedArray<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         Vec::deserialize(deserializer).map(Self::from)
     }

@@ -6,37 +6,29 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bevy_ecs::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use toml::Table;
 
-use crate::app::{Sim, SimError, SimOptions};
-use crate::components::{BasePose, BaseVelocity, Body, ConstraintImpulses, JointState, JointTargets};
-use crate::config::{LoadedRobot, LoadedTask, TaskConfig, fnv1a};
+use super::Sim;
+use crate::components::{
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState, JointTargets,
+};
+use crate::config::{ConfigError, LoadedRobot, LoadedTask, RobotConfig, TaskConfig, parse_params};
 use crate::dynamics::Simd;
+use crate::engine::{Motion, Violation};
+use crate::error::Error;
 use crate::files;
+use crate::hash::fnv1a;
 use crate::morphology::MorphologyModel;
-use crate::snapshot::{seal, unseal};
-use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Motion, Registry, Violation, run_physics};
+use crate::options::SimOptions;
+use crate::sealed::{self, Header};
+use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Loaded, Place, Saved, run_physics};
+use crate::world::Ground;
 
-/// First field of every dump.
-const MAGIC: &str = "polypod broken state";
+const KIND: &str = "polypod dump of a broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 4;
-
-/// A dump could not be written, read or replayed.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: {problem}; {remedy}", file.display())]
-pub struct DumpError {
-    file: PathBuf,
-    problem: String,
-    remedy: &'static str,
-}
-
-#[derive(Serialize, Deserialize)]
-struct Header {
-    magic: String,
-    format: u32,
-    version: String,
-}
+const FORMAT: u32 = 5;
 
 /// A control step that broke a state, and the robot and task it happened to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -80,42 +72,44 @@ impl Dump {
     ///
     /// # Errors
     /// It cannot be read, is no dump, is damaged, or of another format.
-    pub fn read(file: &Path) -> Result<Self, DumpError> {
-        let failure = |problem: String, remedy: &'static str| DumpError { file: file.to_path_buf(), problem, remedy };
+    pub fn read(file: &Path) -> Result<Self, Error> {
+        let failure = |problem: String, remedy: &str| Error::file(file, problem, remedy);
         let bytes = files::read(file)
             .map_err(|error| failure(format!("cannot be read: {error}"), "check the path and its permissions"))?;
-        let header = postcard::take_from_bytes::<Header>(&bytes).ok().filter(|(header, _)| header.magic == MAGIC);
-        let Some((header, _)) = header else {
-            return Err(failure("is no dump of a broken state".into(), "pass a broken_*.polypod file"));
+        Self::parse(&bytes).map_err(|(problem, remedy)| failure(problem, remedy))
+    }
+
+    /// Reads the bytes of a file: the dump, or problem and remedy.
+    ///
+    /// # Errors
+    /// They are no dump, damaged, or of another format.
+    pub fn parse(bytes: &[u8]) -> Result<Self, (String, &'static str)> {
+        let Some(header) = sealed::header(bytes, KIND) else {
+            return Err(("is no dump of a broken state".into(), "pass a broken_*.polypod file"));
         };
         if header.format != FORMAT {
             let problem = format!("its format is {}, not {FORMAT}", header.format);
-            return Err(failure(problem, "replay it with the version of polypod that wrote it"));
+            return Err((problem, "replay it with the version of polypod that wrote it"));
         }
-        let decoded = unseal(&bytes).and_then(|data| postcard::from_bytes::<(Header, Self)>(data).ok());
-        decoded.map(|(_, dump)| dump).ok_or_else(|| {
-            failure("is damaged: its checksum does not fit".into(), "copy it again from where it was written")
-        })
+        sealed::open(bytes)
+            .ok_or_else(|| ("is damaged: its checksum does not fit".into(), "copy it again from where it was written"))
     }
 
     /// Writes a file `broken_<robot>_env<id>_step<n>.polypod`, whole or not at all, and makes the directory if need be.
     ///
     /// # Errors
     /// The directory cannot be written to, or has a file of that name.
-    pub fn write(&self, dir: &Path) -> Result<PathBuf, DumpError> {
+    pub fn write(&self, dir: &Path) -> Result<PathBuf, Error> {
         let name = format!("broken_{}_env{}_step{}.polypod", self.robot, self.state.env.0, self.state.step);
         let file = dir.join(&name);
-        let failure = |problem: String| DumpError {
-            file: file.clone(),
-            problem,
-            remedy: "the run goes on without it; choose another directory for the next one",
-        };
+        let remedy = "the run goes on without it; choose another directory for the next one";
+        let failure = |problem: String| Error::file(&file, problem, remedy);
         // a link that leads nowhere is there, too
         if fs::symlink_metadata(&file).is_ok() {
             return Err(failure("is there already, of an earlier run, and is left as it is".into()));
         }
-        let header = Header { magic: MAGIC.into(), format: FORMAT, version: self.version.clone() };
-        let bytes = seal(&(header, self)).map_err(|error| failure(format!("cannot be encoded: {error}")))?;
+        let header = Header::new(KIND, FORMAT, self.robot.clone(), 0, 1);
+        let bytes = sealed::seal(&header, self).map_err(|error| failure(format!("cannot be encoded: {error}")))?;
         let written = fs::create_dir_all(dir).and_then(|()| files::write(&file, &bytes));
         written.map_err(|error| failure(format!("cannot be written: {error}")))?;
         Ok(file)
@@ -125,7 +119,7 @@ impl Dump {
     ///
     /// # Errors
     /// The dump's task or robot means something else to this version of polypod, or the instruction set is not there.
-    pub fn replay(&self, simd: Option<Simd>) -> Result<Replay, SimError> {
+    pub fn replay(&self, simd: Option<Simd>) -> Result<Replay, Error> {
         let (mut sim, decimation) = self.sim(simd)?;
         let state = &self.state;
         set(&mut sim, state.body.clone());
@@ -139,7 +133,7 @@ impl Dump {
         for substep in 0..decimation {
             let targets = self.targets_in(substep, decimation, get::<JointTargets>(&mut sim)?.history.len());
             set(&mut sim, targets);
-            run_physics(sim.world_mut()).map_err(|error| self.foreign(format!("physics did not run: {error}")))?;
+            run_physics(sim.world_mut())?;
             steps.push(Motion {
                 pose: get(&mut sim)?,
                 velocity: get(&mut sim)?,
@@ -154,15 +148,15 @@ impl Dump {
     }
 
     /// A simulation of this robot alone with one physics step in a control step, and how many the task has.
-    fn sim(&self, simd: Option<Simd>) -> Result<(Sim, usize), SimError> {
-        let unreadable = |error: toml::de::Error| self.foreign(format!("cannot be read: {}", error.message()));
-        let mut config: TaskConfig = toml::from_str(&self.task).map_err(unreadable)?;
+    fn sim(&self, simd: Option<Simd>) -> Result<(Sim, usize), Error> {
+        // what Library checks of a file is checked here too: a dump may come from anybody
+        let mut config: TaskConfig = self.config(&self.task, TaskConfig::validate)?;
         let decimation = config.sim.decimation as usize;
         let robot = LoadedRobot {
-            config: toml::from_str(&self.robot_config).map_err(unreadable)?,
+            config: self.config(&self.robot_config, RobotConfig::validate)?,
             urdf_text: self.urdf.clone(),
             urdf_path: PathBuf::from(&self.urdf_path),
-            resolved: toml::from_str(&self.robot_config).map_err(unreadable)?,
+            resolved: self.table(&self.robot_config)?,
         };
         config.sim.decimation = 1;
         // physics knows no terms; those of the task may not even be registered here
@@ -171,37 +165,50 @@ impl Dump {
         // but for the one that makes room for late targets
         config.events.retain(|name, _| name == ACTION_DELAY);
         config.rewards = [(robot.config.reward_set.clone(), Default::default())].into();
-        let resolved = toml::from_str(&self.task).map_err(unreadable)?;
+        let resolved = self.table(&self.task)?;
         let task = LoadedTask { config, resolved, hash: fnv1a(self.task.as_bytes()) };
         let options = SimOptions { seed: self.seed, threads: Some(1), simd, ..SimOptions::new(self.robot.clone(), 1) };
-        let mut sim = Sim::assemble(&options, task, vec![robot], &Registry::builtin())?;
+        let mut sim = Sim::of_loaded(&options, Loaded { task, robots: vec![robot] })?;
         self.check_sizes(&mut sim)?;
         Ok((sim, decimation))
     }
 
+    fn table(&self, text: &str) -> Result<Table, Error> {
+        text.parse().map_err(|error: toml::de::Error| self.foreign(format!("cannot be read: {}", error.message())))
+    }
+
+    /// A config, checked.
+    fn config<T: DeserializeOwned>(
+        &self,
+        text: &str,
+        validate: impl Fn(&T) -> Result<(), ConfigError>,
+    ) -> Result<T, Error> {
+        let config = parse_params("", "", &self.table(text)?);
+        config
+            .and_then(|config: T| validate(&config).map(|()| config))
+            .map_err(|error| self.foreign(format!("cannot be read: {}: {}", error.element, error.problem)))
+    }
+
     /// A robot that this version of polypod makes otherwise has other joints or contacts.
-    fn check_sizes(&self, sim: &mut Sim) -> Result<(), SimError> {
+    fn check_sizes(&self, sim: &mut Sim) -> Result<(), Error> {
         let state = &self.state;
-        let sizes = |joints: usize, body: &Body| {
-            (
-                joints,
-                body.0.collider_radius.len(),
-                body.0.mass.len(),
-                body.0.contact_position.len(),
-                body.0.site_position.len(),
-            )
+        let (joints, effort): (JointState, JointEffort) = (get(sim)?, get(sim)?);
+        let (impulses, delay, body): (ConstraintImpulses, ActuatorDelay, Body) = (get(sim)?, get(sim)?, get(sim)?);
+        let place = Place { morphology: &sim.morphologies()[0], ground: sim.world().resource::<Ground>() };
+        let moves = |motion: &Motion| {
+            motion.joints.fits(&joints, &place)
+                && motion.effort.fits(&effort, &place)
+                && motion.impulses.fits(&impulses, &place)
         };
-        let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?);
-        let theirs = sizes(state.before.joints.position.len(), &state.body);
-        let num_impulses = sim.morphologies()[0].topology.num_impulses();
-        let bounds = &state.before.impulses.bounds;
-        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0, bounds];
-        if ours != theirs
-            || state.targets.history.is_empty()
-            || state.before.impulses.contacts.iter().any(|c| c.contact as usize >= num_impulses)
-            || lists.into_iter().chain(&state.targets.history).any(|list| list.len() != ours.0)
+        let targets = &state.targets.history;
+        if !(moves(&state.before)
+            && moves(&state.after)
+            && state.delay.fits(&delay, &place)
+            && state.body.fits(&body, &place)
+            && !targets.is_empty()
+            && targets.iter().all(|list| list.len() == joints.position.len()))
         {
-            return Err(self.foreign("its robot has other joints or contact points here".into()).into());
+            return Err(self.foreign("its robot has other joints or contact points here".into()));
         }
         Ok(())
     }
@@ -219,19 +226,22 @@ impl Dump {
         JointTargets { history, fresh: false }
     }
 
-    fn foreign(&self, problem: String) -> DumpError {
-        DumpError {
-            file: PathBuf::from(format!("dump of {}", self.robot)),
-            problem: format!("{problem} (it was written by polypod {})", self.version),
-            remedy: "replay it with the version of polypod that wrote it",
-        }
+    fn foreign(&self, problem: String) -> Error {
+        Error::file(
+            format!("dump of {}", self.robot),
+            format!("{problem} (it was written by polypod {})", self.version),
+            "replay it with the version of polypod that wrote it",
+        )
     }
 }
 
 impl Sim {
     /// Writes what broke in the last control step. A dump that fails is reported and stops nothing.
     pub(crate) fn dump_broken_states(&mut self) {
-        let found = self.world_mut().resource_mut::<BrokenStates>().take();
+        let Some(mut broken) = self.world_mut().get_resource_mut::<BrokenStates>() else {
+            return;
+        };
+        let found = broken.take();
         let Some(dir) = self.dump_dir() else {
             return;
         };
@@ -269,13 +279,10 @@ fn set<C: Component<Mutability = bevy_ecs::component::Mutable>>(sim: &mut Sim, v
     }
 }
 
-fn get<C: Component + Clone>(sim: &mut Sim) -> Result<C, SimError> {
+fn get<C: Component + Clone>(sim: &mut Sim) -> Result<C, Error> {
     let world = sim.world_mut();
     let component = world.query::<&C>().single(world).cloned();
-    component.map_err(|error| {
-        DumpError { file: PathBuf::from("replay"), problem: error.to_string(), remedy: "this is a fault of polypod" }
-            .into()
-    })
+    component.map_err(|error| Error::file("replay", error.to_string(), "this is a fault of polypod; please report it"))
 }
 
 /// The bits of all that moves. IEEE 754 leaves the bits of a NaN open: all NaNs count as one.

@@ -1,11 +1,10 @@
 //! A robot's collision shapes as Avian's colliders.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
-
 use avian3d::prelude::Collider;
 use bevy_math::{Quat, Vec3};
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::obstacles::hull;
 use crate::robot::{Geometry, Model};
 
 /// A box that stands for a shape without volume is at least this thick, m.
@@ -68,11 +67,4 @@ pub(crate) fn link_colliders(model: &Model) -> Vec<Option<Collider>> {
         parts[c.link].push((c.translation, c.rotation, c.collider));
     }
     parts.into_iter().map(|parts| (!parts.is_empty()).then(|| Collider::compound(parts))).collect()
-}
-
-/// The hull of points that span a volume.
-pub(crate) fn hull(points: &[DVec3]) -> Option<Collider> {
-    let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
-    // it asserts its way through degenerate input
-    catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(points))).ok().flatten()
 }

@@ -1,14 +1,13 @@
 //! Packs between components and kernel: robots are gathered into lanes and scattered back.
 
-use super::physics::{PhysicsRows, get, get_arrays, history_length, put, state_numbers};
-use super::terminate::{StateLimits, StateNumbers};
+use super::super::{PhysicsRows, StateLimits, StateNumbers, get, get_arrays, history_length, put, state_numbers};
 use crate::components::{ContactImpulse, PerFoot};
 use crate::dynamics::lanes::Kernel;
 use crate::dynamics::{Drive, Lanes, Parameters, Real, Report, State, Workspace};
 use crate::morphology::MorphologyModel;
 
 /// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
-pub(super) struct Bench<L: Real> {
+pub(super) struct PackWorkspace<L: Real> {
     /// Where the envs' origins are on the terrain, m.
     pub(super) origin: [L; 2],
     /// Of a body as the morphology has it.
@@ -25,7 +24,7 @@ pub(super) struct Bench<L: Real> {
     touching: Vec<usize>,
 }
 
-impl<L: Lanes> Bench<L> {
+impl<L: Lanes> PackWorkspace<L> {
     /// For a morphology whose numbers are `nominal` in every lane.
     pub(super) fn new(model: &MorphologyModel, nominal: &Parameters<L>, decimation: usize) -> Self {
         let topology = &model.topology;

@@ -7,7 +7,7 @@ use crate::dynamics::{Lanes, Parameters};
 const FEW: usize = 64;
 
 /// Of all bodies of a morphology, each a row.
-pub(super) enum OwnNumbers<L> {
+pub(super) enum ParameterDeltas<L> {
     /// Those that differ from the morphology's in some body, by their places among all of the [`Parameters`], which ascend:
     /// `[rows][places]`.
     Few { places: Vec<u32>, values: Vec<f32> },
@@ -15,7 +15,7 @@ pub(super) enum OwnNumbers<L> {
     All(Vec<Parameters<L>>),
 }
 
-impl<L: Lanes> OwnNumbers<L> {
+impl<L: Lanes> ParameterDeltas<L> {
     /// None: the bodies are as the morphology has them.
     pub(super) fn none() -> Self {
         Self::Few { places: Vec::new(), values: Vec::new() }
@@ -156,7 +156,7 @@ mod tests {
         let nominal: Parameters<Portable> = Parameters::from_scalars(&model.topology, &model.nominal);
         let count = 2 * Portable::LANES + 3;
         let mut bodies = vec![model.nominal.clone(); count];
-        let mut own = OwnNumbers::none();
+        let mut own = ParameterDeltas::none();
         let mut bench = nominal.clone();
         let few: [fn(&mut Parameters<f32>, f32); 4] = [
             |body, x| body.mass[0] += x,

@@ -1,20 +1,22 @@
 //! The articulated engine: robots of a morphology are gathered into packs, stepped side by side, and scattered back to their components.
 //!
 //! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
-//! that broke is noticed together with what it came from, see [`BrokenStates`](super::broken::BrokenStates).
+//! that broke is noticed together with what it came from, see [`DivergenceRecord`].
+
+mod ordering;
+mod parameter_deltas;
+mod workspace;
 
 use std::cmp::Reverse;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::bench::Bench;
-use super::broken::Evidence;
-use super::line_up::{DemandBits, LineUp};
-use super::own_numbers::OwnNumbers;
-use super::physics::{Engine, PhysicsRows};
-use super::terminate::StateLimits;
+use super::{DivergenceRecord, Engine, PhysicsRows, StateLimits};
 use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, StepSettings, Terrain};
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{Pool, SplitRows, Workers};
+use crate::workers::{Pool, SplitRows, Workers};
+use ordering::{DemandBits, PackOrder};
+use parameter_deltas::ParameterDeltas;
+use workspace::PackWorkspace;
 
 /// Neighbouring rows of one morphology, which a thread steps pack by pack.
 struct Task<'a> {
@@ -33,19 +35,19 @@ struct Bodies<L> {
     nominal: Parameters<L>,
     /// Whether all bodies are [alike](Parameters::is_alike) the morphology's.
     alike: bool,
-    own: OwnNumbers<L>,
+    own: ParameterDeltas<L>,
     bits: DemandBits,
 }
 
 /// Where a thread steps packs.
 struct Scratch<L: Kernels> {
     /// Of each morphology.
-    benches: Vec<Bench<L>>,
-    line_up: LineUp,
+    benches: Vec<PackWorkspace<L>>,
+    pack_ordering: PackOrder,
 }
 
 /// All robots.
-pub(super) struct Packs<L: Kernels> {
+pub(crate) struct Packs<L: Kernels> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
     /// Of each morphology.
@@ -59,7 +61,7 @@ pub(super) struct Packs<L: Kernels> {
 
 impl<L: Kernels> Packs<L> {
     /// Robots of some morphologies, `counts[m]` of kind `m` in contiguous blocks.
-    pub(super) fn new(
+    pub(crate) fn new(
         settings: StepSettings,
         terrain: Option<Arc<HeightGrid>>,
         morphologies: &Morphologies,
@@ -69,14 +71,16 @@ impl<L: Kernels> Packs<L> {
         let (mut bodies, mut first_env) = (Vec::new(), 0);
         for (model, &count) in morphologies.0.iter().zip(counts) {
             let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
-            let (own, bits) = (OwnNumbers::none(), DemandBits::new(&model.body_groups, model.topology.blocks().len()));
+            let (own, bits) =
+                (ParameterDeltas::none(), DemandBits::new(&model.body_groups, model.topology.blocks().len()));
             bodies.push(Bodies { first_env, count, nominal, alike: true, own, bits });
             first_env += count;
         }
-        let bench = |(model, of): (&MorphologyModel, &Bodies<L>)| Bench::new(model, &of.nominal, settings.decimation);
+        let bench =
+            |(model, of): (&MorphologyModel, &Bodies<L>)| PackWorkspace::new(model, &of.nominal, settings.decimation);
         let scratch = Pool::new(threads, || Scratch {
             benches: morphologies.0.iter().zip(&bodies).map(bench).collect(),
-            line_up: LineUp::default(),
+            pack_ordering: PackOrder::default(),
         });
         let mut order: Vec<usize> = (0..bodies.len()).collect();
         order.sort_by_key(|&morphology| Reverse(morphologies.0[morphology].topology.num_impulses()));
@@ -133,17 +137,17 @@ impl<L: Kernels> Engine for Packs<L> {
         rows: PhysicsRows,
         limits: &StateLimits,
         watched: &[bool],
-    ) -> Vec<Evidence> {
+    ) -> Vec<DivergenceRecord> {
         let Self { settings, terrain, bodies, order, keys, scratch } = self;
         let terrain = terrain.as_deref();
         let found = Mutex::new(Vec::new());
         let tasks = Self::share_out(bodies, order, workers, rows, keys);
         workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys }| {
-            scratch.with(|Scratch { benches, line_up }| {
+            scratch.with(|Scratch { benches, pack_ordering }| {
                 let Bodies { first_env, alike, own, bits, .. } = &bodies[morphology];
                 let MorphologyModel { topology, nominal, .. } = &morphologies.0[morphology];
                 let bench = &mut benches[morphology];
-                let order = if own.may_mix() { line_up.sort(keys) } else { line_up.keep(keys.len()) };
+                let order = if own.may_mix() { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
                 for (pack, lanes) in order.chunks(L::LANES).enumerate() {
                     bench.gather(&rows, lanes);
                     // the next ones: where rows are not in the order of memory, the machine does not see them come
@@ -163,9 +167,10 @@ impl<L: Kernels> Engine for Packs<L> {
                     };
                     step.run();
                     let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
-                    let evidence = Evidence::of_writing(broken, morphology, first_env + first, &mut rows, |rows| {
-                        bench.scatter(rows, lanes);
-                    });
+                    let evidence =
+                        DivergenceRecord::of_writing(broken, morphology, first_env + first, &mut rows, |rows| {
+                            bench.scatter(rows, lanes);
+                        });
                     for (lane, &row) in lanes.iter().enumerate() {
                         keys[row] = bits.key(&bench.report.demands, lane);
                     }
@@ -176,7 +181,7 @@ impl<L: Kernels> Engine for Packs<L> {
             });
         });
         // of each morphology the first env, whatever the threads did first
-        let mut found: Vec<Evidence> = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let mut found: Vec<DivergenceRecord> = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         found.sort_unstable_by_key(|evidence| evidence.env);
         found.dedup_by_key(|evidence| evidence.morphology);
         found

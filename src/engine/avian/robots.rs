@@ -3,20 +3,18 @@
 //! The engine keeps the robots between control steps. What a reset or a push has written into a robot's components is set
 //! there first, and the robot's contacts begin anew; a robot whose components are as the engine left them goes on.
 
-use super::broken::Evidence;
-use super::physics::{Engine, PhysicsRows, get, get_arrays, state_numbers};
-use super::terminate::StateLimits;
-use crate::avian::{self, EngineError, JointField};
+use super::super::{DivergenceRecord, Engine, PhysicsRows, StateLimits, get, get_arrays, state_numbers};
+use super::{EngineError, JointField, Settings};
 use crate::components::PerFoot;
 use crate::config::TaskConfig;
 use crate::dynamics::{Parameters, Plane, Report, Scalar, State, Topology, Workspace};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::obstacles::{self, Part};
-use crate::rows::{SplitRows, Workers};
+use crate::workers::{SplitRows, Workers};
 use crate::world::Ground;
 
 /// Robots of all kinds.
-pub(super) struct AvianRobots {
+pub(crate) struct AvianRobots {
     decimation: usize,
     blocks: Vec<Block>,
 }
@@ -25,7 +23,7 @@ pub(super) struct AvianRobots {
 struct Block {
     first_env: usize,
     count: usize,
-    engine: avian::Engine,
+    engine: super::Engine,
     topology: Topology,
     explicit: Vec<bool>,
     work: Workspace<f64>,
@@ -44,14 +42,14 @@ struct Block {
 
 impl AvianRobots {
     /// Robots of these kinds, `counts[m]` of kind `m` in contiguous blocks.
-    pub(super) fn new(
+    pub(crate) fn new(
         config: &TaskConfig,
         morphologies: &Morphologies,
         counts: &[usize],
         ground: &Ground,
         workers: &Workers,
     ) -> Result<Self, EngineError> {
-        let settings = avian::Settings {
+        let settings = Settings {
             dt: config.sim.dt,
             substeps: config.physics.avian_substeps as usize,
             gravity: ground.gravity,
@@ -110,7 +108,7 @@ impl Engine for AvianRobots {
         mut rows: PhysicsRows,
         limits: &StateLimits,
         watched: &[bool],
-    ) -> Vec<Evidence> {
+    ) -> Vec<DivergenceRecord> {
         let mut found = Vec::new();
         for (morphology, block) in self.blocks.iter_mut().enumerate() {
             let (mut mine, more) = rows.split_rows(block.count);
@@ -127,7 +125,7 @@ impl Engine for AvianRobots {
             let broken = if watched[morphology] { block.first_broken(limits) } else { None };
             let first_env = block.first_env;
             let write = |rows: &mut PhysicsRows| block.scatter(rows);
-            found.extend(Evidence::of_writing(broken, morphology, first_env, &mut mine, write));
+            found.extend(DivergenceRecord::of_writing(broken, morphology, first_env, &mut mine, write));
         }
         found
     }
@@ -136,7 +134,7 @@ impl Engine for AvianRobots {
 impl Block {
     fn new(
         model: &MorphologyModel,
-        settings: &avian::Settings,
+        settings: &Settings,
         statics: &[Part],
         first_env: usize,
         count: usize,
@@ -148,7 +146,7 @@ impl Block {
         Ok(Self {
             first_env,
             count,
-            engine: avian::Engine::new(
+            engine: super::Engine::new(
                 &model.model,
                 &model.align,
                 &model.shape_pairs,

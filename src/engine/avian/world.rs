@@ -17,7 +17,10 @@ use avian3d::dynamics::solver::schedule::SubstepSolverSystems;
 use avian3d::dynamics::solver::solver_body::{SolverBody, SolverBodyInertia};
 use avian3d::prelude::*;
 use bevy_app::{App, PluginGroup};
+use bevy_ecs::change_detection::ContiguousMut;
+use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::*;
+use bevy_ecs::query::ArchetypeFilter;
 use bevy_ecs::schedule::ScheduleLabel;
 use bevy_math::{Mat3, Quat, Vec2, Vec3};
 use bevy_time::Time;
@@ -27,7 +30,6 @@ use super::joints::{Joints, LinkMass, LinkPose};
 use super::shapes::LinkCollider;
 use crate::dynamics::Plane;
 use crate::obstacles::Part;
-use crate::rows::{read_rows, write_rows};
 
 /// Colliders nearer to the ground than this are looked at even when they stand still, m.
 const CONTACT_TOLERANCE: f32 = 0.002;
@@ -488,5 +490,20 @@ impl Joints {
     pub(super) fn set_step(&mut self, h: Duration, substeps: usize) {
         self.h = h.as_secs_f32();
         self.substeps = substeps;
+    }
+}
+
+/// One component of all entities that a query matches, which lie in one table in the order in which they were made.
+fn read_rows<'w, C: Component, F: ArchetypeFilter>(query: &'w Query<'_, '_, &'static C, F>) -> &'w [C] {
+    query.contiguous_iter().ok().and_then(|mut tables| tables.next()).unwrap_or_default()
+}
+
+/// The same, to write.
+fn write_rows<'w, C: Component<Mutability = Mutable>, F: ArchetypeFilter>(
+    query: &'w mut Query<'_, '_, &'static mut C, F>,
+) -> &'w mut [C] {
+    match query.contiguous_iter_mut().ok().and_then(|mut tables| tables.next()) {
+        Some(rows) => ContiguousMut::split(rows).0,
+        None => &mut [],
     }
 }

@@ -1,0 +1,299 @@
+//! A simulation of many envs: a headless Bevy app that is stepped by its caller.
+
+pub mod dump;
+mod sim_queries;
+pub mod snapshot;
+
+use std::path::{Path, PathBuf};
+
+use bevy_app::App;
+use bevy_ecs::prelude::*;
+use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
+
+use crate::batch::Batch;
+use crate::bounds::MAX_ACTION;
+use crate::components::{Body, Command, EnvId, EnvRng, Episode, Morphology};
+use crate::config::{LoadedRobot, LoadedTask};
+use crate::dynamics::Simd;
+use crate::error::Error;
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::options::SimOptions;
+use crate::robot::CANONICAL_JOINT_NAMES;
+use crate::rows::NumEnvs;
+use crate::systems::{
+    BlockSizes, BrokenStates, CompiledTask, ControlStep, InstructionSet, Loaded, PolypodPlugins, Registry, ResetEnvs,
+    ResetRequest, Setup, outcome, place_envs, randomise_at_startup, run,
+};
+use crate::workers::Workers;
+
+pub use sim_queries::RobotStates;
+
+/// A headless Bevy app of many envs, ready to step.
+///
+/// What it was made from and the schedules are in its world; plugins may have added more.
+pub struct Sim {
+    world: World,
+    seed: u64,
+    dump_dir: Option<PathBuf>,
+}
+
+impl Sim {
+    /// Loads the task and its robots, spawns everything and resets all envs.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the options, the configs or the URDFs.
+    pub fn new(options: &SimOptions) -> Result<Self, Error> {
+        Self::with_registry(options, Registry::builtin())
+    }
+
+    /// The same with terms of one's own.
+    ///
+    /// # Errors
+    /// As [`Sim::new`].
+    pub fn with_registry(options: &SimOptions, registry: Registry) -> Result<Self, Error> {
+        let mut app = App::empty();
+        app.insert_resource(registry).insert_resource(options.clone()).add_plugins(PolypodPlugins);
+        Self::from_app(app)
+    }
+
+    /// The same of a task and robots that are loaded.
+    pub(crate) fn of_loaded(options: &SimOptions, loaded: Loaded) -> Result<Self, Error> {
+        let mut app = App::empty();
+        app.insert_resource(loaded).insert_resource(options.clone()).add_plugins(PolypodPlugins);
+        Self::from_app(app)
+    }
+
+    /// Makes a simulation of an app that has [`PolypodPlugins`], maybe some of them replaced, and [`SimOptions`] as a resource.
+    ///
+    /// Systems that are added to the [`PipelineSet`](crate::systems::PipelineSet)s of [`ControlStep`] run in each step.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the options, the configs, the URDFs or the plugins.
+    pub fn from_app(mut app: App) -> Result<Self, Error> {
+        let Some(options) = app.world().get_resource::<SimOptions>().cloned() else {
+            let remedy = "insert it as a resource: app.insert_resource(SimOptions::new(task, num_envs))";
+            return Err(Error::argument("SimOptions", "the app has none", remedy));
+        };
+        app.finish();
+        app.cleanup();
+        let mut world = std::mem::take(app.world_mut());
+        for label in [Setup.intern(), ControlStep.intern(), ResetEnvs.intern()] {
+            initialise(&mut world, label)?;
+        }
+        run(&mut world, Setup)?;
+        let mut sim = Self { world, seed: options.seed, dump_dir: None };
+        sim.set_dump_dir(options.dump_dir);
+        sim.reset(Some(options.seed), None)?;
+        Ok(sim)
+    }
+
+    /// One control step of all envs with these actions, row-major `[num_envs, 12]`, canonical order.
+    ///
+    /// # Errors
+    /// The wrong number of actions, or one that is not finite or beyond [`MAX_ACTION`]; the simulation is then as it was. Or a
+    /// system failed: the sets of the pipeline after it have not run then.
+    pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
+        let mut batch = self.world.resource_mut::<Batch>();
+        if actions.len() != batch.actions.len() {
+            return Err(Error::argument(
+                "actions",
+                format!("{} numbers for {} envs of {} actions", actions.len(), batch.num_envs, batch.num_actions),
+                "pass one row of canonical actions per env",
+            ));
+        }
+        // all of them at once, and only then one by one
+        let within = |a: &f32| a.abs() <= MAX_ACTION;
+        let all_within = actions.iter().fold(true, |all, a| all & within(a));
+        if !all_within && let Some(at) = actions.iter().position(|a| !within(a)) {
+            let (env, joint) = (at / batch.num_actions, CANONICAL_JOINT_NAMES[at % batch.num_actions]);
+            return Err(Error::argument(
+                "actions",
+                format!("the action of env {env} for {joint} is {}", actions[at]),
+                format!("pass finite numbers within {MAX_ACTION}; a policy that gives others has diverged"),
+            ));
+        }
+        batch.actions.copy_from_slice(actions);
+        self.world.resource_mut::<ResetRequest>().0 = false;
+        run(&mut self.world, ControlStep)?;
+        self.dump_broken_states();
+        Ok(())
+    }
+
+    /// Begins new episodes: in the envs of the mask, or in all.
+    ///
+    /// With a seed everything is as if the simulation had been made anew with it: random streams, and what is randomised
+    /// at startup.
+    ///
+    /// # Errors
+    /// A mask of the wrong length, or a seed together with a mask.
+    pub fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> Result<(), Error> {
+        let num_envs = self.num_envs();
+        if let Some(mask) = mask {
+            if mask.len() != num_envs {
+                let problem = format!("{} entries for {num_envs} envs", mask.len());
+                return Err(Error::argument("mask", problem, "pass one entry per env"));
+            }
+            if seed.is_some() {
+                return Err(Error::argument(
+                    "seed",
+                    "given together with a mask",
+                    "seed all envs at once, or reset some",
+                ));
+            }
+        }
+        if let Some(seed) = seed {
+            self.seed = seed;
+            self.start_anew()?;
+        }
+        for (env, mut episode) in self.world.query::<(&EnvId, &mut Episode)>().iter_mut(&mut self.world) {
+            episode.needs_reset = mask.is_none_or(|mask| mask[env.0 as usize]);
+            episode.fresh = false;
+        }
+        self.world.resource_mut::<ResetRequest>().0 = true;
+        run(&mut self.world, ResetEnvs)
+    }
+
+    fn start_anew(&mut self) -> Result<(), Error> {
+        let names: Vec<String> = self.morphologies().iter().map(|m| m.name().to_string()).collect();
+        let mut query = self.world.query::<(&EnvId, &Morphology, &mut EnvRng)>();
+        let firsts: Vec<usize> = (0..names.len()).map(|index| self.env_ids(index).start).collect();
+        for (env, tag, mut rng) in query.iter_mut(&mut self.world) {
+            let robot = usize::from(tag.0);
+            *rng = EnvRng::of_env(self.seed, &names[robot], env.0 as usize - firsts[robot]);
+        }
+        let nominal: Vec<_> = self.world.resource::<Morphologies>().0.iter().map(|m| m.nominal.clone()).collect();
+        for (tag, mut body) in self.world.query::<(&Morphology, &mut Body)>().iter_mut(&mut self.world) {
+            *body.0 = nominal[usize::from(tag.0)].clone();
+        }
+        for mut command in self.world.query::<&mut Command>().iter_mut(&mut self.world) {
+            *command = Command::default();
+        }
+        for mut episode in self.world.query::<&mut Episode>().iter_mut(&mut self.world) {
+            *episode = Episode::default();
+        }
+        outcome::<(), ()>(self.world.run_system_cached(randomise_at_startup))?;
+        outcome(self.world.run_system_cached(place_envs))
+    }
+
+    /// The dense arrays.
+    pub fn batch(&self) -> &Batch {
+        self.world.resource::<Batch>()
+    }
+
+    /// The task as it runs.
+    pub fn task(&self) -> &CompiledTask {
+        self.world.resource::<CompiledTask>()
+    }
+
+    /// The task as it was loaded.
+    pub fn loaded_task(&self) -> &LoadedTask {
+        &self.world.resource::<Loaded>().task
+    }
+
+    /// The robots as they were loaded, in the order of their blocks.
+    pub fn loaded_robots(&self) -> &[LoadedRobot] {
+        &self.world.resource::<Loaded>().robots
+    }
+
+    /// Task and robots after layers, overrides and defaults, as TOML.
+    pub fn resolved_config(&self) -> String {
+        let robots = self.loaded_robots().iter().map(|r| (r.config.name.clone(), r.resolved.clone().into())).collect();
+        let mut all = toml::Table::new();
+        all.insert("task".into(), self.loaded_task().resolved.clone().into());
+        all.insert("robots".into(), toml::Value::Table(robots));
+        all.to_string()
+    }
+
+    /// A hash of [`resolved_config`](Self::resolved_config) and the robots' URDFs: of all that decides what the
+    /// simulation does, but for the seed and the number of envs.
+    pub fn config_hash(&self) -> u64 {
+        let urdfs = self.loaded_robots().iter().map(|robot| robot.urdf_text.as_str());
+        let text: String = std::iter::once(self.resolved_config().as_str()).chain(urdfs).collect();
+        crate::hash::fnv1a(text.as_bytes())
+    }
+
+    /// The robots' models, in the order of their blocks.
+    pub fn morphologies(&self) -> &[MorphologyModel] {
+        &self.world.resource::<Morphologies>().0
+    }
+
+    /// The ECS world, for queries and for plugins of one's own.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The ECS world.
+    ///
+    /// A component may be given to all entities of a kind, or to some where it has `#[component(storage = "SparseSet")]`; the next
+    /// step is refused otherwise, see [`Rows`](crate::rows::Rows).
+    pub fn world_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    /// Number of envs.
+    pub fn num_envs(&self) -> usize {
+        self.world.resource::<NumEnvs>().0
+    }
+
+    /// The envs of the robot at place `index`, `start..end`.
+    pub fn env_ids(&self, index: usize) -> std::ops::Range<usize> {
+        let counts = &self.world.resource::<BlockSizes>().0;
+        let start = counts.iter().take(index).sum();
+        start..start + counts.get(index).copied().unwrap_or(0)
+    }
+
+    /// Place of an env in its robot's block.
+    pub fn index_in_block(&self, env: usize) -> usize {
+        let mut start = 0;
+        for &count in &self.world.resource::<BlockSizes>().0 {
+            if env < start + count {
+                return env - start;
+            }
+            start += count;
+        }
+        env - start
+    }
+
+    /// Threads at work.
+    pub fn threads(&self) -> usize {
+        self.world.resource::<Workers>().threads()
+    }
+
+    /// Seed of the random streams.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Instruction set of the physics.
+    pub fn simd(&self) -> Simd {
+        self.world.resource::<InstructionSet>().0
+    }
+
+    /// Where broken states are dumped, if they are.
+    pub fn dump_dir(&self) -> Option<&Path> {
+        self.dump_dir.as_deref()
+    }
+
+    /// From now on dumps the first state of each robot that breaks to a file in this directory, or none. A robot of which
+    /// a state was dumped before is left out.
+    pub fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) {
+        if let Some(mut broken) = self.world.get_resource_mut::<BrokenStates>() {
+            broken.watch(dump_dir.is_some());
+        }
+        self.dump_dir = dump_dir;
+    }
+}
+
+/// Builds a schedule, so that systems of a user's that contradict each other are an error and no panic.
+fn initialise(world: &mut World, label: InternedScheduleLabel) -> Result<(), Error> {
+    let failed =
+        |problem: String| Error::argument("plugins", problem, "order the systems of your plugins by sets and .after()");
+    let built = world.try_schedule_scope(label, |world, schedule| {
+        schedule.initialize(world).map_err(|error| error.to_string(schedule.graph(), world))
+    });
+    match built {
+        Ok(Ok(_)) => Ok(()),
+        Ok(Err(problem)) => Err(failed(format!("{label:?}: {problem}"))),
+        Err(_) => Err(failed(format!("there is no schedule {label:?}: PipelinePlugin is missing"))),
+    }
+}

@@ -1,0 +1,78 @@
+//! The library's error.
+
+use std::path::PathBuf;
+
+use crate::config::ConfigError;
+use crate::dynamics::lanes::SimdError;
+use crate::robot::RobotError;
+
+/// Something that could not be made, read, written or stepped. The message names the place and a remedy.
+#[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A config, or a name that it should have.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A URDF.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// An instruction set that is unknown or that the machine lacks.
+    #[error(transparent)]
+    Simd(#[from] SimdError),
+    /// A scene that robots cannot stand in.
+    #[error("{0}")]
+    Scene(String),
+    /// An argument.
+    #[error("{element}: {problem}; {remedy}")]
+    Argument {
+        /// Name of the argument.
+        element: &'static str,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A snapshot.
+    #[error("snapshot: {0}")]
+    Snapshot(String),
+    /// A file, such as the dump of a broken state.
+    #[error("{}: {problem}; {remedy}", file.display())]
+    File {
+        /// Path of the file.
+        file: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// Entities of one kind that are not one per env, in the order of their env ids, with the same components.
+    #[error("rows of the {kind}s: {problem}; {remedy}")]
+    Rows {
+        /// Kind of the entities: robot, env or a sensor.
+        kind: &'static str,
+        /// What is wrong; names the entity.
+        problem: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A system of the pipeline, maybe a user's.
+    #[error("system `{system}`: {problem}")]
+    System {
+        /// Name of the system.
+        system: String,
+        /// Its error.
+        problem: String,
+    },
+}
+
+impl Error {
+    /// An error about an argument.
+    pub(crate) fn argument(element: &'static str, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Argument { element, problem: problem.into(), remedy: remedy.into() }
+    }
+
+    /// An error about a file.
+    pub(crate) fn file(file: impl Into<PathBuf>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::File { file: file.into(), problem: problem.into(), remedy: remedy.into() }
+    }
+}

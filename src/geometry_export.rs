@@ -1,0 +1,123 @@
+//! What a viewer or another simulator asks of a running simulation: where the robots are and what they are made of.
+
+use glam::{DMat3, DQuat};
+use serde::Serialize;
+
+use crate::morphology::MorphologyModel;
+use crate::robot::{BodyGroup, Geometry, hull_triangles};
+
+/// Links and collision shapes of a robot; SI units.
+#[derive(Clone, Debug, Serialize)]
+pub struct Outline {
+    /// Names of the links, the base first; what is fixed to a link is part of it.
+    pub links: Vec<String>,
+    /// Centre of mass of the base in its frame, m.
+    pub base_com: [f64; 3],
+    /// Contact bodies: links of the URDF with collision shapes.
+    pub bodies: Vec<BodyOutline>,
+}
+
+/// A contact body.
+#[derive(Clone, Debug, Serialize)]
+pub struct BodyOutline {
+    /// Its link in the URDF.
+    pub name: String,
+    /// Index in [`Outline::links`] of the link that carries it.
+    pub link: usize,
+    /// base, hip, thigh, shank, foot or other.
+    pub group: String,
+    /// Its shapes.
+    pub shapes: Vec<ShapeOutline>,
+}
+
+/// A collision shape; cylinders and capsules lie along z.
+#[derive(Clone, Debug, Serialize)]
+pub struct ShapeOutline {
+    /// What it is.
+    #[serde(flatten)]
+    pub geometry: GeometryOutline,
+    /// Of the shape's frame in that of the link that carries it, m.
+    pub position: [f64; 3],
+    /// Likewise; w, x, y, z.
+    pub quaternion: [f64; 4],
+}
+
+/// Sizes in m.
+#[derive(Clone, Debug, Serialize)]
+#[serde(tag = "shape", rename_all = "snake_case")]
+pub enum GeometryOutline {
+    /// Ball.
+    Sphere {
+        /// m.
+        radius: f64,
+    },
+    /// Box with these edge lengths.
+    Box {
+        /// m.
+        size: [f64; 3],
+    },
+    /// Cylinder of full length.
+    Cylinder {
+        /// m.
+        radius: f64,
+        /// m.
+        length: f64,
+    },
+    /// Cylinder with a half ball on each end; the length is the cylinder's.
+    Capsule {
+        /// m.
+        radius: f64,
+        /// m.
+        length: f64,
+    },
+    /// Convex hull of points.
+    Hull {
+        /// m.
+        points: Vec<[f64; 3]>,
+        /// Its faces, outward, as indices of points; none where they cannot be told.
+        triangles: Vec<[usize; 3]>,
+    },
+}
+
+/// An orientation as w, x, y, z with `w >= 0`.
+pub(crate) fn quaternion(rotation: &DMat3) -> [f64; 4] {
+    let q = DQuat::from_mat3(rotation).normalize();
+    let q = if q.w < 0.0 { -q } else { q };
+    [q.w, q.x, q.y, q.z]
+}
+
+impl From<&Geometry> for GeometryOutline {
+    fn from(geometry: &Geometry) -> Self {
+        match geometry {
+            Geometry::Sphere { radius } => Self::Sphere { radius: *radius },
+            Geometry::Box { size } => Self::Box { size: size.to_array() },
+            Geometry::Cylinder { radius, length } => Self::Cylinder { radius: *radius, length: *length },
+            Geometry::Capsule { radius, length } => Self::Capsule { radius: *radius, length: *length },
+            Geometry::Hull { points } => {
+                Self::Hull { points: points.iter().map(|p| p.to_array()).collect(), triangles: hull_triangles(points) }
+            }
+        }
+    }
+}
+
+impl MorphologyModel {
+    /// Its links and collision shapes.
+    pub fn outline(&self) -> Outline {
+        let shape = |shape: &crate::robot::Shape| ShapeOutline {
+            geometry: GeometryOutline::from(&shape.geometry),
+            position: shape.origin.translation.to_array(),
+            quaternion: quaternion(&shape.origin.rotation),
+        };
+        let body = |(body, group): (&crate::robot::Body, &BodyGroup)| BodyOutline {
+            name: body.name.clone(),
+            link: body.link,
+            group: format!("{group:?}").to_lowercase(),
+            shapes: body.shapes.iter().map(shape).collect(),
+        };
+        Outline {
+            links: self.model.links.iter().map(|link| link.name.clone()).collect(),
+            base_com: self.model.links.first().map_or([0.0; 3], |base| base.com.to_array()),
+            bodies: self.model.bodies.iter().zip(&self.body_groups).map(body).collect(),
+        }
+    }
+}

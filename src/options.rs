@@ -1,0 +1,80 @@
+//! What a caller asks for.
+
+use std::path::PathBuf;
+
+use bevy_ecs::prelude::Resource;
+
+use crate::dynamics::Simd;
+use crate::error::Error;
+
+/// What a simulation is made of.
+#[derive(Resource, Clone, Debug)]
+pub struct SimOptions {
+    /// Name, alias or path of the task.
+    pub task: String,
+    /// Names or paths of the robots; the task's own list when absent.
+    pub robots: Option<Vec<String>>,
+    /// Number of envs, shared out among the robots.
+    pub num_envs: usize,
+    /// Seed of all random streams.
+    pub seed: u64,
+    /// Threads; all cores when absent. Only as many are made as there are packs of envs.
+    pub threads: Option<usize>,
+    /// `key=value` changes to the task.
+    pub overrides: Vec<String>,
+    /// Who resets ended episodes.
+    pub autoreset: Autoreset,
+    /// Directories laid out like the project in which configs and assets are looked for first.
+    pub roots: Vec<PathBuf>,
+    /// Instruction set of the physics; the fastest one, or what `POLYPOD_SIMD` says, when absent.
+    pub simd: Option<Simd>,
+    /// Directory for the dump of the first state of each robot that breaks; none is dumped when absent.
+    pub dump_dir: Option<PathBuf>,
+}
+
+impl SimOptions {
+    /// Defaults for a task: its robots, seed 0, all cores.
+    pub fn new(task: impl Into<String>, num_envs: usize) -> Self {
+        Self {
+            task: task.into(),
+            robots: None,
+            num_envs,
+            seed: 0,
+            threads: None,
+            overrides: Vec::new(),
+            autoreset: Autoreset::SameStep,
+            roots: Vec::new(),
+            simd: None,
+            dump_dir: None,
+        }
+    }
+}
+
+/// Who resets an env whose episode has ended.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Autoreset {
+    /// The control step in which it ended.
+    #[default]
+    SameStep,
+    /// The next control step, which then does nothing else to this env.
+    NextStep,
+    /// Only the caller.
+    Disabled,
+}
+
+impl std::str::FromStr for Autoreset {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        match name {
+            "same_step" => Ok(Self::SameStep),
+            "next_step" => Ok(Self::NextStep),
+            "disabled" => Ok(Self::Disabled),
+            _ => Err(Error::Argument {
+                element: "autoreset",
+                problem: format!("there is no mode `{name}`"),
+                remedy: "use same_step, next_step or disabled".into(),
+            }),
+        }
+    }
+}

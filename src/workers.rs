@@ -1,0 +1,236 @@
+//! Threads that share out rows of work in chunks.
+//!
+//! Chunks only share out rows; what happens to a row does not depend on its chunk. Results are therefore bitwise the same
+//! for any number of threads.
+
+use std::sync::{Mutex, PoisonError};
+
+use bevy_ecs::prelude::*;
+
+use crate::bounds::MAX_THREADS;
+use crate::dynamics::Simd;
+use crate::dynamics::lanes::{self, Kernel, Real, SimdDispatch};
+use crate::thread_team::ThreadTeam;
+
+/// Something with rows that can be cut in two.
+pub trait SplitRows: Sized + Send {
+    /// The first `n` rows, and the rest.
+    fn split_rows(self, n: usize) -> (Self, Self);
+}
+
+impl<T: Sync> SplitRows for &[T] {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        self.split_at(n)
+    }
+}
+
+impl<T: Send> SplitRows for &mut [T] {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        self.split_at_mut(n)
+    }
+}
+
+/// A row-major matrix, by rows.
+pub struct MatrixRows<'a, T> {
+    /// All numbers.
+    pub data: &'a mut [T],
+    /// Numbers in a row.
+    pub width: usize,
+}
+
+impl<T> MatrixRows<'_, T> {
+    /// Row `i`.
+    pub fn row(&mut self, i: usize) -> &mut [T] {
+        &mut self.data[i * self.width..(i + 1) * self.width]
+    }
+}
+
+impl<T: Send> SplitRows for MatrixRows<'_, T> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let (a, b) = self.data.split_at_mut(n * self.width);
+        (Self { data: a, width: self.width }, Self { data: b, width: self.width })
+    }
+}
+
+/// Rows that a task has for all envs or for none.
+pub struct OptionalRows<'a, T>(pub &'a mut [T]);
+
+impl<T: Send> SplitRows for OptionalRows<'_, T> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let n = n.min(self.0.len());
+        let (a, b) = self.0.split_at_mut(n);
+        (Self(a), Self(b))
+    }
+}
+
+macro_rules! split_tuple {
+    ($($name:ident $a:ident $b:ident),*) => {
+        impl<$($name: SplitRows),*> SplitRows for ($($name,)*) {
+            #[allow(non_snake_case)]
+            fn split_rows(self, n: usize) -> (Self, Self) {
+                let ($($name,)*) = self;
+                $(let ($a, $b) = $name.split_rows(n);)*
+                (($($a,)*), ($($b,)*))
+            }
+        }
+    };
+}
+split_tuple!(A a1 a2, B b1 b2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2);
+
+/// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
+#[derive(Resource)]
+pub struct Workers {
+    crew: Option<ThreadTeam>,
+    threads: usize,
+    dispatch: SimdDispatch,
+}
+
+/// Rows that one task takes at least; below it, starting a task costs more than it saves.
+const MIN_CHUNK: usize = 64;
+/// Rows per thread that make another worth its while: each costs the others some time when they take their tasks.
+const ROWS_PER_THREAD: usize = 256;
+/// Chunks per thread, so that a thread that falls behind does not hold up the rest.
+const CHUNKS_PER_THREAD: usize = 4;
+
+impl Workers {
+    /// `threads` of them, at least one.
+    pub fn new(threads: usize, simd: Simd) -> Self {
+        let threads = threads.max(1);
+        let crew = (threads > 1).then(|| ThreadTeam::new(threads - 1));
+        Self { crew, threads, dispatch: simd.dispatch() }
+    }
+
+    /// `threads` of them, all cores when absent: but no more than there are pieces of work, since the others would only take memory, nor
+    /// than [`MAX_THREADS`].
+    pub fn for_pieces(threads: Option<usize>, pieces: usize, simd: Simd) -> Self {
+        let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
+        Self::new(threads.min(pieces).min(MAX_THREADS), simd)
+    }
+
+    /// The way into code compiled for the instruction set.
+    pub fn dispatch(&self) -> SimdDispatch {
+        self.dispatch
+    }
+
+    /// Threads at work, the caller's included.
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Number of chunks that work on many rows is best cut into.
+    pub fn num_chunks(&self) -> usize {
+        if self.threads == 1 { 1 } else { self.threads * CHUNKS_PER_THREAD }
+    }
+
+    /// How many of `left` pieces of work the next task takes: the first tasks are large and the last ones small, so that the
+    /// threads end together and few tasks are started. At least `min`, as long as there are so many; one thread takes all.
+    pub fn share(&self, left: usize, min: usize) -> usize {
+        share(left, min, self.threads)
+    }
+
+    /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
+    pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
+        let threads = self.threads.min(len.div_ceil(ROWS_PER_THREAD).max(2));
+        let Some(crew) = self.crew.as_ref().filter(|_| len > MIN_CHUNK) else {
+            return f(0, len, rows);
+        };
+        let (mut rest, mut start) = (Some(rows), 0);
+        let chunks = std::iter::from_fn(|| {
+            let rows = rest.take()?;
+            let (first, n) = (start, share(len - start, MIN_CHUNK, threads));
+            start += n;
+            if start == len {
+                return Some((first, n, rows));
+            }
+            let (part, more) = rows.split_rows(n);
+            rest = Some(more);
+            Some((first, n, part))
+        });
+        crew.for_each(chunks, threads, |(first, n, part)| f(first, n, part));
+    }
+
+    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
+    pub fn vectorize_chunks<R: SplitRows, K: Kernel<f32, Output = ()>>(
+        &self,
+        rows: R,
+        len: usize,
+        kernel: impl Fn(usize, usize, R) -> K + Sync,
+    ) {
+        self.for_each_chunk(rows, len, |first, n, rows| self.dispatch.vectorize(kernel(first, n, rows)));
+    }
+
+    /// Runs `f(task)` on every task, in parallel.
+    pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, f: impl Fn(T) + Sync) {
+        match &self.crew {
+            Some(crew) => crew.for_each(tasks, self.threads, f),
+            None => tasks.for_each(f),
+        }
+    }
+}
+
+/// Packs that `count` envs of a kind make on the narrowest instruction set.
+pub(crate) fn packs_of(count: usize) -> usize {
+    count.div_ceil(lanes::Portable::LANES)
+}
+
+/// See [`Workers::share`].
+fn share(left: usize, min: usize, threads: usize) -> usize {
+    if threads == 1 { left } else { (left / (2 * threads)).max(min).min(left) }
+}
+
+/// Scratch memory of the threads. What a task does must not depend on which piece it gets.
+pub struct Pool<T> {
+    first: Mutex<T>,
+    others: Vec<Mutex<T>>,
+}
+
+impl<T> Pool<T> {
+    /// A piece for each of so many threads, at least one.
+    pub fn new(threads: usize, make: impl Fn() -> T) -> Self {
+        let others = (1..threads).map(|_| Mutex::new(make())).collect();
+        Self { first: Mutex::new(make()), others }
+    }
+
+    /// Works with a piece that no other thread has; where there are fewer than threads, after waiting for one.
+    #[inline]
+    pub fn with<R>(&self, f: impl FnOnce(&mut T) -> R) -> R {
+        let free = self.others.iter().find_map(|piece| piece.try_lock().ok());
+        // a panic in a task ends the simulation, whatever is left in the scratch memory
+        let mut piece = free.unwrap_or_else(|| self.first.lock().unwrap_or_else(PoisonError::into_inner));
+        f(&mut piece)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_are_all_rows_and_shrink() {
+        for threads in [1, 2, 3, 8] {
+            let workers = Workers::new(threads, Simd::Portable);
+            for len in [0, 1, 63, 64, 65, 1000, 4097] {
+                let mut rows = vec![0; len];
+                let sizes = Mutex::new(vec![0; len]);
+                workers.for_each_chunk(&mut rows[..], len, |first, n, rows: &mut [usize]| {
+                    assert_eq!(rows.len(), n);
+                    if n > 0 {
+                        sizes.lock().unwrap()[first] = n;
+                    }
+                    rows.iter_mut().enumerate().for_each(|(i, row)| *row += first + i + 1);
+                });
+                assert!(rows.iter().enumerate().all(|(i, &row)| row == i + 1), "{threads} threads, {len} rows");
+                let sizes: Vec<usize> = sizes.into_inner().unwrap().into_iter().filter(|&n| n > 0).collect();
+                assert_eq!(sizes.iter().sum::<usize>(), len);
+                assert!(sizes.is_sorted_by(|a, b| a >= b), "{threads} threads, {len} rows: {sizes:?}");
+            }
+        }
+    }
+}

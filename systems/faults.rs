@@ -1,0 +1,58 @@
+//! What happens when a system of the pipeline fails: the sets after it are left out, and the caller gets its error.
+
+use std::cell::RefCell;
+
+use bevy_ecs::error::{BevyError, ErrorContext};
+use bevy_ecs::prelude::*;
+use bevy_ecs::schedule::ScheduleLabel;
+use bevy_ecs::system::RegisteredSystemError;
+
+use crate::error::Error;
+
+thread_local! {
+    /// The first error since [`run`] began. Systems run in the thread of their caller, and handlers of errors see no world.
+    static FAULT: RefCell<Option<Error>> = const { RefCell::new(None) };
+}
+
+/// Bevy's handler for the errors of systems, commands and observers.
+pub(crate) fn note(error: BevyError, context: ErrorContext) {
+    let error = own(&error, &context.name().to_string());
+    FAULT.with_borrow_mut(|fault| {
+        fault.get_or_insert(error);
+    });
+}
+
+/// Run condition: no system has failed in this run of the schedule.
+pub(super) fn none() -> bool {
+    FAULT.with_borrow(Option::is_none)
+}
+
+/// Runs a schedule.
+///
+/// # Errors
+/// The first error of its systems. The systems of later sets have not run then.
+pub(crate) fn run(world: &mut World, schedule: impl ScheduleLabel) -> Result<(), Error> {
+    FAULT.take();
+    world.run_schedule(schedule);
+    FAULT.take().map_or(Ok(()), Err)
+}
+
+/// The outcome of a system that was run alone.
+///
+/// # Errors
+/// It failed, or its parameters are not there.
+pub(crate) fn outcome<I: SystemInput, T>(ran: std::result::Result<T, RegisteredSystemError<I, T>>) -> Result<T, Error> {
+    ran.map_err(|error| match error {
+        RegisteredSystemError::Failed(error) => own(&error, "of the pipeline"),
+        error => Error::System { system: "of the pipeline".into(), problem: error.to_string() },
+    })
+}
+
+/// The library's error that a system has returned; another one as [`Error::System`].
+fn own(error: &BevyError, system: &str) -> Error {
+    error.downcast_ref::<Error>().cloned().unwrap_or_else(|| {
+        // Bevy adds a backtrace below
+        let problem = error.to_string().lines().next().unwrap_or("it failed").to_string();
+        Error::System { system: system.to_string(), problem }
+    })
+}

@@ -1,0 +1,128 @@
+//! Reads the task and its robots.
+
+use bevy_app::{App, Plugin};
+use bevy_ecs::prelude::*;
+
+use super::terms::{CompiledTask, Registry};
+use super::{Setup, SetupSet};
+use crate::batch::Batch;
+use crate::bounds::{BYTES_PER_ENV, check_num_envs};
+use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::dynamics::Simd;
+use crate::error::Error;
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::options::SimOptions;
+use crate::robot::CANONICAL_JOINT_NAMES;
+use crate::rows::NumEnvs;
+use crate::workers::{Workers, packs_of};
+
+/// Reads the task and its robots, and compiles the task's terms for them.
+#[derive(Default)]
+pub struct LoadPlugin;
+
+impl Plugin for LoadPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(Setup, load.in_set(SetupSet::Load));
+    }
+}
+
+/// The task and its robots as they were read, in the order of their blocks.
+#[derive(Resource)]
+pub(crate) struct Loaded {
+    pub(crate) task: LoadedTask,
+    pub(crate) robots: Vec<LoadedRobot>,
+}
+
+/// Instruction set of the simulation.
+#[derive(Resource, Clone, Copy)]
+pub(crate) struct InstructionSet(pub(crate) Simd);
+
+/// How many envs each robot has, in the order of their blocks.
+#[derive(Resource, Clone, Debug)]
+pub struct BlockSizes(pub Vec<usize>);
+
+/// Reads what the options name, unless it is there already.
+fn load(world: &mut World) -> Result {
+    Ok(load_into(world)?)
+}
+
+fn load_into(world: &mut World) -> Result<(), Error> {
+    let options = world.resource::<SimOptions>().clone();
+    if !world.contains_resource::<Loaded>() {
+        let loaded = read(&options)?;
+        world.insert_resource(loaded);
+    }
+    let Loaded { task, robots } = world.resource::<Loaded>();
+    let morphologies = robots.iter().map(MorphologyModel::new).collect::<Result<Vec<_>, Error>>()?;
+    for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
+        tracing::warn!("{warning}");
+    }
+    let mut morphologies = Morphologies(morphologies);
+    let compiled = CompiledTask::new(&task.config, &morphologies, world.resource::<Registry>())?;
+    for morphology in &mut morphologies.0 {
+        morphology.allow_action_delay(compiled.max_action_delay(morphology));
+    }
+    let counts = distribute(options.num_envs, robots.len());
+    let simd = Simd::choose(options.simd)?;
+    // a robot at a time, or a pack of one kind
+    let pieces = match task.config.physics.engine {
+        EngineKind::Avian => options.num_envs,
+        EngineKind::Articulated => counts.iter().map(|&count| packs_of(count)).sum(),
+    };
+    world.insert_resource(Workers::for_pieces(options.threads, pieces, simd));
+    world.insert_resource(Batch::new(options.num_envs, compiled.num_obs(), CANONICAL_JOINT_NAMES.len()));
+    world.insert_resource(options.autoreset);
+    world.insert_resource(InstructionSet(simd));
+    world.insert_resource(NumEnvs(options.num_envs));
+    world.insert_resource(BlockSizes(counts));
+    world.insert_resource(morphologies);
+    world.insert_resource(compiled);
+    Ok(())
+}
+
+fn read(options: &SimOptions) -> Result<Loaded, Error> {
+    let library = Library::new(options.roots.clone());
+    let task = library.task(&options.task, &options.overrides)?;
+    let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
+    check_arguments(&names, options.num_envs, options.threads)?;
+    let robots = names.iter().map(|name| library.robot_in(name, &task.config)).collect::<Result<Vec<_>, _>>()?;
+    check_distinct(&robots)?;
+    Ok(Loaded { task, robots })
+}
+
+/// Envs per robot: equal shares, the remainder to the first ones, in contiguous blocks.
+pub fn distribute(num_envs: usize, robots: usize) -> Vec<usize> {
+    (0..robots).map(|r| num_envs / robots + usize::from(r < num_envs % robots)).collect()
+}
+
+fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -> Result<(), Error> {
+    if robots.is_empty() {
+        return Err(Error::argument("robots", "the list is empty", "name at least one robot"));
+    }
+    if robots.len() > num_envs {
+        return Err(Error::argument(
+            "num_envs",
+            format!("{num_envs} envs for {} robots", robots.len()),
+            format!("ask for at least {} envs, or for fewer robots", robots.len()),
+        ));
+    }
+    check_num_envs(num_envs, BYTES_PER_ENV)
+        .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;
+    if threads == Some(0) {
+        return Err(Error::argument("threads", "0 threads", "ask for at least one, or leave it out for all cores"));
+    }
+    Ok(())
+}
+
+/// A name and a path may mean the same robot: what counts is the name in its config.
+fn check_distinct(robots: &[LoadedRobot]) -> Result<(), Error> {
+    let name = |i: usize| robots[i].config.name.as_str();
+    match (0..robots.len()).find(|&i| (0..i).any(|j| name(j) == name(i))) {
+        Some(i) => Err(Error::argument(
+            "robots",
+            format!("`{}` is listed twice, last at place {i}", name(i)),
+            "name each robot once",
+        )),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,243 @@
+//! What snapshots hold of entities: components, one line each.
+
+use bevy_app::App;
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::components::{
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
+    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu, JointEffort,
+    JointState, JointTargets, Morphology, Stance, StartupBody,
+};
+use crate::error::Error;
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::NumEnvs;
+use crate::world::Ground;
+
+/// Where a saved component is to go.
+pub struct Place<'a> {
+    /// What kind of robot the env has.
+    pub morphology: &'a MorphologyModel,
+    /// What the robots stand on.
+    pub ground: &'a Ground,
+}
+
+/// A component that snapshots hold.
+pub trait Saved: Component<Mutability = Mutable> + Clone + Serialize + DeserializeOwned {
+    /// Whether this one, of a snapshot, can take the place of `present`: lists are as long, indices exist.
+    fn fits(&self, present: &Self, place: &Place) -> bool;
+}
+
+/// Puts what was read into the world.
+type Write = Box<dyn FnOnce(&mut World)>;
+
+struct SavedComponent {
+    name: &'static str,
+    save: fn(&mut World) -> postcard::Result<Vec<u8>>,
+    load: fn(&mut World, &[u8]) -> Result<Write, String>,
+}
+
+/// The components that snapshots hold, and what is measured anew after one is restored.
+#[derive(Resource, Default)]
+pub(crate) struct SavedComponents {
+    all: Vec<SavedComponent>,
+    measured: Vec<fn(&mut World) -> Result<(), Error>>,
+}
+
+/// A component of all entities that have it, as bytes.
+pub(crate) type SavedColumn = (String, Vec<u8>);
+
+/// Has snapshots hold a component, in a plugin's `build`.
+pub fn save_component<C: Saved>(app: &mut App) {
+    let component = SavedComponent { name: std::any::type_name::<C>(), save: save::<C>, load: load::<C> };
+    app.world_mut().get_resource_or_init::<SavedComponents>().all.push(component);
+}
+
+/// Has something measured anew after a snapshot was restored.
+pub(super) fn measure_after_restore(app: &mut App, measure: fn(&mut World) -> Result<(), Error>) {
+    app.world_mut().get_resource_or_init::<SavedComponents>().measured.push(measure);
+}
+
+impl SavedComponents {
+    /// All of them.
+    pub(crate) fn save(world: &mut World) -> postcard::Result<Vec<SavedColumn>> {
+        let all: Vec<_> = world.resource::<Self>().all.iter().map(|saved| (saved.name, saved.save)).collect();
+        all.into_iter().map(|(name, save)| Ok((name.to_string(), save(world)?))).collect()
+    }
+
+    /// Reads all of them; nothing is changed before what this returns is called.
+    pub(crate) fn load(world: &mut World, columns: &[SavedColumn]) -> Result<Vec<Write>, String> {
+        let all: Vec<_> =
+            world.resource::<Self>().all.iter().map(|component| (component.name, component.load)).collect();
+        if !all.iter().map(|(name, _)| *name).eq(columns.iter().map(|(name, _)| name.as_str())) {
+            return Err("it holds other components than this simulation".into());
+        }
+        all.into_iter().zip(columns).map(|((_, load), (_, bytes))| load(world, bytes)).collect()
+    }
+
+    /// Measures what snapshots do not hold.
+    pub(crate) fn measure(world: &mut World) -> Result<(), Error> {
+        let measured = world.resource::<Self>().measured.clone();
+        measured.into_iter().try_for_each(|measure| measure(world))
+    }
+}
+
+fn save<C: Saved>(world: &mut World) -> postcard::Result<Vec<u8>> {
+    let mut rows: Vec<(EnvId, &C)> = Vec::new();
+    let mut query = world.query::<(&EnvId, &C)>();
+    rows.extend(query.iter(world).map(|(id, component)| (*id, component)));
+    rows.sort_by_key(|(id, _)| *id);
+    postcard::to_stdvec(&rows.into_iter().map(|(_, component)| component).collect::<Vec<_>>())
+}
+
+fn load<C: Saved>(world: &mut World, bytes: &[u8]) -> Result<Write, String> {
+    let name = std::any::type_name::<C>();
+    let values: Vec<C> = postcard::from_bytes(bytes).map_err(|error| format!("{name} cannot be read: {error}"))?;
+    if values.len() != world.resource::<NumEnvs>().0 {
+        return Err(format!("{name}: there are {}, which is another number of envs", values.len()));
+    }
+    let mut query = world.query::<(&EnvId, &Morphology, &C)>();
+    let (morphologies, ground) = (world.resource::<Morphologies>(), world.resource::<Ground>());
+    for (env, tag, present) in query.iter(world) {
+        let place = Place { morphology: morphologies.get(*tag), ground };
+        if !values.get(env.0 as usize).is_some_and(|value| value.fits(present, &place)) {
+            return Err(format!("{name} of env {} has other sizes than here", env.0));
+        }
+    }
+    Ok(Box::new(move |world| {
+        let mut values: Vec<Option<C>> = values.into_iter().map(Some).collect();
+        for (env, mut component) in world.query::<(&EnvId, &mut C)>().iter_mut(world) {
+            if let Some(value) = values.get_mut(env.0 as usize).and_then(Option::take) {
+                *component = value;
+            }
+        }
+    }))
+}
+
+/// Components without lists or indices.
+macro_rules! of_any_value {
+    ($($component:ident),*) => {
+        $(
+            impl Saved for $component {
+                fn fits(&self, _: &Self, _: &Place) -> bool {
+                    true
+                }
+            }
+        )*
+    };
+}
+of_any_value!(EnvRng, Command, BasePose, BaseVelocity, Feet, ExternalWrench, Imu);
+
+/// Largest count of a snapshot. No run gets there, and what counts on from there does not overflow.
+const MAX_COUNT: u32 = u32::MAX / 2;
+
+impl Saved for Episode {
+    fn fits(&self, _: &Self, _: &Place) -> bool {
+        self.length <= MAX_COUNT
+    }
+}
+
+impl Saved for EventTimers {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.0.len() == present.0.len()
+    }
+}
+
+impl Saved for EpisodeSums {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.terms.len() == present.terms.len() && self.steps <= MAX_COUNT
+    }
+}
+
+impl Saved for EnvOrigin {
+    fn fits(&self, _: &Self, place: &Place) -> bool {
+        place
+            .ground
+            .layout
+            .as_ref()
+            .is_none_or(|layout| self.terrain_level < layout.num_rows && self.terrain_column < layout.num_cols)
+    }
+}
+
+impl Saved for JointState {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.position.len() == present.position.len() && self.velocity.len() == present.velocity.len()
+    }
+}
+
+impl Saved for Action {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.current.len() == present.current.len() && self.previous.len() == present.previous.len()
+    }
+}
+
+impl Saved for JointTargets {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.history.iter().map(|targets| targets.len()).eq(present.history.iter().map(|targets| targets.len()))
+    }
+}
+
+impl Saved for ActuatorDelay {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.0.len() == present.0.len()
+    }
+}
+
+impl Saved for JointEffort {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.applied.len() == present.applied.len() && self.acceleration.len() == present.acceleration.len()
+    }
+}
+
+impl Saved for ConstraintImpulses {
+    fn fits(&self, present: &Self, place: &Place) -> bool {
+        let contacts = place.morphology.topology.num_impulses();
+        self.bounds.len() == present.bounds.len() && self.contacts.iter().all(|c| (c.contact as usize) < contacts)
+    }
+}
+
+impl Saved for ContactForces {
+    fn fits(&self, present: &Self, place: &Place) -> bool {
+        let bodies = place.morphology.topology.num_bodies;
+        self.feet_normal.len() == present.feet_normal.len()
+            && self.others.iter().all(|force| (force.body as usize) < bodies)
+    }
+}
+
+impl Saved for Body {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.0.has_sizes_of(&present.0)
+    }
+}
+
+impl Saved for StartupBody {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        match (&self.0, &present.0) {
+            (Some(ours), Some(theirs)) => {
+                let (positions, others) = (&ours.1.default_position, &theirs.1.default_position);
+                ours.0.has_sizes_of(&theirs.0) && positions.len() == others.len()
+            }
+            (ours, theirs) => ours.is_none() && theirs.is_none(),
+        }
+    }
+}
+
+impl Saved for Stance {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.default_position.len() == present.default_position.len()
+    }
+}
+
+impl Saved for ContactSensor {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.peak_force.len() == present.peak_force.len()
+    }
+}
+
+impl Saved for HeightScan {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.hits.len() == present.hits.len()
+    }
+}

@@ -1,0 +1,252 @@
+//! Sensors read the state that the physics left.
+//!
+//! A sensor is a component of an entity of its own, one per env, and an implementation of [`Sensor`]; one line,
+//! [`add_sensor`], registers it. It is then spawned, measured, cleared at the beginning of an episode and saved in snapshots.
+
+mod contact;
+mod feet;
+mod height_scan;
+mod imu;
+
+use bevy_app::{App, Plugin};
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::*;
+
+use super::spawn::spawn_robots;
+use super::terms::CompiledTask;
+use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, faults, for_both, keep_row_order, saved};
+use crate::components::{
+    BasePose, BaseVelocity, Body, ContactForces, ContactSensor, Env, EnvId, EnvOrigin, Episode, HeightScan, Imu,
+    JointState, Morphology, MountedOn, Robot,
+};
+use crate::config::TaskConfig;
+use crate::dynamics::Parameters;
+use crate::dynamics::lanes::Kernel;
+use crate::error::Error;
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::rows::{RowKind, Rows};
+use crate::workers::Workers;
+use crate::world::Ground;
+
+pub use height_scan::ScanRays;
+
+/// What a sensor may read of the robot that it is mounted on.
+pub struct SensedRobot<'a> {
+    /// What kind of robot it is.
+    pub morphology: &'a MorphologyModel,
+    /// Where the env is on the ground.
+    pub origin: &'a EnvOrigin,
+    /// Pose of the base, position relative to the env's origin.
+    pub pose: &'a BasePose,
+    /// Velocity of the base.
+    pub velocity: &'a BaseVelocity,
+    /// Joint positions and velocities, physical order.
+    pub joints: &'a JointState,
+    /// Contact forces of the last control step.
+    pub forces: &'a ContactForces,
+    /// The robot's own numbers.
+    pub body: &'a Parameters<f32>,
+    /// What the robots stand on.
+    pub ground: &'a Ground,
+    /// Length of a physics step, s.
+    pub dt: f32,
+}
+
+/// A sensor: the component that holds its reading.
+///
+/// Functions that are `#[inline(always)]` are compiled for each instruction set.
+pub trait Sensor: saved::Saved + RowKind + Component<Mutability = Mutable> {
+    /// What all sensors of a kind have in common, such as the directions of rays.
+    type Settings: Send + Sync + 'static;
+
+    /// Whether it looks at the terrain: robots on the same tile are then measured in turn, whose heights are in the cache.
+    const READS_TERRAIN: bool = false;
+    /// Whether snapshots hold it. One that follows from the robot's state alone is measured anew instead.
+    const IS_SAVED: bool = true;
+
+    /// The settings in a task; `None` where the task has no such sensor.
+    fn settings(task: &TaskConfig) -> Option<Self::Settings>;
+    /// A sensor on a robot of this kind.
+    fn new(settings: &Self::Settings, morphology: &MorphologyModel) -> Self;
+    /// Measures, after the physics of a control step.
+    fn measure(&mut self, settings: &Self::Settings, robot: &SensedRobot);
+    /// Begins a new episode. Default: measures.
+    #[inline(always)]
+    fn begin(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
+        self.measure(settings, robot);
+    }
+}
+
+/// Settings of the sensors of a kind, where the task has them.
+#[derive(Resource)]
+pub struct SensorSettings<S: Sensor>(pub S::Settings);
+
+/// Adds a kind of sensor, in a plugin's `build`.
+pub fn add_sensor<S: Sensor>(app: &mut App) {
+    let exists = resource_exists::<SensorSettings<S>>;
+    app.add_systems(Setup, spawn::<S>.after(spawn_robots).in_set(SetupSet::Spawn).ambiguous_with_all());
+    app.add_systems(ControlStep, measure_all::<S>.run_if(exists).in_set(PipelineSet::Sense));
+    for_both(app, || begin_episodes::<S>.run_if(resource_exists::<SensorSettings<S>>).in_set(ResetSet::Sensors));
+    keep_row_order::<S>(app);
+    if S::IS_SAVED {
+        saved::save_component::<S>(app);
+    } else {
+        saved::measure_after_restore(app, measure_anew::<S>);
+    }
+}
+
+/// Spawns a sensor on every robot, in the order of the env ids.
+fn spawn<S: Sensor>(world: &mut World) {
+    let Some(settings) = S::settings(&world.resource::<CompiledTask>().config) else {
+        return;
+    };
+    let mut robots: Vec<(EnvId, Morphology, Entity)> = world
+        .query_filtered::<(&EnvId, &Morphology, Entity), With<Robot>>()
+        .iter(world)
+        .map(|(env, tag, robot)| (*env, *tag, robot))
+        .collect();
+    robots.sort_unstable();
+    let morphologies = world.resource::<Morphologies>();
+    let sensors: Vec<_> = robots
+        .into_iter()
+        .map(|(env, tag, robot)| (env, tag, MountedOn(robot), S::new(&settings, morphologies.get(tag))))
+        .collect();
+    world.spawn_batch(sensors);
+    world.insert_resource(SensorSettings::<S>(settings));
+}
+
+/// What sensors read of robots.
+type SensedColumns = (
+    &'static Morphology,
+    &'static BasePose,
+    &'static BaseVelocity,
+    &'static JointState,
+    &'static ContactForces,
+    &'static Body,
+);
+
+/// Measures on all robots.
+fn measure_all<S: Sensor>(
+    workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
+    task: Res<CompiledTask>,
+    ground: Res<Ground>,
+    settings: Res<SensorSettings<S>>,
+    robots: Rows<SensedColumns, Robot>,
+    envs: Rows<&'static EnvOrigin, Env>,
+    mut sensors: Rows<&'static mut S, S>,
+) -> Result {
+    let common = Common { morphologies: &morphologies, ground: &ground, settings: &settings.0, dt: task.config.sim.dt };
+    let (tags, poses, velocities, joints, forces, bodies) = robots.read()?;
+    let rows = (tags, (poses, velocities, joints), (forces, bodies), envs.read()?, sensors.write()?);
+    workers.vectorize_chunks(rows, tags.len(), |_, _, rows| SensorRows { common, rows, fresh: None });
+    Ok(())
+}
+
+/// Measures on all robots, where the task has such sensors; after a snapshot was restored.
+fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
+    if world.contains_resource::<SensorSettings<S>>() {
+        faults::outcome::<(), ()>(world.run_system_cached(measure_all::<S>))?;
+    }
+    Ok(())
+}
+
+/// Begins the episodes of the robots that have just been reset.
+fn begin_episodes<S: Sensor>(
+    workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
+    task: Res<CompiledTask>,
+    ground: Res<Ground>,
+    settings: Res<SensorSettings<S>>,
+    robots: Rows<SensedColumns, Robot>,
+    envs: Rows<(&'static EnvOrigin, &'static Episode), Env>,
+    mut sensors: Rows<&'static mut S, S>,
+) -> Result {
+    let (origins, episodes) = envs.read()?;
+    if !episodes.iter().any(|episode| episode.fresh) {
+        return Ok(());
+    }
+    let common = Common { morphologies: &morphologies, ground: &ground, settings: &settings.0, dt: task.config.sim.dt };
+    let (tags, poses, velocities, joints, forces, bodies) = robots.read()?;
+    let rows = (tags, (poses, velocities, joints), (forces, bodies), origins, sensors.write()?);
+    workers.vectorize_chunks((rows, episodes), tags.len(), |_, _, (rows, episodes)| SensorRows {
+        common,
+        rows,
+        fresh: Some(episodes),
+    });
+    Ok(())
+}
+
+/// What all rows have in common.
+struct Common<'a, S: Sensor> {
+    morphologies: &'a Morphologies,
+    ground: &'a Ground,
+    settings: &'a S::Settings,
+    dt: f64,
+}
+
+impl<S: Sensor> Clone for Common<'_, S> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<S: Sensor> Copy for Common<'_, S> {}
+
+type Columns<'a, S> = (
+    &'a [Morphology],
+    (&'a [BasePose], &'a [BaseVelocity], &'a [JointState]),
+    (&'a [ContactForces], &'a [Body]),
+    &'a [EnvOrigin],
+    &'a mut [S],
+);
+
+struct SensorRows<'a, S: Sensor> {
+    common: Common<'a, S>,
+    rows: Columns<'a, S>,
+    /// Only the rows whose episode has just begun, if there is such a list.
+    fresh: Option<&'a [Episode]>,
+}
+
+impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { common: Common { morphologies, ground, settings, dt }, rows, fresh } = self;
+        let (tags, (poses, velocities, joints), (forces, bodies), origins, sensors) = rows;
+        let order = if S::READS_TERRAIN { ground.order_of_tiles(origins) } else { None };
+        for k in 0..tags.len() {
+            let row = order.as_ref().map_or(k, |order| order[k] as usize);
+            let robot = SensedRobot {
+                morphology: morphologies.get(tags[row]),
+                origin: &origins[row],
+                pose: &poses[row],
+                velocity: &velocities[row],
+                joints: &joints[row],
+                forces: &forces[row],
+                body: &bodies[row].0,
+                ground,
+                dt: dt as f32,
+            };
+            match fresh {
+                None => sensors[row].measure(settings, &robot),
+                Some(episodes) if episodes[row].fresh => sensors[row].begin(settings, &robot),
+                Some(_) => {}
+            }
+        }
+    }
+}
+
+/// Adds the built-in sensors.
+#[derive(Default)]
+pub struct SensePlugin;
+
+impl Plugin for SensePlugin {
+    fn build(&self, app: &mut App) {
+        add_sensor::<ContactSensor>(app);
+        add_sensor::<Imu>(app);
+        add_sensor::<HeightScan>(app);
+        app.add_systems(ControlStep, feet::measure_feet.in_set(PipelineSet::Sense));
+    }
+}

@@ -1,0 +1,104 @@
+//! Spawns envs and robots; sensors are spawned by [`add_sensor`](super::add_sensor).
+
+use bevy_app::{App, Plugin};
+use bevy_ecs::prelude::*;
+use smallvec::smallvec;
+
+use super::saved::save_component;
+use super::terms::CompiledTask;
+use super::{BlockSizes, Setup, SetupSet, keep_row_order};
+use crate::components::{
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, Env, EnvId,
+    EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState, JointTargets,
+    Morphology, PerJoint, Robot, Stance, StartupBody,
+};
+use crate::engine::history_length;
+use crate::morphology::{Morphologies, MorphologyModel};
+use crate::robot::CANONICAL_JOINT_NAMES;
+
+/// Spawns envs and robots, and says what of them snapshots hold.
+#[derive(Default)]
+pub struct SpawnPlugin;
+
+impl Plugin for SpawnPlugin {
+    fn build(&self, app: &mut App) {
+        app.add_systems(Setup, (spawn_envs, spawn_robots).chain().in_set(SetupSet::Spawn));
+        keep_row_order::<Env>(app);
+        keep_row_order::<Robot>(app);
+        save_component::<EnvRng>(app);
+        save_component::<Episode>(app);
+        save_component::<Command>(app);
+        save_component::<EventTimers>(app);
+        save_component::<EpisodeSums>(app);
+        save_component::<EnvOrigin>(app);
+        save_component::<BasePose>(app);
+        save_component::<BaseVelocity>(app);
+        save_component::<JointState>(app);
+        save_component::<Action>(app);
+        save_component::<JointTargets>(app);
+        save_component::<ActuatorDelay>(app);
+        save_component::<JointEffort>(app);
+        save_component::<ConstraintImpulses>(app);
+        save_component::<ContactForces>(app);
+        save_component::<Feet>(app);
+        save_component::<Body>(app);
+        save_component::<StartupBody>(app);
+        save_component::<Stance>(app);
+        save_component::<ExternalWrench>(app);
+    }
+}
+
+/// The tags of each env, in the order of the env ids: a block of envs for each morphology.
+fn tags(blocks: &BlockSizes) -> impl Iterator<Item = (EnvId, Morphology)> {
+    let morphologies = blocks.0.iter().enumerate().flat_map(|(m, &n)| std::iter::repeat_n(Morphology(m as u16), n));
+    morphologies.enumerate().map(|(env, morphology)| (EnvId(env as u32), morphology))
+}
+
+/// Spawns envs in the order of their ids, all in one table.
+fn spawn_envs(mut commands: Commands, blocks: Res<BlockSizes>, task: Res<CompiledTask>) {
+    let envs: Vec<_> = tags(&blocks)
+        .map(|(id, tag)| {
+            let rng = EnvRng::new(0, u64::from(id.0));
+            let terms = smallvec![0.0; task.rewards[usize::from(tag.0)].len()];
+            (
+                (id, tag, Env, rng, Episode::default(), Command::default(), EnvOrigin::default()),
+                EventTimers(smallvec![0.0; task.num_interval_events()]),
+                EpisodeSums { terms, ..EpisodeSums::default() },
+            )
+        })
+        .collect();
+    commands.spawn_batch(envs);
+}
+
+/// Spawns robots in the order of their envs, all in one table.
+pub(super) fn spawn_robots(
+    mut commands: Commands,
+    blocks: Res<BlockSizes>,
+    task: Res<CompiledTask>,
+    morphologies: Res<Morphologies>,
+) {
+    let decimation = task.config.sim.decimation as usize;
+    for (id, tag) in tags(&blocks) {
+        commands.spawn((id, tag, Robot, robot_components(morphologies.get(tag), decimation)));
+    }
+}
+
+fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
+    let zeros: PerJoint = smallvec![0.0; model.topology.num_joints()];
+    let slots: PerJoint = smallvec![0.0; CANONICAL_JOINT_NAMES.len()];
+    let ages = history_length(model.max_delay(), decimation);
+    (
+        BasePose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] },
+        BaseVelocity::default(),
+        JointState { position: zeros.clone(), velocity: zeros.clone() },
+        Action { current: slots.clone(), previous: slots },
+        JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
+        ActuatorDelay(zeros.clone()),
+        JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
+        ConstraintImpulses { contacts: smallvec![], bounds: zeros },
+        ContactForces::zeros(decimation),
+        Feet::default(),
+        (ExternalWrench::default(), model.stance.clone(), StartupBody::default()),
+        Body(Box::new(model.nominal.clone())),
+    )
+}

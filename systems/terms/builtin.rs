@@ -1,0 +1,19 @@
+//! The built-in terms: each file of the pipeline registers its own.
+
+use super::super::{curriculum, disturb, observe, reset, reward, startup, terminate};
+use super::registry::Registry;
+
+impl Registry {
+    /// The built-in terms.
+    pub fn builtin() -> Self {
+        let mut registry = Self::default();
+        reward::register(&mut registry);
+        observe::register(&mut registry);
+        terminate::register(&mut registry);
+        startup::register(&mut registry);
+        reset::register(&mut registry);
+        disturb::register(&mut registry);
+        curriculum::register(&mut registry);
+        registry
+    }
+}

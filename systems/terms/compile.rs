@@ -1,0 +1,266 @@
+//! A task's terms, made for the robots of a run.
+
+use std::collections::BTreeMap;
+
+use bevy_ecs::prelude::Resource;
+use serde::Deserialize;
+
+use super::super::view::RobotView;
+use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
+use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
+use crate::dynamics::Simd;
+use crate::engine::StateLimits;
+use crate::morphology::{Morphologies, MorphologyModel};
+
+/// One term of a reward set.
+pub struct RewardTerm {
+    /// Its name.
+    pub name: String,
+    /// Factor of its value.
+    pub weight: f32,
+    pub(in crate::systems) value: RewardFn,
+}
+
+impl RewardTerm {
+    /// Its unweighted value per second for a robot.
+    pub fn value(&self, robot: &RobotView) -> f32 {
+        (self.value)(robot, Simd::Portable.dispatch())
+    }
+}
+
+/// One term of the observation.
+pub struct ObservationTerm {
+    /// Its name.
+    pub name: String,
+    /// How many numbers it writes.
+    pub size: usize,
+    /// Half width of its uniform noise; 0 without.
+    pub noise: f32,
+    /// Limits of the noisy numbers.
+    pub clip: Option<[f32; 2]>,
+    /// Factor of the limited numbers.
+    pub scale: f32,
+    pub(in crate::systems) write: ObservationFn,
+}
+
+/// One reason for an episode to end.
+pub struct TerminationTerm {
+    /// Its name.
+    pub name: String,
+    /// Whether it truncates the episode rather than failing it.
+    pub time_out: bool,
+    pub(in crate::systems) ends: TerminationFn,
+}
+
+pub(in crate::systems) struct IntervalEvent {
+    pub(in crate::systems) range_s: [f32; 2],
+    pub(in crate::systems) apply: IntervalFn,
+}
+
+/// A task made ready for the robots of a run.
+#[derive(Resource)]
+pub struct CompiledTask {
+    /// The config it was made from.
+    pub config: TaskConfig,
+    /// Length of a control step, s.
+    pub step_dt: f32,
+    /// Control steps in a full episode.
+    pub max_episode_length: u32,
+    /// Terms of the policy's observation, in order.
+    pub observations: Vec<ObservationTerm>,
+    /// Terms of each morphology's reward set.
+    pub rewards: Vec<Vec<RewardTerm>>,
+    /// Reasons for an episode to end.
+    pub terminations: Vec<TerminationTerm>,
+    /// States beyond these end an episode whatever the task says.
+    pub limits: StateLimits,
+    pub(in crate::systems) startup_events: Vec<BodyFn>,
+    pub(in crate::systems) reset_body_events: Vec<BodyFn>,
+    pub(in crate::systems) reset_events: Vec<ResetFn>,
+    action_delay: Option<ActionDelay>,
+    pub(in crate::systems) interval_events: Vec<IntervalEvent>,
+    pub(in crate::systems) curriculum: Vec<CurriculumFn>,
+}
+
+/// The event that changes the shapes of links.
+pub(in crate::systems) const BODY_VARIATION: &str = "body_variation";
+
+/// The event that delays all targets of a robot.
+pub(crate) const ACTION_DELAY: &str = "action_delay";
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::systems) struct ActionDelay {
+    /// Fewest and most physics steps, both included. Default: each robot's own range.
+    #[serde(default, deserialize_with = "crate::config::values::optional_step_range")]
+    delay_range: Option<[u32; 2]>,
+}
+
+impl ActionDelay {
+    /// Fewest and most physics steps for a robot.
+    pub(in crate::systems) fn range(&self, morphology: &MorphologyModel) -> [u32; 2] {
+        self.delay_range.unwrap_or(morphology.config.randomization.action_delay)
+    }
+}
+
+/// Name under which the guard against broken states appears among the terminations.
+const ILLEGAL_STATE: &str = "illegal_state";
+
+impl CompiledTask {
+    /// Makes every term that the robots of the run use.
+    ///
+    /// # Errors
+    /// A term is unknown or its parameters are wrong; a robot asks for a reward set that the task lacks.
+    pub fn new(config: &TaskConfig, morphologies: &Morphologies, registry: &Registry) -> Result<Self, ConfigError> {
+        let file = config.name.as_str();
+        let step_dt = config.sim.step_dt() as f32;
+        let mut observations = Vec::new();
+        for (i, term) in config.observations.policy.iter().enumerate() {
+            let element = format!("observations.policy[{i}]");
+            let (size, build) = find(&registry.observations, &term.term, file, &element, "observation")?;
+            let size = size(config)
+                .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
+            observations.push(ObservationTerm {
+                name: term.term.clone(),
+                size,
+                noise: if config.observations.enable_noise { term.noise as f32 } else { 0.0 },
+                clip: term.clip.map(|range| range.map(|x| x as f32)),
+                scale: term.scale as f32,
+                write: build(file, &element, &term.params)?,
+            });
+        }
+        let mut rewards = Vec::new();
+        for morphology in &morphologies.0 {
+            let set = &morphology.config.reward_set;
+            let mut terms = Vec::new();
+            for (name, term) in config.reward_set(morphology.name(), set)? {
+                if term.weight == 0.0 {
+                    continue;
+                }
+                let element = format!("rewards.{set}.{name}");
+                let build = find(&registry.rewards, name, file, &element, "reward")?;
+                let value = build(file, &element, &term.params)?;
+                terms.push(RewardTerm { name: name.clone(), weight: term.weight as f32, value });
+            }
+            rewards.push(terms);
+        }
+        let mut terminations = Vec::new();
+        let mut limits = StateLimits::default();
+        for (name, params) in &config.terminations {
+            let element = format!("terminations.{name}");
+            if name == ILLEGAL_STATE {
+                limits = parse_params(file, &element, params)?;
+                continue;
+            }
+            let (time_out, build) = find(&registry.terminations, name, file, &element, "termination")?;
+            let ends = build(file, &element, params)?;
+            terminations.push(TerminationTerm { name: name.clone(), time_out: *time_out, ends });
+        }
+        let mut task = Self {
+            step_dt,
+            max_episode_length: config.sim.max_episode_length(),
+            observations,
+            rewards,
+            terminations,
+            limits,
+            startup_events: Vec::new(),
+            reset_body_events: Vec::new(),
+            reset_events: Vec::new(),
+            action_delay: None,
+            interval_events: Vec::new(),
+            curriculum: Vec::new(),
+            config: config.clone(),
+        };
+        for (name, term) in config.curriculum.iter().filter(|(_, term)| term.enabled) {
+            let element = format!("curriculum.{name}");
+            let build = find(&registry.curriculum, name, file, &element, "curriculum")?;
+            task.curriculum.push(build(file, &element, &term.params)?);
+        }
+        task.add_events(registry)?;
+        Ok(task)
+    }
+
+    /// Makes the events that are switched on, those of a kind in the order of their registration.
+    fn add_events(&mut self, registry: &Registry) -> Result<(), ConfigError> {
+        let file = self.config.name.as_str();
+        let (mut at_startup, mut on_body, mut at_reset, mut at_intervals) = (vec![], vec![], vec![], vec![]);
+        for (name, event) in self.config.events.iter().filter(|(_, event)| event.enabled) {
+            let element = format!("events.{name}");
+            if name == BODY_VARIATION && self.config.physics.engine == EngineKind::Avian {
+                let problem = "the engine avian cannot change the shapes of links";
+                let remedy = "set physics.engine = \"articulated\", or enabled = false";
+                return Err(ConfigError::invalid(file, element, problem, remedy));
+            }
+            match event.mode {
+                EventMode::Startup => {
+                    let (place, build) = find(&registry.body, name, file, &element, "startup event")?;
+                    at_startup.push((*place, build(file, &element, &event.params)?));
+                }
+                EventMode::Reset => {
+                    if let Some((place, build)) = registry.body.get(name.as_str()) {
+                        on_body.push((*place, build(file, &element, &event.params)?));
+                    } else {
+                        if name == ACTION_DELAY {
+                            self.action_delay = Some(parse_params(file, &element, &event.params)?);
+                        }
+                        let (place, build) = find(&registry.reset, name, file, &element, "reset event")?;
+                        at_reset.push((*place, build(file, &element, &event.params)?));
+                    }
+                }
+                EventMode::Interval => {
+                    let (place, build) = find(&registry.interval, name, file, &element, "interval event")?;
+                    let event = IntervalEvent {
+                        range_s: event.interval_range_s.unwrap_or_default().map(|x| x as f32),
+                        apply: build(file, &element, &event.params)?,
+                    };
+                    at_intervals.push((*place, event));
+                }
+            }
+        }
+        self.startup_events = in_order(at_startup);
+        self.reset_body_events = in_order(on_body);
+        self.reset_events = in_order(at_reset);
+        self.interval_events = in_order(at_intervals);
+        Ok(())
+    }
+
+    /// The most physics steps by which the task's events delay the targets of a robot, on top of its actuators' delays.
+    pub fn max_action_delay(&self, morphology: &MorphologyModel) -> u32 {
+        self.action_delay.as_ref().map_or(0, |event| event.range(morphology)[1])
+    }
+
+    /// Numbers in an observation.
+    pub fn num_obs(&self) -> usize {
+        self.observations.iter().map(|term| term.size).sum()
+    }
+
+    /// Interval events that each env keeps a timer for.
+    pub fn num_interval_events(&self) -> usize {
+        self.interval_events.len()
+    }
+
+    /// Names of the bits of [`Episode::causes`].
+    pub fn cause_names(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(ILLEGAL_STATE).chain(self.terminations.iter().map(|term| term.name.as_str()))
+    }
+}
+
+fn in_order<T>(mut events: Vec<(usize, T)>) -> Vec<T> {
+    events.sort_by_key(|(place, _)| *place);
+    events.into_iter().map(|(_, event)| event).collect()
+}
+
+fn find<'a, T>(
+    terms: &'a BTreeMap<&'static str, T>,
+    name: &str,
+    file: &str,
+    element: &str,
+    kind: &str,
+) -> Result<&'a T, ConfigError> {
+    terms.get(name).ok_or_else(|| {
+        let plural = format!("{kind} terms");
+        let remedy = did_you_mean(name, terms.keys().copied(), &plural);
+        ConfigError::invalid(file, element, format!("there is no {kind} term `{name}`"), remedy)
+            .of_kind(ConfigErrorKind::UnknownName)
+    })
+}

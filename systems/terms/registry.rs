@@ -1,0 +1,169 @@
+//! The registry: every term that a task may name, with how it is made from its parameters.
+
+use std::collections::BTreeMap;
+
+use bevy_ecs::prelude::Resource;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use toml::Table;
+
+use super::super::view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
+use crate::components::{EnvRng, Episode};
+use crate::config::{ConfigError, TaskConfig, parse_params};
+use crate::dynamics::lanes::{Kernel, SimdDispatch};
+
+/// The parameters of a term that has none.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct NoParams {}
+
+type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
+pub(super) type RewardFn = Box<dyn Fn(&RobotView, SimdDispatch) -> f32 + Send + Sync>;
+/// Writes an observation; none where a system of its own does so, see [`add_observation`](super::super::add_observation).
+pub(super) type ObservationFn = Option<Box<dyn Fn(&RobotView, &mut [f32]) + Send + Sync>>;
+pub(super) type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + Send + Sync>;
+pub(super) type BodyFn = Box<dyn Fn(&mut NewBody, &mut EnvRng) + Send + Sync>;
+pub(super) type ResetFn = Box<dyn Fn(&mut NewState, &mut EnvRng) + Send + Sync>;
+pub(super) type CurriculumFn = Box<dyn Fn(&mut EpisodeEnd, &mut EnvRng) + Send + Sync>;
+pub(super) type SizeFn = Box<dyn Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync>;
+pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
+
+/// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the app.
+#[derive(Resource, Default)]
+pub struct Registry {
+    pub(super) rewards: BTreeMap<&'static str, Builder<RewardFn>>,
+    pub(super) observations: BTreeMap<&'static str, (SizeFn, Builder<ObservationFn>)>,
+    pub(super) terminations: BTreeMap<&'static str, (bool, Builder<TerminationFn>)>,
+    pub(super) body: Events<BodyFn>,
+    pub(super) reset: Events<ResetFn>,
+    pub(super) interval: Events<IntervalFn>,
+    pub(super) curriculum: BTreeMap<&'static str, Builder<CurriculumFn>>,
+}
+
+/// Events by name, each with its place in the order of registration.
+type Events<T> = BTreeMap<&'static str, (usize, Builder<T>)>;
+
+impl Registry {
+    /// A reward term: its unweighted value per second. An `#[inline(always)]` function is compiled for each instruction set.
+    pub fn reward<P>(&mut self, name: &'static str, f: impl Fn(&P, &RobotView) -> f32 + Copy + Send + Sync + 'static)
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<RewardFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |view: &RobotView, simd: SimdDispatch| simd.vectorize(Reward { f: &f, p: &p, view })))
+        });
+        self.rewards.insert(name, build);
+    }
+
+    /// An observation term of `size` numbers.
+    pub fn observation<P>(&mut self, name: &'static str, size: usize, f: fn(&P, &RobotView, &mut [f32]))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        self.observation_of(name, move |_| Ok(size), f);
+    }
+
+    /// An observation term whose size depends on the task; `size` gives problem and remedy where the task does not fit.
+    pub fn observation_of<P>(
+        &mut self,
+        name: &'static str,
+        size: impl Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync + 'static,
+        f: fn(&P, &RobotView, &mut [f32]),
+    ) where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<ObservationFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out))))
+        });
+        self.observations.insert(name, (Box::new(size), build));
+    }
+
+    /// An observation term that a system of its own writes.
+    pub(in crate::systems) fn observation_by_system(&mut self, name: &'static str, size: usize) {
+        let build: Builder<ObservationFn> = Box::new(move |file, element, table| {
+            let NoParams {} = parse_params(file, element, table)?;
+            Ok(None)
+        });
+        self.observations.insert(name, (Box::new(move |_| Ok(size)), build));
+    }
+
+    /// A termination term; `time_out` ones truncate an episode, others end it as failed. The last argument is the
+    /// length of a full episode in control steps.
+    pub fn termination<P>(&mut self, name: &'static str, time_out: bool, f: fn(&P, &RobotView, &Episode, u32) -> bool)
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<TerminationFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |view: &RobotView, episode: &Episode, most: u32| f(&p, view, episode, most)))
+        });
+        self.terminations.insert(name, (time_out, build));
+    }
+
+    /// An event that changes a robot's body: once with `mode = "startup"`, at each reset with `mode = "reset"`. Events
+    /// happen in the order in which they are registered.
+    pub fn body_event<P>(&mut self, name: &'static str, f: fn(&P, &mut NewBody, &mut EnvRng))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<BodyFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |body: &mut NewBody, rng: &mut EnvRng| f(&p, body, rng)))
+        });
+        self.body.insert(name, (self.body.len(), build));
+    }
+
+    /// An event that changes the state in which an episode begins.
+    pub fn reset_event<P>(&mut self, name: &'static str, f: fn(&P, &mut NewState, &mut EnvRng))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<ResetFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |state: &mut NewState, rng: &mut EnvRng| f(&p, state, rng)))
+        });
+        self.reset.insert(name, (self.reset.len(), build));
+    }
+
+    /// An event that happens again and again within an episode.
+    pub fn interval_event<P>(&mut self, name: &'static str, f: fn(&P, &mut EventBody, &mut EnvRng))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<IntervalFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |body: &mut EventBody, rng: &mut EnvRng| f(&p, body, rng)))
+        });
+        self.interval.insert(name, (self.interval.len(), build));
+    }
+
+    /// A curriculum term: what changes for an env when its episode ends.
+    pub fn curriculum<P>(&mut self, name: &'static str, f: fn(&P, &mut EpisodeEnd, &mut EnvRng))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<CurriculumFn> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            Ok(Box::new(move |end: &mut EpisodeEnd, rng: &mut EnvRng| f(&p, end, rng)))
+        });
+        self.curriculum.insert(name, build);
+    }
+}
+
+/// A reward term's function with its arguments.
+struct Reward<'a, P, F> {
+    f: &'a F,
+    p: &'a P,
+    view: &'a RobotView<'a>,
+}
+
+impl<P, F: Fn(&P, &RobotView) -> f32> Kernel<f32> for Reward<'_, P, F> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run(self) -> f32 {
+        (self.f)(self.p, self.view)
+    }
+}

@@ -1,0 +1,158 @@
+//! A user's systems run in the pipeline, in place of polypod's or beside them; what fails in them is an error.
+
+use bevy_app::{App, Plugin, PluginGroup};
+use bevy_ecs::prelude::*;
+use polypod::batch::Batch;
+use polypod::components::{BasePose, EnvId, Robot};
+use polypod::rows::Rows;
+use polypod::systems::{
+    ControlStep, FinitePlugin, NonFinite, PipelineSet, PolypodPlugins, RewardPlugin, SensePlugin, Setup, SetupSet,
+};
+use polypod::{Error, Sim, SimOptions};
+
+use crate::common::{assert_all_same, busy, step};
+
+fn app(options: SimOptions) -> App {
+    let mut app = App::empty();
+    app.insert_resource(options).add_plugins(PolypodPlugins);
+    app
+}
+
+fn zeros(sim: &Sim) -> Vec<f32> {
+    vec![0.0; sim.batch().actions.len()]
+}
+
+/// One plugin for all rewards: the height of the base.
+struct HeightReward;
+
+impl Plugin for HeightReward {
+    fn build(&self, app: &mut App) {
+        app.add_systems(ControlStep, reward_height.in_set(PipelineSet::Reward));
+    }
+}
+
+fn reward_height(mut batch: ResMut<Batch>, robots: Rows<&'static BasePose, Robot>) -> Result {
+    for (reward, pose) in batch.rewards.iter_mut().zip(robots.read()?) {
+        *reward = pose.position[2];
+    }
+    Ok(())
+}
+
+#[test]
+fn an_app_of_all_plugins_is_the_simulation() {
+    let options = busy(&["spot", "unitree_a1"], 20);
+    let (mut one, mut other) = (Sim::new(&options).unwrap(), Sim::from_app(app(options)).unwrap());
+    for t in 0..30 {
+        step(&mut one, t);
+        step(&mut other, t);
+    }
+    assert_all_same(&mut one, &mut other, "of an app");
+}
+
+#[test]
+fn rewards_are_anothers() {
+    let mut app = App::empty();
+    app.insert_resource(SimOptions { robots: Some(vec!["spot".into()]), ..SimOptions::new("velocity_flat", 8) });
+    app.add_plugins(PolypodPlugins.build().disable::<RewardPlugin>().add(HeightReward));
+    let mut sim = Sim::from_app(app).unwrap();
+    sim.step(&zeros(&sim)).unwrap();
+    assert!(sim.batch().rewards.iter().all(|reward| (0.3..0.8).contains(reward)), "{:?}", sim.batch().rewards);
+}
+
+/// Steps so far, of each robot.
+#[derive(Component, Default)]
+struct Steps(u32);
+
+#[test]
+fn a_component_of_ones_own_lives_on_the_robots() {
+    let mut app = app(busy(&["spot"], 6));
+    let give = |mut commands: Commands, robots: Query<Entity, With<Robot>>| {
+        robots.iter().for_each(|robot| {
+            commands.entity(robot).insert(Steps::default());
+        });
+    };
+    app.add_systems(Setup, give.after(SetupSet::Spawn).before(SetupSet::Engine));
+    let count = |mut robots: Query<&mut Steps>| robots.iter_mut().for_each(|mut steps| steps.0 += 1);
+    app.add_systems(ControlStep, count.in_set(PipelineSet::Sense));
+    let mut sim = Sim::from_app(app).unwrap();
+    for _ in 0..7 {
+        sim.step(&zeros(&sim)).unwrap();
+    }
+    let world = sim.world_mut();
+    assert!(world.query::<&Steps>().iter(world).all(|steps| steps.0 == 7));
+}
+
+#[test]
+fn what_fails_in_a_system_is_the_error_of_the_step() {
+    let mut app = app(busy(&["spot"], 4));
+    let fail = |batch: Res<Batch>| -> Result {
+        if batch.actions[0] > 0.5 { Err("the first motor is off".into()) } else { Ok(()) }
+    };
+    app.add_systems(ControlStep, fail.in_set(PipelineSet::Terminate).ambiguous_with_all());
+    let mut sim = Sim::from_app(app).unwrap();
+    sim.step(&zeros(&sim)).unwrap();
+    let error = sim.step(&vec![1.0; sim.batch().actions.len()]).unwrap_err();
+    assert!(matches!(&error, Error::System { problem, .. } if problem == "the first motor is off"), "{error}");
+    sim.step(&zeros(&sim)).unwrap();
+}
+
+#[test]
+fn a_parameter_that_is_not_there_is_an_error() {
+    #[derive(Resource)]
+    struct Missing;
+    let mut app = app(busy(&["spot"], 4));
+    app.add_systems(ControlStep, (|_: Res<Missing>| {}).in_set(PipelineSet::Act));
+    let mut sim = Sim::from_app(app).unwrap();
+    let error = sim.step(&zeros(&sim)).unwrap_err().to_string();
+    assert!(error.contains("Missing"), "{error}");
+}
+
+#[test]
+fn systems_that_contradict_each_other_are_refused() {
+    let mut app = app(busy(&["spot"], 4));
+    app.add_systems(ControlStep, (|_: ResMut<Batch>| {}).in_set(PipelineSet::Reward));
+    let error = Sim::from_app(app).map(|_| ()).unwrap_err().to_string();
+    assert!(error.starts_with("plugins: ") && error.contains("ControlStep"), "{error}");
+    let mut cycle = App::empty();
+    cycle.insert_resource(busy(&["spot"], 4)).add_plugins(PolypodPlugins);
+    cycle.configure_sets(ControlStep, PipelineSet::Observe.before(PipelineSet::Act));
+    let error = Sim::from_app(cycle).map(|_| ()).unwrap_err().to_string();
+    assert!(error.starts_with("plugins: "), "{error}");
+}
+
+#[test]
+fn an_app_without_options_or_plugins_is_refused() {
+    let mut bare = App::empty();
+    bare.add_plugins(PolypodPlugins);
+    let error = Sim::from_app(bare).map(|_| ()).unwrap_err().to_string();
+    assert!(error.starts_with("SimOptions: the app has none"), "{error}");
+    let mut empty = App::empty();
+    empty.insert_resource(busy(&["spot"], 4));
+    let error = Sim::from_app(empty).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("PipelinePlugin is missing"), "{error}");
+    let mut blind = App::empty();
+    blind.insert_resource(busy(&["spot"], 4)).add_plugins(PolypodPlugins.build().disable::<SensePlugin>());
+    let error = Sim::from_app(blind).map(|_| ()).unwrap_err().to_string();
+    assert!(error.starts_with("rows of the "), "{error}");
+}
+
+#[test]
+fn who_wrote_a_number_that_is_not_finite_is_known() {
+    let mut app = App::empty();
+    app.insert_resource(busy(&["spot"], 6));
+    // the plugin is part of the group in debug builds
+    let plugins = PolypodPlugins.build();
+    app.add_plugins(if cfg!(debug_assertions) { plugins } else { plugins.add(FinitePlugin) });
+    let spoil = |mut robots: Query<(&EnvId, &mut polypod::components::JointTargets)>| {
+        for (env, mut targets) in &mut robots {
+            if env.0 == 2 {
+                targets.history[0][4] = f32::NAN;
+            }
+        }
+    };
+    app.add_systems(ControlStep, spoil.in_set(PipelineSet::Disturb).ambiguous_with_all());
+    let mut sim = Sim::from_app(app).unwrap();
+    sim.step(&zeros(&sim)).unwrap();
+    let found = &sim.world().resource::<NonFinite>().found;
+    assert_eq!(*found, [(2, "JointTargets", PipelineSet::Disturb)]);
+}
