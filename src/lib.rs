@@ -13,6 +13,7 @@ mod crew;
 pub mod draft;
 pub mod dump;
 pub mod files;
+mod fits;
 pub mod mirrors;
 pub mod morphology;
 mod obstacles;

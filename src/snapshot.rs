@@ -8,11 +8,13 @@ use crate::batch::Batch;
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
     EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, Imu, JointEffort, JointState,
-    JointTargets, Morphology, Stance, StartupBody,
+    JointTargets, Morphology, Robot, Stance, StartupBody,
 };
 use crate::config::fnv1a;
+use crate::fits::{Bounds, Fits, same_lengths};
 use crate::morphology::Morphologies;
 use crate::systems::{Logs, check_engine, load_engine, mirror_all, save_engine, scan_heights};
+use crate::world::Ground;
 
 /// Changes whenever the layout of a snapshot does.
 const FORMAT: u32 = 7;
@@ -53,13 +55,31 @@ macro_rules! snapshot {
                 })
             }
 
+            /// Whether each part may take the place of that of the simulation.
+            fn fits(&self, sim: &mut Sim) -> bool {
+                let world = sim.world_mut();
+                let tags: Vec<Morphology> = read_of::<Morphology, Robot>(world);
+                $(let $name: Vec<$component> = read(world);)*
+                let (morphologies, ground) = (world.resource::<Morphologies>(), world.resource::<Ground>());
+                let bounds = |env: usize| {
+                    let kind = morphologies.get(tags[env]);
+                    let (num_impulses, num_bodies) = (kind.topology.num_impulses(), kind.topology.num_bodies);
+                    Bounds { num_impulses, num_bodies, layout: ground.layout.as_ref() }
+                };
+                same_lengths(&self.batch, world.resource::<Batch>())
+                    && self.logs.fits(world.resource::<Logs>())
+                    $(&& self.$name.len() == $name.len()
+                        && self.$name.iter().zip(&$name).enumerate().all(|(env, (a, b))| a.fits(b, &bounds(env))))*
+            }
+
             fn apply(self, sim: &mut Sim) -> Result<(), SimError> {
-                let Self { header: _, seed, batch, logs, engine, $($name,)* } = self;
-                let n = sim.num_envs();
-                if [$($name.len()),*].iter().any(|&len| len != n) {
-                    return Err(SimError::Snapshot("its components do not belong to this number of envs".into()));
+                // nothing is written before all is checked
+                if !self.fits(sim) {
+                    let problem = "its parts are not those of this simulation; pass what snapshot() gave";
+                    return Err(SimError::Snapshot(problem.into()));
                 }
-                check_engine(sim.world(), &engine)?;
+                check_engine(sim.world(), &self.engine)?;
+                let Self { header: _, seed, batch, logs, engine, $($name,)* } = self;
                 $(write(sim.world_mut(), $name);)*
                 share_bodies(sim.world_mut());
                 sim.world_mut().insert_resource(batch);
@@ -107,7 +127,13 @@ fn header(sim: &Sim) -> Header {
 }
 
 fn read<C: Component + Clone>(world: &mut World) -> Vec<C> {
-    let mut rows: Vec<(EnvId, C)> = world.query::<(&EnvId, &C)>().iter(world).map(|(id, c)| (*id, c.clone())).collect();
+    read_of::<C, EnvId>(world)
+}
+
+/// The component of those entities that have the marker `M` as well.
+fn read_of<C: Component + Clone, M: Component>(world: &mut World) -> Vec<C> {
+    let mut query = world.query_filtered::<(&EnvId, &C), With<M>>();
+    let mut rows: Vec<(EnvId, C)> = query.iter(world).map(|(id, c)| (*id, c.clone())).collect();
     rows.sort_by_key(|(id, _)| *id);
     rows.into_iter().map(|(_, c)| c).collect()
 }

@@ -51,6 +51,9 @@ pub struct EpisodeStats {
     pub terrain_level: Option<f64>,
 }
 
+/// Largest count of a log that is restored: counting on from there does not overflow.
+const MAX_LOGGED: u64 = u64::MAX / 2;
+
 /// Sums over the finished episodes of one robot.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RobotLog {
@@ -74,6 +77,14 @@ pub struct RobotLog {
 impl RobotLog {
     fn new(terms: usize, causes: usize) -> Self {
         Self { terms: vec![0.0; terms], causes: vec![0; causes], ..Self::default() }
+    }
+
+    /// Whether it may take the place of `here`.
+    fn fits(&self, here: &Self) -> bool {
+        let counts = [self.episodes, self.falls, self.steps].into_iter().chain(self.causes.iter().copied());
+        self.terms.len() == here.terms.len()
+            && self.causes.len() == here.causes.len()
+            && counts.max() <= Some(MAX_LOGGED)
     }
 
     fn add(&mut self, episode: &Episode, sums: &EpisodeSums, level: Option<u32>) {
@@ -126,6 +137,14 @@ impl Logs {
     /// Empty, for a task and its robots.
     pub fn new(task: &CompiledTask) -> Self {
         Self { recent: Self::empty(task), all: Self::empty(task) }
+    }
+
+    /// Whether they may take the place of `here`: they are of as many robots, terms and causes.
+    pub(crate) fn fits(&self, here: &Self) -> bool {
+        let alike = |these: &[RobotLog], those: &[RobotLog]| {
+            these.len() == those.len() && these.iter().zip(those).all(|(a, b)| a.fits(b))
+        };
+        alike(&self.recent, &here.recent) && alike(&self.all, &here.all)
     }
 
     fn empty(task: &CompiledTask) -> Vec<RobotLog> {

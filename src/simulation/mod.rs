@@ -27,6 +27,7 @@ mod snapshot;
 pub use options::{Precision, SimulationError, SimulationOptions};
 pub use parameters::LinkId;
 pub use queries::{LinkPoses, LinkVelocities};
+pub(crate) use snapshot::lengths as parameter_lengths;
 
 use crate::bounds::{BYTES_PER_LINK, check_num_envs};
 use crate::config::EngineKind;

@@ -63,7 +63,7 @@ impl Sizes {
             joints: [topology.num_joints(); 4],
             impulse: State::<f64>::zeros(topology).impulse.len(),
             force: topology.num_bodies,
-            parameters: lengths(&Parameters::zeros(topology)),
+            parameters: lengths(&Parameters::<f64>::zeros(topology)),
         }
     }
 }
@@ -80,7 +80,7 @@ impl Env {
 }
 
 /// Lengths of all lists of a body's numbers.
-fn lengths(parameters: &Parameters<f64>) -> [usize; 23] {
+pub(crate) fn lengths<S>(parameters: &Parameters<S>) -> [usize; 23] {
     // whole, so that a list that is added is not forgotten here
     let Parameters {
         joint_offset,
@@ -222,8 +222,10 @@ impl Simulation {
         let snapshot = postcard::from_bytes::<Snapshot>(data).map_err(unreadable)?;
         // nothing is written before all is checked
         let sizes = Sizes::of(&self.robot.topology);
-        if snapshot.envs.len() != self.num_envs || snapshot.envs.iter().any(|env| env.sizes() != sizes) {
-            let problem = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
+        // steps are counted on from there
+        let too_many = snapshot.steps > u64::MAX / 2;
+        if too_many || snapshot.envs.len() != self.num_envs || snapshot.envs.iter().any(|env| env.sizes() != sizes) {
+            let problem = "its parts are not those of this simulation; pass what snapshot() gave";
             return Err(SimulationError::Snapshot(problem.into()));
         }
         let engine: Vec<&[u8]> = snapshot.envs.iter().map(|env| &env.engine[..]).collect();
