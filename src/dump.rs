@@ -6,13 +6,18 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bevy_ecs::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use toml::Table;
 
 use crate::app::{Sim, SimError, SimOptions};
-use crate::components::{BasePose, BaseVelocity, Body, ConstraintImpulses, JointState, JointTargets};
-use crate::config::{LoadedRobot, LoadedTask, TaskConfig, fnv1a};
+use crate::components::{
+    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState, JointTargets,
+};
+use crate::config::{ConfigError, LoadedRobot, LoadedTask, RobotConfig, TaskConfig, fnv1a, parse_params};
 use crate::dynamics::Simd;
 use crate::files;
+use crate::fits::{Bounds, Fits};
 use crate::morphology::MorphologyModel;
 use crate::snapshot::{seal, unseal};
 use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Motion, Registry, Violation, run_physics};
@@ -155,14 +160,14 @@ impl Dump {
 
     /// A simulation of this robot alone with one physics step in a control step, and how many the task has.
     fn sim(&self, simd: Option<Simd>) -> Result<(Sim, usize), SimError> {
-        let unreadable = |error: toml::de::Error| self.foreign(format!("cannot be read: {}", error.message()));
-        let mut config: TaskConfig = toml::from_str(&self.task).map_err(unreadable)?;
+        // what Library checks of a file is checked here too: a dump may come from anybody
+        let mut config: TaskConfig = self.config(&self.task, TaskConfig::validate)?;
         let decimation = config.sim.decimation as usize;
         let robot = LoadedRobot {
-            config: toml::from_str(&self.robot_config).map_err(unreadable)?,
+            config: self.config(&self.robot_config, RobotConfig::validate)?,
             urdf_text: self.urdf.clone(),
             urdf_path: PathBuf::from(&self.urdf_path),
-            resolved: toml::from_str(&self.robot_config).map_err(unreadable)?,
+            resolved: self.table(&self.robot_config)?,
         };
         config.sim.decimation = 1;
         // physics knows no terms; those of the task may not even be registered here
@@ -171,7 +176,7 @@ impl Dump {
         // but for the one that makes room for late targets
         config.events.retain(|name, _| name == ACTION_DELAY);
         config.rewards = [(robot.config.reward_set.clone(), Default::default())].into();
-        let resolved = toml::from_str(&self.task).map_err(unreadable)?;
+        let resolved = self.table(&self.task)?;
         let task = LoadedTask { config, resolved, hash: fnv1a(self.task.as_bytes()) };
         let options = SimOptions { seed: self.seed, threads: Some(1), simd, ..SimOptions::new(self.robot.clone(), 1) };
         let mut sim = Sim::assemble(&options, task, vec![robot], &Registry::builtin())?;
@@ -179,27 +184,42 @@ impl Dump {
         Ok((sim, decimation))
     }
 
+    fn table(&self, text: &str) -> Result<Table, DumpError> {
+        text.parse().map_err(|error: toml::de::Error| self.foreign(format!("cannot be read: {}", error.message())))
+    }
+
+    /// A config, checked.
+    fn config<T: DeserializeOwned>(
+        &self,
+        text: &str,
+        validate: impl Fn(&T) -> Result<(), ConfigError>,
+    ) -> Result<T, DumpError> {
+        let config = parse_params("", "", &self.table(text)?);
+        config
+            .and_then(|config: T| validate(&config).map(|()| config))
+            .map_err(|error| self.foreign(format!("cannot be read: {}: {}", error.element, error.problem)))
+    }
+
     /// A robot that this version of polypod makes otherwise has other joints or contacts.
     fn check_sizes(&self, sim: &mut Sim) -> Result<(), SimError> {
         let state = &self.state;
-        let sizes = |joints: usize, body: &Body| {
-            (
-                joints,
-                body.0.collider_radius.len(),
-                body.0.mass.len(),
-                body.0.contact_position.len(),
-                body.0.site_position.len(),
-            )
+        let topology = &sim.morphologies()[0].topology;
+        let (num_impulses, num_bodies) = (topology.num_impulses(), topology.num_bodies);
+        let bounds = Bounds { num_impulses, num_bodies, layout: None };
+        let (joints, effort): (JointState, JointEffort) = (get(sim)?, get(sim)?);
+        let (impulses, delay): (ConstraintImpulses, ActuatorDelay) = (get(sim)?, get(sim)?);
+        let moves = |motion: &Motion| {
+            motion.joints.fits(&joints, &bounds)
+                && motion.effort.fits(&effort, &bounds)
+                && motion.impulses.fits(&impulses, &bounds)
         };
-        let ours = sizes(get::<JointState>(sim)?.position.len(), &get(sim)?);
-        let theirs = sizes(state.before.joints.position.len(), &state.body);
-        let num_impulses = sim.morphologies()[0].topology.num_impulses();
-        let bounds = &state.before.impulses.bounds;
-        let lists = [&state.before.joints.velocity, &state.after.joints.position, &state.delay.0, bounds];
-        if ours != theirs
-            || state.targets.history.is_empty()
-            || state.before.impulses.contacts.iter().any(|c| c.contact as usize >= num_impulses)
-            || lists.into_iter().chain(&state.targets.history).any(|list| list.len() != ours.0)
+        let targets = &state.targets.history;
+        if !(moves(&state.before)
+            && moves(&state.after)
+            && state.delay.fits(&delay, &bounds)
+            && state.body.fits(&get::<Body>(sim)?, &bounds)
+            && !targets.is_empty()
+            && targets.iter().all(|list| list.len() == joints.position.len()))
         {
             return Err(self.foreign("its robot has other joints or contact points here".into()).into());
         }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::MAX_DELAY;
 use crate::robot::{CANONICAL_JOINT_NAMES, LEGS};
 
 use super::error::{ConfigError, ConfigErrorKind};
@@ -269,7 +270,7 @@ impl RobotConfig {
     }
 
     /// Checks what no single value can tell; errors name the robot in place of a file.
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         self.default_pose_by_slot()?;
         for (group, actuator) in &self.actuators {
             self.validate_actuator(&format!("actuators.{group}"), actuator)?;
@@ -302,6 +303,10 @@ impl RobotConfig {
         if fewest > most {
             let problem = format!("the lower end {fewest} is above the upper end {most}");
             return self.invalid(&format!("{at}.delay"), problem, "write [fewest, most]");
+        }
+        if most > MAX_DELAY {
+            let problem = format!("{most} physics steps are too many");
+            return self.invalid(&format!("{at}.delay"), problem, format!("write at most {MAX_DELAY}"));
         }
         if most > 0 && actuator.model != ActuatorModel::DelayedPd {
             return self.invalid(

@@ -377,7 +377,7 @@ impl TaskConfig {
     }
 
     /// Checks what no single value can tell; errors name the task in place of a file.
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         let invalid = |element: String, problem: &str, remedy: &str| {
             Err(ConfigError::invalid(self.name.clone(), element, problem, remedy))
         };

@@ -3,7 +3,7 @@
 
 use serde::de::{Deserialize, Deserializer, Error};
 
-use crate::bounds::{MAX_COMMAND, MIN_DT};
+use crate::bounds::{MAX_COMMAND, MAX_DELAY, MIN_DT};
 
 /// `[lower, upper]` with `lower <= upper`.
 ///
@@ -63,13 +63,15 @@ pub fn optional_positive_range<'de, D: Deserializer<'de>>(deserializer: D) -> Re
     positive_range(deserializer).map(Some)
 }
 
-/// `[fewest, most]` steps, both included.
+/// `[fewest, most]` steps of delay, both included, up to [`MAX_DELAY`].
 ///
 /// # Errors
-/// Not two whole numbers, negative ones, or in the wrong order.
+/// Not two whole numbers, negative ones, too large ones, or in the wrong order.
 pub fn step_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[u32; 2], D::Error> {
     let [fewest, most] = <[u32; 2]>::deserialize(deserializer)?;
-    if fewest <= most {
+    if most > MAX_DELAY {
+        Err(D::Error::custom(format!("{most} steps are too many; write at most {MAX_DELAY}")))
+    } else if fewest <= most {
         Ok([fewest, most])
     } else {
         Err(D::Error::custom(format!("the lower end {fewest} is above the upper end {most}; write [fewest, most]")))
