@@ -3,10 +3,12 @@
 //! `polypod export` writes such a file and its manifest, `policy.onnx` and `policy.json`. The network takes observations
 //! `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in the order of the task that it was trained on.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::panic::{self, AssertUnwindSafe};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 
 use polypod::Sim;
 use polypod::robot::CANONICAL_JOINT_NAMES;
@@ -176,7 +178,7 @@ impl Policy {
             }
             None => return Err(failure(format!("is not of this manifest, whose files have no {name}"))),
         }
-        let network = compile(&mut graph, num_envs, &manifest)
+        let network = quietly(|| compile(&mut graph, num_envs, &manifest))
             .map_err(|error| failure(format!("is not the network of the manifest: {error:#}")))?;
         Ok(Self { manifest, file: file.to_path_buf(), network, num_envs })
     }
@@ -240,6 +242,28 @@ impl Policy {
 /// SHA-256 as a manifest has it, hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+thread_local! {
+    /// Whether panics of this thread are not to be printed.
+    static QUIET: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Makes a panic an error and prints nothing. tract panics at graphs that lack what they name, or whose tensors fit into no memory.
+fn quietly<T>(f: impl FnOnce() -> TractResult<T>) -> TractResult<T> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let print = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            if !QUIET.get() {
+                print(info);
+            }
+        }));
+    });
+    QUIET.set(true);
+    let result = panic::catch_unwind(AssertUnwindSafe(f));
+    QUIET.set(false);
+    result.unwrap_or_else(|_| Err(TractError::msg("it cannot be read")))
 }
 
 fn compile(graph: &mut &[u8], num_envs: usize, manifest: &PolicyManifest) -> TractResult<Arc<TypedRunnableModel>> {
