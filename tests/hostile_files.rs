@@ -18,6 +18,7 @@ fn each(folder: &str, target: fn(&[u8]) -> bool) {
         println!("{}", file.display());
         accepted += usize::from(target(&std::fs::read(file).unwrap()));
     }
+    targets::folder::remove();
     assert!(accepted > 0 && accepted < files.len(), "{accepted} of {} files are accepted", files.len());
 }
 

@@ -14,7 +14,12 @@ thread_local! {
     };
 }
 
-/// Folder of the current thread, laid out like a library of configs. Nobody removes it: a fuzzer's process ends by a signal.
+/// Removes the folder of the current thread, which then gives no more input to a target.
+pub fn remove() {
+    drop(std::fs::remove_dir_all(folder()));
+}
+
+/// Folder of the current thread, laid out like a library of configs.
 pub fn folder() -> PathBuf {
     FOLDER.with(PathBuf::clone)
 }

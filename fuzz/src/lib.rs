@@ -4,7 +4,7 @@
 
 pub mod dumps;
 mod edits;
-mod folder;
+pub mod folder;
 pub mod onnx_manifest;
 pub mod snapshots;
 pub mod toml_layers;
