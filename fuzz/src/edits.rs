@@ -56,9 +56,11 @@ fn apply(bytes: &mut Vec<u8>, operation: u8, at: usize, argument: u8) {
         }
         // the largest number of 32 or 64 bits in place of a small one
         5 => {
-            let ones: &[u8] = if argument % 2 == 0 { &[0xff, 0xff, 0xff, 0xff, 0x0f] } else { &[0xff; 9] };
-            let last: &[u8] = if argument % 2 == 0 { &[] } else { &[1] };
-            bytes.splice(at..=at, ones.iter().chain(last).copied());
+            let ones: &[u8] = match argument & 1 {
+                0 => &[0xff, 0xff, 0xff, 0xff, 0x0f],
+                _ => &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1],
+            };
+            bytes.splice(at..=at, ones.iter().copied());
         }
         6 => bytes.insert(at, argument),
         7 => drop(bytes.drain(at..(at + usize::from(argument)).min(bytes.len()))),
