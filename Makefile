@@ -38,8 +38,10 @@ FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
 
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
+# Time that each fuzz target runs for.
+SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended test-rust test-python wheel wheel-venv compile bench soak accuracy lint doc package format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended fuzz test-rust test-python wheel wheel-venv compile bench soak accuracy lint doc package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -90,7 +92,8 @@ film-rough: $(VENV)/.extension ## Film the eight robots on rough ground anew for
 test: test-rust test-python ## Run the tests of Rust and of Python
 
 test-extended: export POLYPOD_TEST_TIER := extended
-test-extended: test ## The same tests with larger sizes
+test-extended: test ## The same tests with larger sizes, and two minutes of each fuzz target
+	$(MAKE) --no-print-directory fuzz SECONDS=120
 
 test-rust:
 ifneq ($(NEXTEST),)
@@ -100,6 +103,10 @@ else
 	cargo test --release --locked --workspace --exclude polypod-python
 endif
 	cargo run --release --locked --target-dir target/loom --manifest-path tests/loom/Cargo.toml
+
+# Needs a C++ compiler, for libFuzzer.
+fuzz: ## Feed mutated files to the readers: make fuzz SECONDS=600 ARGS="urdf_loader" (all targets without ARGS)
+	fuzz/run $(SECONDS) $(ARGS)
 
 test-python: build wheel
 	$(BIN)/pytest
@@ -124,6 +131,7 @@ soak: build ## Step all robots for an hour of simulated time under random target
 lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	cargo fmt --all --check
 	cargo fmt --all --check --manifest-path tests/loom/Cargo.toml
+	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
 	$(BIN)/ruff check python tests/python
 	$(BIN)/ruff format --check python tests/python

@@ -8,6 +8,7 @@ mod common;
 mod a_broken_state_is_dumped_once_and_replays;
 mod bad_input_is_refused_clearly;
 mod check_describes_any_urdf;
+mod hostile_files;
 mod instruction_set_does_not_change_bits;
 mod jammed_links_win_no_energy;
 mod policies_run_without_python;
