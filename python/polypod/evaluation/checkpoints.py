@@ -10,6 +10,7 @@ from typing import Any
 from polypod.evaluation.policies import load_policy
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
+from polypod.provenance import measured
 from polypod.training import run_dir
 
 
@@ -34,7 +35,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         "train_config": manifest.get("train_config"),
         "git": manifest.get("git"),
     }
-    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given)
+    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given, measured=measured())
 
 
 def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[Evaluation]:
