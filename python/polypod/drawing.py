@@ -8,7 +8,7 @@ from polypod import _core, extras
 from polypod.files import write_filled
 
 _DPI = 90
-_COLORS = 64
+_COLORS = 256
 
 
 def pyplot_for(purpose: str) -> Any:
@@ -27,7 +27,7 @@ def save(figure: Any, out: Path, instead: str = "file") -> None:
 
 
 def _fill(figure: Any, file: BinaryIO, kind: str) -> None:
-    """A PNG has a palette of `_COLORS`: a third of the size, and plots need no more."""
+    """A PNG has a palette of `_COLORS`: a third of the size."""
     if kind != "png":
         figure.savefig(file, dpi=_DPI, format=kind)
         return

@@ -96,7 +96,7 @@ def test_seeds_of_a_group_become_a_mean_and_an_interval(tmp_path):
     assert table["anymal_d"][3] == "1.0% ±0.0%"
     assert table["spot"][1] == "0.200 ±0.000"
     assert "polypod eval --checkpoint model_9.pt --num-envs 50 --episodes 2 --seed 3" in text
-    assert "# plain: the other" not in text  # three times the same command
+    assert "more of plain" not in text  # three times the same command
     assert rows_of(text, "### Trainings")["plain"] == ["`T-v0`", "2", "3", "0, 1, 2", "9", "0", "-", "0123456"]
 
 
@@ -216,7 +216,7 @@ def test_comparisons_with_mujoco_of_several_files_are_one_table(tmp_path):
     table = rows_of(text, "### polypod beside MuJoCo")
     assert table["spot"] == ["0.100", "0.100", "0.050", "0.050", "0.0%", "4.7%", "yes"]
     assert table["anymal_d"][-2:] == ["25.0%", "no"]
-    assert "polypod sim2sim --robots anymal_d\n# robots: the other 1 likewise\n```" in text
+    assert "polypod sim2sim --robots anymal_d\n# 1 more of robots, likewise\n```" in text
 
 
 def test_the_command_writes_document_and_pictures(tmp_path, capsys):

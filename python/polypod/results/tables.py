@@ -154,9 +154,9 @@ def _origins(found: Sequence[tuple[str, Measured | None]]) -> str:
     for group, origin in found:
         if origin is not None:
             groups.setdefault(sentence(origin), []).append(group)
-    if len(groups) == 1:
-        return next(iter(groups))
-    return " ".join(f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in groups.items())
+    if len(groups) < 2:
+        return "".join(groups)
+    return " ".join(f"{', '.join(dict.fromkeys(names))}: {text[0].lower()}{text[1:]}" for text, names in groups.items())
 
 
 def _found(results: Results, condition: Condition, seen: bool) -> dict[str, dict[str, list[RobotResult]]]:
@@ -219,7 +219,7 @@ def _first_of_each(commands: dict[str, list[str]]) -> str:
     for group, found in commands.items():
         lines.append(found[0])
         others = len(dict.fromkeys(found)) - 1
-        lines += [f"# {group}: the other {others} likewise"] if others else []
+        lines += [f"# {others} more of {group}, likewise"] if others else []
     return "\n".join([*lines, "```"])
 
 
