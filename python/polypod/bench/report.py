@@ -149,8 +149,8 @@ def table(result: Mapping[str, Any]) -> str:
     ):
         rows += [(words.format(value), rate, "env-steps/s") for value, rate in result.get(key, {}).items()]
     head = [
-        f"{result['cpu']}, {result['cores']} cores, {result['simd']}, polypod {result['polypod']}, "
-        f"{result['num_envs']} envs, seed {result['seed']}; physics {p['ratio']:.1f} times mujoco.rollout (medians)",
+        provenance.sentence(result["measured"]),
+        f"{result['num_envs']} envs, seed {result['seed']}; physics {p['ratio']:.1f} times mujoco.rollout (medians).",
         "",
         "| what | rate | unit |",
         "|---|---|---|",
