@@ -51,8 +51,7 @@ def document(results: Results, score: float, baseline: str | None) -> str:
     Raises:
         ConfigError: for a baseline that is no group with curves.
     """
-    parts = [_LEGEND] if any(len(runs) > 1 for runs in results.groups.values()) else []
-    parts += [_trainings(results)] if any(run.manifest for run in results.runs) else []
+    parts = [_trainings(results)] if any(run.manifest for run in results.runs) else []
     for condition in _conditions(results.runs):
         parts.append(_evaluations(results, condition))
     if any(run.curves for run in results.runs):
@@ -62,7 +61,8 @@ def document(results: Results, score: float, baseline: str | None) -> str:
     if results.sim2sim:
         order = [robot for run in results.runs for each in run.evaluations.values() for robot in each.robots]
         parts.append(_sim2sim(results.sim2sim, list(dict.fromkeys(order))))
-    return "\n\n".join(parts)
+    text = "\n\n".join(parts)
+    return f"{_LEGEND}\n\n{text}" if "±" in text else text
 
 
 def _with_interval(found: Interval, form: str) -> str:

@@ -144,6 +144,7 @@ def compare(
             raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
     if options.command is not None and not all(math.isfinite(value) for value in options.command):
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
+    when = measured()
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
     network = load_network(state, manifest["policy"])
     sources = list(manifest["robot_sources"] if robots is None else robots)
@@ -168,7 +169,7 @@ def compare(
         mujoco_version=reference.version(),
         physics=physics,
         robots=results,
-        measured=measured(),
+        measured=when,
     )
 
 
