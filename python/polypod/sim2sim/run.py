@@ -144,7 +144,6 @@ def compare(
             raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
     if options.command is not None and not all(math.isfinite(value) for value in options.command):
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
-    when = measured()
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
     network = load_network(state, manifest["policy"])
     sources = list(manifest["robot_sources"] if robots is None else robots)
@@ -153,6 +152,7 @@ def compare(
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
+    when = measured()
     in_polypod = _run_polypod(episode, load_policy(state, manifest["policy"]), progress)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
