@@ -30,18 +30,18 @@ WHEEL ?=
 # Where cargo-nextest is, which runs the tests of Rust if it is installed; `cargo test` runs the same ones.
 NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 
-# The policy that comes along, and how it is filmed.
+# The bundled policies, and how they are filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
 SHIPPED_ROUGH := $(wildcard assets/policies/rough_universal/model_*.pt)
-FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 10 --size 640 360 --set scene.terrain.max_init_terrain_level=1
-FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 25 --size 720 300
+FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 5 --size 480 270 --set scene.terrain.max_init_terrain_level=1
+FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 12 --size 720 300
 
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended fuzz test-rust test-python wheel wheel-venv compile bench soak accuracy lint doc package format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -72,7 +72,7 @@ $(1) play --checkpoint $(abspath $(SHIPPED)) $(FILM) --video $(abspath logs/demo
 endef
 
 ifeq ($(WHEEL),)
-demo: $(VENV)/.extension ## Play the policy that comes along: evaluate it on all eight robots and film them, without a display
+demo: $(VENV)/.extension ## Play the bundled policy: evaluate it on all eight robots and film them, without a display
 	$(call play_shipped,$(BIN)/polypod)
 else
 # A new environment in a folder of its own: nothing of the checkout but the policy is in reach.
@@ -122,8 +122,11 @@ wheel-venv: $(VENV)/.requirements
 bench: build ## Measure the speed, beside MuJoCo in the same run (ARGS="--quick" takes a minute)
 	$(BIN)/polypod bench $(ARGS)
 
+results: $(VENV)/.extension ## Make the tables and plots of docs/results.md out of docs/results.tar.xz
+	$(BIN)/polypod results docs/results.tar.xz --out docs/results.md --media docs/media $(ARGS)
+
 accuracy: build ## Compare the physics with MuJoCo and write the tables
-	$(BIN)/polypod accuracy --out docs/physics.md --readme README.md $(ARGS)
+	$(BIN)/polypod accuracy --out docs/accuracy.md --readme README.md $(ARGS)
 
 soak: build ## Step all robots for an hour of simulated time under random targets; about an hour on 2 cores
 	target/release/polypod-sim soak $(ARGS)

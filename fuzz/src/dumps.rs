@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use polypod::components::BaseVelocity;
 use polypod::dump::Dump;
-use polypod::systems::Motion;
+use polypod::engine::Motion;
 use polypod::{Sim, SimOptions};
 
 use super::edits::{edited, sealed, unsealed};

@@ -212,16 +212,17 @@ class Robot:
 
 @dataclasses.dataclass(frozen=True)
 class ResultsOf:
-    """Make tables and pictures out of a folder of trainings and evaluations: <folder>/<group>/<run>/."""
+    """Make tables and pictures out of trainings and evaluations."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Where manifests, TensorBoard's events and the JSON files of eval and sim2sim lie, a folder per group and run."""
+    """Folder <folder>/<group>/<run>/ with manifests, TensorBoard's events and the JSON files of eval and sim2sim. Or
+    the same folder packed by `tar -cJf results.tar.xz -C FOLDER .`"""
     out: Annotated[Path | None, _arg(metavar="FILE")] = None
     """Also write the tables to this document, between its marks."""
     media: Annotated[Path | None, _arg(metavar="DIR")] = None
-    """Also draw curves per robot into this folder; needs the extra bench."""
+    """Also draw curves per robot and maps of the evaluations into this folder; needs the extra bench."""
     score: Annotated[float | None, _arg(metavar="M/S")] = None
-    """Velocity error (m/s) of the exploring policy, whose first reaching is counted in iterations. Default: 0.25."""
+    """Velocity error (m/s) of the exploring policy; the iterations until it is reached are counted. Default: 0.25."""
     baseline: Name = None
     """Count to the error that this group ends with instead: to compare fine-tuning with training from scratch."""
 

@@ -1,18 +1,46 @@
 """Gymnasium's registry: every task of polypod is `polypod/<task name>`."""
 
+import os
+import warnings
+
 import gymnasium
 
 from polypod import _core
 
 NAMESPACE = "polypod/"
+PATH = "POLYPOD_PATH"
+"""Environment variable with the user's folders of configs."""
 
 
 def register_tasks() -> None:
-    """Registers each task for `gymnasium.make_vec`; there is no single env to be had from `gymnasium.make`."""
-    for task in _core.tasks():
+    """Registers each task for `gymnasium.make_vec`; there is no single env to be had from `gymnasium.make`.
+
+    A broken config in `POLYPOD_PATH` is a warning here, and the built-in tasks are registered. The config is an error
+    when a task or a robot is used.
+    """
+    try:
+        tasks = _core.tasks()
+    except _core.PolypodError as error:
+        warnings.warn(f"polypod registers only its own tasks with Gymnasium: {error}", RuntimeWarning, stacklevel=2)
+        tasks = _built_in_tasks()
+    for task in tasks:
         env_id = NAMESPACE + task["name"]
         if env_id not in gymnasium.registry:
-            gymnasium.register(env_id, vector_entry_point="polypod.vector_env:make", kwargs={"task_id": task["name"]})
+            gymnasium.register(
+                env_id,
+                vector_entry_point="polypod.vector_env:make_for_gymnasium",
+                kwargs={"task_id": task["name"]},
+            )
+
+
+def _built_in_tasks() -> "list[_core.TaskEntry]":
+    """The tasks without those of `POLYPOD_PATH`, which the core reads in every call."""
+    folders = os.environ.pop(PATH, None)
+    try:
+        return _core.tasks()
+    finally:
+        if folders is not None:
+            os.environ[PATH] = folders
 
 
 def task_of(task_id: str) -> str:

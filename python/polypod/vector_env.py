@@ -1,10 +1,12 @@
 """The batch as a `gymnasium.vector.VectorEnv`."""
 
+import difflib
+import functools
 import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import gymnasium
 import numpy as np
@@ -17,6 +19,9 @@ from polypod import _core
 from polypod.registration import task_of
 from polypod.state import State
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -27,35 +32,45 @@ _AUTORESET_MODES = {
 }
 
 
-def make(
-    task_id: str,
-    num_envs: int = 1,
-    robots: Sequence[str] | None = None,
-    seed: int | None = None,
-    autoreset: str | AutoresetMode = "same_step",
-    threads: int | None = None,
-    copy: bool = False,
-    overrides: Sequence[str] = (),
-    dump_dir: str | os.PathLike[str] | None = None,
-) -> "VectorEnv":
+class EnvOptions(TypedDict, total=False):
+    """Keyword arguments of `make` and `VectorEnv`, all of them optional."""
+
+    robots: Sequence[str] | None
+    """Names of the robots (see `polypod.robots`). None, the default: those of the task."""
+    seed: int | None
+    """Seed of every random stream. None, the default: drawn from the operating system."""
+    autoreset: str | AutoresetMode
+    """"same_step" (the default), "next_step" or "disabled", as Gymnasium defines them."""
+    threads: int | None
+    """Worker threads. None, the default: one per core."""
+    copy: bool
+    """Hands out fresh arrays rather than the simulator's own, see `VectorEnv`. False by default."""
+    overrides: Sequence[str]
+    """`key=value` pairs for the task's configuration, e.g. `"sim.episode_length_s=10.0"`."""
+    dump_dir: str | os.PathLike[str] | None
+    """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps it again.
+    None, the default: no dump."""
+
+
+def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> "VectorEnv":
     """Builds a vector env.
 
     Args:
         task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
-        num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share.
-        robots: names of the robots (see `polypod.robots`); None: those of the task.
-        seed: of every random stream; None: drawn from the operating system.
-        autoreset: "same_step" (the default), "next_step" or "disabled", as Gymnasium defines them.
-        threads: worker threads; None: one per core.
-        copy: hand out fresh arrays rather than the simulator's own, see `VectorEnv`.
-        overrides: `key=value` pairs for the task's configuration, e.g. `"sim.episode_length_s=10.0"`.
-        dump_dir: directory for a dump of the first state of each robot that breaks (`polypod-sim replay` steps it
-            again); None: no dump.
+        num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
+            robot.
+        **options: robots, seed, autoreset, threads, copy, overrides and dump_dir; `EnvOptions` documents them.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
+        TypeError: for an option that does not exist.
     """
-    return VectorEnv(task_id, num_envs, robots, seed, autoreset, threads, copy, overrides, dump_dir)
+    return VectorEnv(task_id, num_envs, **options)
+
+
+def make_for_gymnasium(task_id: str, num_envs: int, **options: "Unpack[EnvOptions]") -> "VectorEnv":
+    """`make` for `gymnasium.make_vec`, which passes `num_envs=1` when its caller names no number."""
+    return make(task_id, None if num_envs == 1 else num_envs, **options)
 
 
 class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[Any]]):
@@ -68,33 +83,29 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
     number per canonical joint: the target is `default_pose + action_scale * action`.
     """
 
-    def __init__(
-        self,
-        task_id: str,
-        num_envs: int = 1,
-        robots: Sequence[str] | None = None,
-        seed: int | None = None,
-        autoreset: str | AutoresetMode = "same_step",
-        threads: int | None = None,
-        copy: bool = False,
-        overrides: Sequence[str] = (),
-        dump_dir: str | os.PathLike[str] | None = None,
-    ) -> None:
-        """Builds the envs; `make` documents the arguments."""
-        mode = _autoreset_mode(autoreset)
+    def __init__(self, task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> None:
+        """Builds the envs; `make` and `EnvOptions` document the arguments."""
+        for name in options:
+            if name not in EnvOptions.__annotations__:
+                (nearest,) = difflib.get_close_matches(name, EnvOptions.__annotations__, n=1, cutoff=0.0)
+                raise TypeError(f"unknown option {name!r}; did you mean {nearest!r}?")
+        mode = _autoreset_mode(options.get("autoreset", AutoresetMode.SAME_STEP))
+        robots, seed = options.get("robots"), options.get("seed")
         if isinstance(robots, str):
             raise _core.ConfigError(f"robots={robots!r} is one string; pass a list of names, e.g. [{robots!r}]")
-        self._sim: _core.VecSim | None = _core.VecSim(
+        build = functools.partial(
+            _core.VecSim,
             task_of(task_id),
-            _index(num_envs, "num_envs"),
             robots=None if robots is None else list(robots),
             seed=_fresh_seed() if seed is None else _index(seed, "seed"),
-            threads=threads,
-            overrides=list(overrides),
+            threads=options.get("threads"),
+            overrides=list(options.get("overrides", ())),
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
-            dump_dir=dump_dir,
+            dump_dir=options.get("dump_dir"),
         )
-        self.copy = copy
+        self._sim: _core.VecSim | None
+        self._sim = _one_env_per_robot(build, robots) if num_envs is None else build(_index(num_envs, "num_envs"))
+        self.copy = options.get("copy", False)
         self.autoreset_mode = mode
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
         self.num_envs = self._sim.num_envs
@@ -297,6 +308,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             raise _core.ConfigError(f"options['reset_mask'] has shape {mask.shape}; it must be ({self.num_envs},)")
         if not mask.any():
             raise _core.ConfigError("options['reset_mask'] selects no env; leave the call out or set at least one True")
+
+
+def _one_env_per_robot(build: Callable[[int], _core.VecSim], robots: Sequence[str] | None) -> _core.VecSim:
+    """Builds as many envs as there are robots; those of a task are known once it is loaded."""
+    count = len(_core.robots() if robots is None else robots)
+    sim = build(count)
+    return sim if len(sim.robots) == count else build(len(sim.robots))
 
 
 def _autoreset_mode(autoreset: str | AutoresetMode) -> AutoresetMode:

@@ -49,6 +49,21 @@ def test_hulls_are_closed(tmp_path):
     assert abs(volume(mesh.shape({"shape": "hull", "points": points, "triangles": triangles}))) == pytest.approx(1.0)
 
 
+def test_a_mesh_obstacle_is_drawn_where_it_stands():
+    """Its triangles come from the resolved task; large ones are cut up and keep their surface."""
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    rows = f"vertices = {corners}, triangles = {faces}"
+    scene = f'scene.obstacles=[{{ shape = "mesh", scale = [1.0, 2.0, 0.1], position = [2.0, 0.0, 0.0], {rows} }}]'
+    player = Player(FLAT_POLICY, ["spot"], threads=1, overrides=[scene])
+    (solid,) = player.obstacles
+    assert volume(solid) == pytest.approx(1.0 * 2.0 * 0.1 / 6.0)
+    np.testing.assert_allclose(solid.vertices.min(axis=0), [2.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(solid.vertices.max(axis=0), [3.0, 2.0, 0.1], atol=1e-12)
+    edges = solid.vertices[solid.triangles()]
+    assert np.linalg.norm(edges - np.roll(edges, 1, axis=1), axis=2).max() <= mesh.LARGEST_FACE + 1e-12
+
+
 def test_shapes_stand_on_the_ground_where_the_simulator_has_them():
     """The lowest point of a robot that stands touches the ground: links, shapes and poses belong together."""
     player = Player(FLAT_POLICY, ["unitree_go2", "spot"], command=(0.0, 0.0, 0.0), threads=1)

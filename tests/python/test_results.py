@@ -1,8 +1,11 @@
 """Tables and curves are those of the files that trainings and evaluations left: no figure is typed by hand."""
 
 import dataclasses
+import io
 import json
+import lzma
 import math
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 import polypod
 import polypod.cli
-from polypod import results
+from polypod import provenance, results
 from polypod.evaluation import Evaluation, RobotResult, TileResult, evaluate
 from polypod.results import pictures, runs
 
@@ -54,6 +57,7 @@ def write_run(folder, evaluations=None, robots=ROBOTS, curves=None, seed=1):
         "seed": seed,
         "num_envs": 1024,
         "command": f"polypod train --seed {seed}",
+        "git": {"commit": "0123456", "dirty": False},
         "train_config": {"run": {"num_steps_per_env": 24}},
     }
     (folder / "manifest.json").write_text(json.dumps(manifest))
@@ -92,10 +96,8 @@ def test_seeds_of_a_group_become_a_mean_and_an_interval(tmp_path):
     assert table["anymal_d"][3] == "1.0% ±0.0%"
     assert table["spot"][1] == "0.200 ±0.000"
     assert "polypod eval --checkpoint model_9.pt --num-envs 50 --episodes 2 --seed 3" in text
-    trainings = rows_of(text, "### Trainings")
-    assert trainings["plain"][0] == "seed2"
-    assert trainings["plain"][4] == "9"
-    assert trainings["plain"][7] == "`polypod train --seed 2`"
+    assert "more of plain" not in text  # three times the same command
+    assert rows_of(text, "### Trainings")["plain"] == ["`T-v0`", "2", "3", "0, 1, 2", "9", "0", "-", "0123456"]
 
 
 def test_groups_stand_side_by_side_and_conditions_apart(tmp_path):
@@ -108,9 +110,10 @@ def test_groups_stand_side_by_side_and_conditions_apart(tmp_path):
     assert "no noise, no pushes" in quiet
     assert "randomisation as in training" in pushed
     for part, errors in ((quiet, ["0.100", "0.400"]), (pushed, ["0.200", "0.500"])):
+        assert "falls per episode of descriptor (1 policy), plain (1 policy):" in part.replace("\n", " ")
         table = rows_of(part, "Velocity error")
-        assert table["robot"] == ["descriptor (1 policy)", "plain (1 policy)"]
-        assert table["spot"] == errors
+        assert table["robot"][::3] == ["descriptor: err xy", "plain: err xy"]
+        assert table["spot"][::3] == errors
 
 
 def test_robots_that_were_left_out_stand_apart(tmp_path):
@@ -213,7 +216,7 @@ def test_comparisons_with_mujoco_of_several_files_are_one_table(tmp_path):
     table = rows_of(text, "### polypod beside MuJoCo")
     assert table["spot"] == ["0.100", "0.100", "0.050", "0.050", "0.0%", "4.7%", "yes"]
     assert table["anymal_d"][-2:] == ["25.0%", "no"]
-    assert "polypod sim2sim --robots anymal_d\npolypod sim2sim --robots spot\n```" in text
+    assert "polypod sim2sim --robots anymal_d\n# 1 more of robots, likewise\n```" in text
 
 
 def test_the_command_writes_document_and_pictures(tmp_path, capsys):
@@ -234,10 +237,10 @@ def test_the_command_writes_document_and_pictures(tmp_path, capsys):
     text = document.read_text()
     assert text.startswith("# Results\n\n<!-- results:begin -->")
     assert text.endswith("<!-- results:end -->\n\nafter\n")
-    assert "old" not in text
+    assert "\nold\n" not in text
     assert "![curves error vel xy](media/curves_error_vel_xy.png)" in text
     drawn = sorted(path.name for path in (tmp_path / "docs" / "media").iterdir())
-    assert drawn == ["curves_error_vel_xy.png", "curves_fall_rate.png", "own_network_grid.png"]
+    assert drawn == ["curves_error_vel_xy.png", "own_network_grid.png"]
     assert all((tmp_path / "docs" / "media" / name).read_bytes().startswith(b"\x89PNG") for name in drawn)
     # again: the same document
     assert polypod.cli.main(arguments) == 0
@@ -257,7 +260,7 @@ def test_policies_for_one_robot_each_share_a_map(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "is no folder"),
+        (None, "is no folder and no .tar.xz"),
         ({}, "neither evaluations nor curves"),
         ({"a/b/result.json": "{"}, "cannot read"),
         ({"a/b/result.json": "[]"}, "holds no table"),
@@ -282,6 +285,14 @@ def test_a_document_needs_its_marks(tmp_path, capsys):
     assert "results:begin" in capsys.readouterr().err
 
 
+def test_the_shipped_tables_are_those_of_the_shipped_archive():
+    docs = Path(__file__).parents[2] / "docs"
+    found = results.read(docs / "results.tar.xz")
+    assert not found.skipped
+    text, _ = results.write(found)
+    assert text in (docs / "results.md").read_text(), "run `make results`"
+
+
 def test_the_shipped_results_are_those_of_the_shipped_policies():
     """Every checkpoint that the document measures lies in the repository."""
     root = Path(__file__).parents[2]
@@ -289,3 +300,68 @@ def test_the_shipped_results_are_those_of_the_shipped_policies():
     named = {word for line in text.splitlines() for word in line.split() if word.endswith(".pt")}
     assert named
     assert all((root / name).is_file() for name in named if name.startswith("assets/"))
+
+
+def packed(archive, members):
+    """Writes members (name, type, content) as `.tar.xz`."""
+    with tarfile.open(archive, "w:xz") as file:
+        for name, kind, content in members:
+            member = tarfile.TarInfo(name)
+            member.type, member.size = kind, len(content)
+            member.linkname = "/etc/passwd" if kind == tarfile.SYMTYPE else ""
+            file.addfile(member, io.BytesIO(content))
+    return archive
+
+
+def test_an_archive_is_read_as_its_folder(tmp_path, capsys):
+    curves = {"Metrics/spot/error_vel_xy": error_curve(9)}
+    folder = tmp_path / "runs"
+    write_run(folder / "plain" / "a", {"result": evaluation({"spot": robot()})}, ["spot"], curves)
+    (folder / "plain" / "a" / "strange.json").write_text('{"other": 1}')
+    archive = tmp_path / "results.tar.xz"
+    with tarfile.open(archive, "w:xz") as file:
+        file.add(folder, ".")
+    found = [results.read(source) for source in (folder, archive)]
+    texts = [results.write(each)[0] for each in found]
+    assert texts[0] == texts[1]
+    assert found[1].skipped == [Path("plain/a/strange.json")]
+    assert polypod.cli.main(["results", str(archive)]) == 0
+    assert "### Iterations to 0.25 m/s" in capsys.readouterr().out
+
+
+def test_a_broken_or_hostile_archive_is_refused(tmp_path, monkeypatch):
+    content = packed(tmp_path / "good.tar.xz", [("a/b/result.json", tarfile.REGTYPE, b"{}")]).read_bytes()
+
+    def refused(data, message):
+        file = tmp_path / "other.tar.xz"
+        file.write_bytes(data)
+        with pytest.raises(polypod.ConfigError, match=message):
+            results.read(file)
+
+    refused(b"no archive at all", "is no .tar.xz")
+    refused(content[:-20], "cut off")
+    refused(content + b"more", "cut off or has something behind")
+    refused(lzma.compress(b"no tar" * 200), "cannot unpack")
+    for name, kind, message in (
+        ("../outside.json", tarfile.REGTYPE, "outside the destination"),
+        ("/outside.json", tarfile.REGTYPE, "neither evaluations nor curves"),  # unpacked inside
+        ("link", tarfile.SYMTYPE, "'link' is neither a file nor a folder"),
+        ("pipe", tarfile.FIFOTYPE, "'pipe' is neither a file nor a folder"),
+    ):
+        archive = packed(tmp_path / "hostile.tar.xz", [(name, kind, b"{}" if kind == tarfile.REGTYPE else b"")])
+        with pytest.raises(polypod.ConfigError, match=f"hostile.tar.xz.*{message}"):
+            results.read(archive)
+    assert not (tmp_path.parent / "outside.json").exists()
+    assert not Path("/outside.json").exists()
+    monkeypatch.setattr("polypod.results.archive.MAX_UNPACKED", 1 << 20)
+    refused(lzma.compress(bytes(2 << 20)), "unpacks to more than 1 MiB")
+
+
+def test_tables_say_when_where_and_with_which_commit(tmp_path):
+    origin = {"date": "2026-01-31", "machine": "a machine, 2 cores, avx2", "commit": "0123456"}
+    write_run(tmp_path / "plain" / "a", {"result": evaluation({"spot": robot()}, measured=origin)}, ["spot"])
+    text, _ = results.write(results.read(tmp_path))
+    assert "Measured on 2026-01-31, a machine, 2 cores, avx2, commit 0123456." in text.replace("\n", " ")
+    now = provenance.measured()
+    assert set(now) == set(origin)
+    assert all(now.values())

@@ -1,5 +1,9 @@
 """A vector env is what Gymnasium says it is."""
 
+import os
+import subprocess
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -51,6 +55,50 @@ def test_make_vec(actions):
         again.close()
     finally:
         env.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "robots", "count"),
+    [("velocity_flat", None, 8), ("Velocity-Flat-Spot-v0", None, 1), ("velocity_flat", ["spot", "anymal_d"], 2)],
+)
+def test_there_is_one_env_per_robot_by_default(task, robots, count):
+    env = polypod.make(task, robots=robots, seed=0)
+    assert env.num_envs == len(env.robots) == count
+    env.close()
+
+
+def test_make_vec_needs_no_number_of_envs():
+    """Gymnasium passes 1 when its caller names none."""
+    env = gymnasium.make_vec("polypod/Velocity-Flat-HeteroQuadruped-v0", seed=0)
+    assert env.num_envs == 8
+    assert gymnasium.make_vec(env.spec).num_envs == 8
+    env.close()
+
+
+def test_an_unknown_option_is_named():
+    with pytest.raises(TypeError, match="unknown option 'robot'; did you mean 'robots'"):
+        polypod.make("velocity_flat", robot=["spot"])
+
+
+@pytest.mark.parametrize(("kind", "stem"), [("tasks", "broken"), ("robots", "big_dog")])
+def test_a_broken_config_does_not_break_the_import(kind, stem, tmp_path):
+    """It is a warning with the file's name, the built-in tasks are there, and using a task is the error."""
+    file = tmp_path / "configs" / kind / f"{stem}.toml"
+    file.parent.mkdir(parents=True)
+    file.write_text("name = [")
+    code = (
+        "import gymnasium, polypod\n"
+        "print('polypod/Velocity-Flat-HeteroQuadruped-v0' in gymnasium.registry)\n"
+        "polypod.make('Velocity-Flat-HeteroQuadruped-v0')\n"
+    )
+    environment = {**os.environ, "POLYPOD_PATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.stdout == "True\n"
+    warning, _, error = done.stderr.partition("Traceback")
+    assert "RuntimeWarning" in warning
+    assert str(file) in warning
+    assert "ConfigError" in error
+    assert str(file) in error
 
 
 @pytest.mark.parametrize("name", ["velocity_flat", "polypod/Velocity-Flat-HeteroQuadruped-v0"])

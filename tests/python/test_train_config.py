@@ -28,9 +28,28 @@ def test_a_file_extends_a_shipped_one(tmp_path):
     assert mine.run == flat.run
 
 
+def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
+    """By the rules of tasks: in order, each file once, paths relative to the file, tables merged."""
+    (tmp_path / "long.toml").write_text("[run]\nmax_iterations = 7000\nsave_interval = 7\n")
+    (tmp_path / "short.toml").write_text('extends = "flat"\n[run]\nmax_iterations = 70\n')
+    (tmp_path / "mine.toml").write_text(
+        'extends = ["rough", "long.toml", "short.toml"]\n[algorithm]\ngamma = 0.98\n[actor.hidden_dims]\n1 = 64\n'
+    )
+    mine = config.load(str(tmp_path / "mine.toml"))
+    assert (mine.run.max_iterations, mine.run.save_interval) == (70, 7)
+    assert mine.algorithm.gamma == 0.98
+    # `flat` is below `rough` already and is not put on top of it by short.toml
+    assert mine.run.task == "velocity_rough"
+    assert mine.critic.hidden_dims == [512, 256, 128]
+    assert mine.actor.hidden_dims == [512, 64, 128]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ('extends = ["flat", 3]\n', "extends = 3 is no name"),
+        ('extends = ["flat", "flatt"]\n', "flatt"),
+        ('extends = "flat"\n[actor.hidden_dims]\n3 = 64\n', "hidden_dims.3: there is no such element"),
         ('extends = "flat"\n[algorithm]\ngama = 0.98\n', "'gama'; did you mean 'gamma'"),
         ('extends = "flat"\n[algorithn]\n', "'algorithn'; did you mean 'algorithm'"),
         ('extends = "flat"\n[run]\nnum_envs = "many"\n', r"\[run\] num_envs = 'many' must be of type int"),

@@ -3,17 +3,17 @@
 import math
 import textwrap
 
-from polypod import _core
 from polypod.accuracy import engines, sweeps
 from polypod.accuracy.report import Report
 from polypod.accuracy.standing import DT, FINE, FIRM, FRICTION, MUJOCO_COARSE, SLOPE_FINE
 from polypod.documents import table
+from polypod.provenance import measured, sentence
 
 COMMAND = "make accuracy"
 
 
 def tables(report: Report) -> str:
-    """Everything, for docs/physics.md."""
+    """Everything, for docs/accuracy.md."""
     parts = (
         (_SETTINGS, ""),
         (_STATICS, _statics(report)),
@@ -42,7 +42,7 @@ def tables(report: Report) -> str:
         "steps": ", ".join(f"{1e3 * step:g}" for step in engines.STEPS),
         "speed_envs": engines.SPEED_ENVS,
         "timings": engines.TIMINGS,
-        "simd": _core.info()["simd"],
+        "measured": sentence(measured()),
         "sensitive_height": 1e3 * max(abs(r.mujoco_coarse_height - r.mujoco_height) for r in report.drops),
         "sensitive_pitch": math.degrees(max(abs(r.mujoco_coarse_pitch - r.mujoco_pitch) for r in report.drops)),
         "mujoco_coarse": 1e3 * MUJOCO_COARSE,
@@ -59,7 +59,10 @@ def summary(report: Report) -> str:
     foot = max(r.normal_error for r in report.standing)
     creep = max(r.creep for r in report.rests)
     stops = max(abs(r.distance / r.formula - 1.0) for r in report.slides)
-    head = f"MuJoCo {report.mujoco} on the same URDFs, {len(report.statics)} robots, the worst of all (`{COMMAND}`):"
+    head = (
+        f"The largest deviations from MuJoCo {report.mujoco} on the same URDFs, over {len(report.statics)} robots "
+        f"(`{COMMAND}`).\n{sentence(measured())}"
+    )
     rows = (
         ("inertia, bias forces, kinematics, forward dynamics", "relative error in `f32`", f"{statics:.1e}", "1e-4"),
         ("step responses, 0.5 ms", "deviation", f"{1e3 * fine:.2f} mrad", "1 mrad"),
@@ -74,78 +77,79 @@ def summary(report: Report) -> str:
 
 
 _SETTINGS = """
-MuJoCo {mujoco} compiles the same URDFs, with the settings that `python/polypod/accuracy/reference.py` explains;
-polypod computes in `f32` with {sweeps} sweeps. Written by `{command}`.
+MuJoCo {mujoco} compiles the same URDFs; polypod computes in `f32` with {sweeps} sweeps. Written by `{command}`.
+{measured}
 """
 
-_STATICS = """#### Identities
+_STATICS = """### Identities
 
-Worst of {states} random states. The error of a vector or matrix is the largest difference of an entry over the
-largest entry of MuJoCo's; for forward dynamics, over the largest entry of that state's acceleration.
+Largest error over {states} random states. The error of a vector or matrix is the largest difference of an entry,
+relative to MuJoCo's largest entry. For forward dynamics it is relative to the largest acceleration of that state.
 """
 
-_RESPONSES = """#### Step responses
+_RESPONSES = """### Step responses
 
-Base fixed, gravity on, no ground; from the default pose at rest, the target of one joint jumps by 0.1 rad for 1 s,
-each joint in turn. Worst deviation of any joint from the converged answer (MuJoCo, `RK4`, 0.25 ms), mrad. MuJoCo's
-columns are position actuators with the same gains under `implicitfast`. *further*: jumps that polypod follows less
-closely than MuJoCo, both at 5 ms.
+The base is fixed, gravity on, without ground. From rest in the default pose, the target of one joint jumps by 0.1 rad
+for 1 s, each joint in turn. The table shows the largest deviation of any joint from the converged answer (MuJoCo,
+`RK4`, 0.25 ms), in mrad. MuJoCo's columns are position actuators with the same gains under `implicitfast`.
+*Further* is the number of jumps that polypod follows less closely than MuJoCo, both at 5 ms.
 """
 
-_DROPS = """#### Dropped from 0.3 m
+_DROPS = """### Drops from 0.3 m
 
-Feet 0.3 m above the ground, friction {friction:g}, targets in the default pose, torques within the actuators' limits;
-the base after 3 s. Both simulators at the step *dt*, then polypod at {dt:g} ms against the same run of MuJoCo. On
-{firm:g} times the gains the robots land and stand. On the gains that policies are trained with, the Unitree robots and
-Spot land in a deep crouch, their feet dragged along, and where they end depends on the step: MuJoCo's own answers at
-{mujoco_coarse:g} ms lie up to {sensitive_height:.1f} mm and {sensitive_pitch:.1f} degrees from those at *dt*. Both
-simulators come to the same answer at 0.1 ms; what is left at {dt:g} ms is the error of that step, not a difference
-between models of contact.
+The feet begin 0.3 m above the ground. Friction is {friction:g}, targets are the default pose, torques stay within
+the actuators' limits. The table shows the base after 3 s: both simulators at the step *dt*, then polypod at {dt:g} ms
+against the same run of MuJoCo.
+
+With {firm:g} times the gains the robots land and stand. With the gains of the training the Unitree robots and Spot
+land in a deep crouch and drag their feet. Where they end depends on the step: MuJoCo's own answers at
+{mujoco_coarse:g} ms differ from those at *dt* by up to {sensitive_height:.1f} mm and {sensitive_pitch:.1f} degrees.
+At 0.1 ms the simulators agree, so what remains at {dt:g} ms is the error of the step and not a difference between
+contact models.
 """
 
-_STANDING = """#### Forces on standing feet
+_STANDING = """### Forces on standing feet
 
-Set on its feet in the default pose, on its own gains, friction {friction:g}; after 10 s, polypod at {dt:g} ms,
-MuJoCo at {fine:g} ms. On four rigid legs the forces would be undetermined; legs on gains are springs, and the
-normal force of each foot follows from the pose. *worst foot*: the largest difference of a foot's normal force,
-relative to MuJoCo's on that foot. The horizontal forces also depend on where each foot, and each joint with dry
-friction (A1, Spot), came to stick while the robot settled. *worst horizontal*: the largest difference of a foot's
-horizontal force, relative to the normal force on it.
+The robot is set on its feet in the default pose, with its own gains and friction {friction:g}. Forces are those after
+10 s, polypod at {dt:g} ms, MuJoCo at {fine:g} ms. Legs with PD gains are springs, so the pose determines each foot's
+normal force. *Worst foot* is the largest difference of a normal force, relative to MuJoCo's on that foot. Horizontal
+forces also depend on where feet and joints with dry friction (A1, Spot) came to rest. *Worst horizontal* is the
+largest difference of a horizontal force, relative to the normal force on that foot.
 """
 
-_RESTS = """#### At rest on a slope of 20 degrees
+_RESTS = """### At rest on a slope of 20 degrees
 
-Friction {friction:g}, {firm:g} times the gains (on their own some robots fall over in the default pose, in MuJoCo
-too), 10 s to settle; then the largest distance of the base from where it was, over 10 s, polypod at {dt:g} ms and
-MuJoCo at {slope_fine:g} ms. MuJoCo's contacts are soft and always creep.
+Friction is {friction:g}, gains are {firm:g} times the robot's own; with their own gains some robots fall over, in
+MuJoCo too. After 10 s to settle, the table shows the largest distance of the base from where it was, over another
+10 s, polypod at {dt:g} ms and MuJoCo at {slope_fine:g} ms. MuJoCo's soft contacts always creep.
 """
 
-_SWEEPS = """#### What the sweeps leave
+_SWEEPS = """### Error of the contact solver
 
-Robots that kick about on the ground: new random targets every {control:g} ms, within {amplitude:g} rad of the default
-position, self-collision on, friction {friction:g}. By how much the base's velocity is off after {control:g} ms from
-one state, root mean square, mm/s: with so many sweeps of the contact solver against {converged} of them, no warm start
-to begin with; and, *step*, with physics steps of {dt:g} ms against {sweeps_fine:g} ms, {converged} sweeps in both.
+Robots kick about on the ground: new random targets every {control:g} ms, within {amplitude:g} rad of the default
+position, with self-collision and friction {friction:g}. The table shows the error of the base's velocity after
+{control:g} ms from one state, root mean square, mm/s, against {converged} sweeps; there is no warm start at the
+beginning. *Step* is the error of physics steps of {dt:g} ms against {sweeps_fine:g} ms, {converged} sweeps in both.
 """
 
-_ENGINES = """#### The two engines
+_ENGINES = """### The two engines
 
 Each robot under `physics.engine = "articulated"` and `"avian"`, both at {dt:g} ms.
-*Standing*: set on its feet in the default pose, on its own gains, friction {friction:g}; base, vertical contact
-forces over the weight, and the largest difference of the engines' joint torques over the largest torque, after 10 s;
-first without the joints' dry friction, then with it: a joint at rest may be held by any torque within it (A1, Spot).
-*Response*: the step responses above, against the same converged answer of MuJoCo, over all jumps, joints and times.
-*Drift*: how far a link's origin was at most from where base pose and joint positions put it while the robot stood;
-zero by construction in reduced coordinates. *Largest step*: up to which the robot stands calmly for 2 s, of {steps}
-ms. *Steps per second*: physics steps of an env in a second of one core's time, {speed_envs} standing envs, median of
-{timings} timings, on the machine that wrote this table ({simd}); on another they differ.
+
+*Height*, *pitch*, *force / weight*: after 10 s on its feet in the default pose, with its own gains and friction
+{friction:g}. *Torques apart*: the largest difference of the engines' joint torques over the largest torque, without
+dry friction of joints and with it. Dry friction leaves the torque of a resting joint open (A1, Spot). *Response*: the
+step responses above, over all jumps, joints and times. *Drift*: the largest distance of a link's origin from where
+base pose and joint positions put it; zero in reduced coordinates. *Largest step*: the largest one with which the robot
+stands calmly for 2 s, of {steps} ms. *Steps per second*: physics steps on one core, {speed_envs} standing envs, median
+of {timings} timings.
 """
 
-_CONE = """#### The friction cone
+_CONE = """### The friction cone
 
-A block of 2 kg, both simulators at 1 ms. Pushed over a level plane it stops after `v^2 / (2 mu g)`, less half a
-step's way (the block moves with the velocity of the end of the step); on a slope it holds below `atan(mu)` and
-slides with `g (sin - mu cos)` above. Just below the limit MuJoCo's soft contacts creep.
+A block of 2 kg, both simulators at 1 ms. Pushed over a level plane it stops after `v^2 / (2 mu g)`, less the way of
+half a step. On a slope it holds below `atan(mu)` and slides with `g (sin - mu cos)` above. Just below the limit
+MuJoCo's soft contacts creep.
 """
 
 
@@ -333,4 +337,6 @@ def _slopes(report: Report) -> str:
 def _prose(text: str) -> str:
     """Paragraphs, each filled anew."""
     paragraphs = text.strip().split("\n\n")
-    return "\n\n".join(textwrap.fill(" ".join(paragraph.split()), 140) for paragraph in paragraphs)
+    return "\n\n".join(
+        textwrap.fill(" ".join(paragraph.split()), 100, break_on_hyphens=False) for paragraph in paragraphs
+    )

@@ -2,12 +2,11 @@
 
 import dataclasses
 import os
-import platform
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from polypod import _core
+from polypod import _core, provenance
 from polypod.accuracy import reference
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
@@ -46,7 +45,8 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
         "simd": info["simd"],
         "threads": options.threads,
         "step_threads": step_threads,
-        "cpu": _cpu(),
+        "cpu": provenance.cpu(),
+        "measured": provenance.measured(),
         "cores": os.cpu_count(),
         "num_envs": options.num_envs,
         "robot": options.robot,
@@ -149,8 +149,8 @@ def table(result: Mapping[str, Any]) -> str:
     ):
         rows += [(words.format(value), rate, "env-steps/s") for value, rate in result.get(key, {}).items()]
     head = [
-        f"{result['cpu']}, {result['cores']} cores, {result['simd']}, polypod {result['polypod']}, "
-        f"{result['num_envs']} envs, seed {result['seed']}; physics {p['ratio']:.1f} times mujoco.rollout (medians)",
+        provenance.sentence(result["measured"]),
+        f"{result['num_envs']} envs, seed {result['seed']}; physics {p['ratio']:.1f} times mujoco.rollout (medians).",
         "",
         "| what | rate | unit |",
         "|---|---|---|",
@@ -177,11 +177,3 @@ def picture(result: Mapping[str, Any], out: Path) -> None:
     figure.suptitle(f"polypod {result['polypod']}, {result['cpu']}, {result['simd']}")
     save(figure, out, "--plot")
     pyplot.close(figure)
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()

@@ -10,13 +10,14 @@ from typing import Any
 from polypod.evaluation.policies import load_policy
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
+from polypod.provenance import measured
 from polypod.training import run_dir
 
 
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
     """`evaluate` for a checkpoint; task, robots and overrides come from its manifest unless given."""
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    given = list(arguments.pop("overrides", ()))
+    given, when = list(arguments.pop("overrides", ())), measured()
     evaluation = evaluate(
         load_policy(state, manifest["policy"]),
         arguments.pop("task", None) or manifest["task"],
@@ -34,7 +35,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         "train_config": manifest.get("train_config"),
         "git": manifest.get("git"),
     }
-    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given)
+    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given, measured=when)
 
 
 def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[Evaluation]:

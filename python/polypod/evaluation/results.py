@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.provenance import Measured
+
 Array = npt.NDArray[np.float64]
 
 FOLLOWS = 0.5, 0.2
@@ -110,6 +112,8 @@ class Evaluation:
     robots: dict[str, RobotResult]
     checkpoint: dict[str, Any] | None = None
     """Where the policy came from: file, iteration, and the task, robots and seed of its training."""
+    measured: Measured | None = None
+    """Date, machine and commit; None in files of builds that did not write it."""
 
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON: None stands for a number that is not finite."""

@@ -1,6 +1,7 @@
 """Exported policies under onnxruntime."""
 
 import hashlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +20,15 @@ Array = npt.NDArray[np.float32]
 class OnnxPolicy:
     """An ONNX graph that can be called."""
 
-    def __init__(self, model: Path | bytes, threads: int = 1) -> None:
+    def __init__(self, model: str | os.PathLike[str] | bytes, threads: int = 1) -> None:
         """Loads a file or its bytes.
 
         Raises:
             ConfigError: for a file that is missing, no ONNX model, or not the one that its manifest describes.
         """
         runtime = package("onnxruntime", "running an exported policy", "export")
-        name = "the model" if isinstance(model, bytes) else str(model)
-        source = model if isinstance(model, bytes) else _read(model)
+        name = "the model" if isinstance(model, bytes) else os.fspath(model)
+        source = model if isinstance(model, bytes) else _read(Path(model))
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = threads
         try:

@@ -14,6 +14,8 @@ ROUND = 12
 """Corners of a circle."""
 LARGEST_FACE = 0.15
 """Edges of flat faces are cut into pieces no longer than this, m, so that faces sort by their distance."""
+MOST_CUTS = 16
+"""Pieces along an edge of a mesh's triangle, at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +86,7 @@ def shape(description: Mapping[str, Any]) -> Mesh:
 
 
 def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
-    """The meshes of an obstacle of a task's scene, in the env's frame."""
+    """The meshes of an obstacle of a resolved task's scene, in the env's frame."""
     roll, pitch, yaw = description.get("rpy", (0.0, 0.0, 0.0))
     turn = _quaternion(roll, pitch, yaw)
     match description["shape"]:
@@ -100,8 +102,9 @@ def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
                 parts.append(box((depth, width, top)).moved(middle, (1.0, 0.0, 0.0, 0.0)))
         case "heightfield":
             parts = [_surface(description["size"], description["heights"])]
-        case "mesh":  # a file of the task's own, which only the simulator reads
-            parts = []
+        case "mesh":
+            vertices = np.array(description["vertices"], dtype=np.float64) * description["scale"]
+            parts = [_cut_up(vertices, np.array(description["triangles"], dtype=np.intp))]
         case _:
             parts = [shape(description)]
     return [part.moved(description["position"], turn) for part in parts]
@@ -158,6 +161,26 @@ def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
     grid[..., 1] = np.sin(angles)[:, None] * radii
     grid[..., 2] = heights
     return _grid(grid)
+
+
+def _cut_up(vertices: Array, triangles: npt.NDArray[np.intp]) -> Mesh:
+    """Triangles whose edges are at most `LARGEST_FACE` long, or a `MOST_CUTS`th of what they were."""
+    corners = vertices[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    pieces = np.clip(np.ceil(longest / LARGEST_FACE), 1, MOST_CUTS).astype(np.intp)
+    parts = []
+    for count in np.unique(pieces):
+        # places (i, j) of a triangular grid with `count` pieces along each edge, and the faces between them
+        places = [(i, j) for i in range(count + 1) for j in range(count + 1 - i)]
+        number = {place: index for index, place in enumerate(places)}
+        upright = [(number[i, j], number[i + 1, j], number[i, j + 1]) for i, j in places if i + j < count]
+        inverted = [(number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]) for i, j in places if i + j < count - 1]
+        faces = np.array(upright + inverted, dtype=np.intp)[:, [0, 1, 2, 2]]
+        weights = np.array([(count - i - j, i, j) for i, j in places]) / count
+        points = np.einsum("pk,tkd->tpd", weights, corners[pieces == count])
+        starts = len(places) * np.arange(len(points))
+        parts.append(Mesh(points.reshape(-1, 3), (faces + starts[:, None, None]).reshape(-1, 4)))
+    return _joined(parts)
 
 
 def _grid(points: Array) -> Mesh:

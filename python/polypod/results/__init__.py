@@ -39,7 +39,7 @@ def write(
     drawn = [] if media is None else pictures.draw(results, media)
     if out is not None:
         where = {file: _relative(file, out) for file in drawn}
-        images = "\n".join(f"![{file.stem.replace('_', ' ')}]({place})" for file, place in where.items())
+        images = "\n\n".join(f"![{file.stem.replace('_', ' ')}]({place})" for file, place in where.items())
         documents.replace(out, MARK, f"{text}\n\n{images}" if images else text)
     return text, drawn
 

@@ -12,10 +12,8 @@ from polypod.results.tables import SMOOTHING, condition_of
 
 CURVES = {
     "error_vel_xy": "velocity error (m/s)",
-    "error_vel_yaw": "yaw rate error (rad/s)",
-    "fall_rate": "falls per episode",
 }
-"""TensorBoard's `Metrics/<robot>/...` that are drawn, and how they are called."""
+"""TensorBoard's `Metrics/<robot>/...` that are drawn, and their labels. `tensorboard` shows the others."""
 _COLUMNS = 4
 
 

@@ -1,4 +1,4 @@
-"""What trainings and evaluations left in a folder.
+"""Reads what trainings and evaluations left in a folder, or in a folder packed as `.tar.xz`.
 
 <folder>/<group>/<run>/
     manifest.json          of the training
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.evaluation import Evaluation
 from polypod.extras import package
+from polypod.results.archive import unpacked
 from polypod.training.run_dir import MANIFEST
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +87,7 @@ class Results:
     """In the order of their groups' names and their own."""
     sim2sim: list[dict[str, Any]]
     skipped: list[Path]
-    """JSON files that are nothing known."""
+    """JSON files of another kind, relative to the folder."""
 
     @property
     def groups(self) -> dict[str, list[Run]]:
@@ -97,10 +98,21 @@ class Results:
         return found
 
 
-def read(folder: Path) -> Results:
-    """Reads a folder. Raises ConfigError for an empty one, and for a file that is broken or of another version."""
-    if not folder.is_dir():
-        raise _core.ConfigError(f"{folder} is no folder; pass one with a folder per group and run")
+def read(source: Path) -> Results:
+    """Reads a folder or an archive of one.
+
+    Raises:
+        ConfigError: for an empty one, and for a file that is broken or of another version.
+    """
+    if source.is_file():
+        with unpacked(source) as folder:
+            return _read(folder, source)
+    if not source.is_dir():
+        raise _core.ConfigError(f"{source} is no folder and no .tar.xz; pass a folder with one per group and run")
+    return _read(source, source)
+
+
+def _read(folder: Path, source: Path) -> Results:
     results = Results([], [], [])
     directories = sorted(
         {file.parent for pattern in ("*.json", "events.out.tfevents*") for file in folder.rglob(pattern)}
@@ -108,7 +120,7 @@ def read(folder: Path) -> Results:
     for directory in directories:
         _read_directory(folder, directory, results)
     if not results.runs and not results.sim2sim:
-        raise _core.ConfigError(f"{folder} holds neither evaluations nor curves: polypod eval --json writes the former")
+        raise _core.ConfigError(f"{source} holds neither evaluations nor curves: polypod eval --json writes the former")
     return results
 
 
@@ -126,7 +138,7 @@ def _read_directory(folder: Path, directory: Path, results: Results) -> None:
         elif {"task", "robots", "duration_s"} <= content.keys():
             evaluations[file.stem] = _evaluation(content, file)
         else:
-            results.skipped.append(file)
+            results.skipped.append(file.relative_to(folder))
     curves, minutes = _curves(directory)
     if not evaluations and not curves:
         return

@@ -1,6 +1,7 @@
 """The tables of a folder of results, in Markdown."""
 
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from polypod import _core
 from polypod.documents import table
 from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command
 from polypod.evaluation.seeds import Interval, interval
+from polypod.provenance import Measured, sentence
 from polypod.results.runs import Results, Run, final, reached, smoothed
 
 FIGURES = {
@@ -26,7 +28,14 @@ SCORE_TAG = "Metrics/{robot}/error_vel_xy"
 """Of the curves that tell how long a training takes: the exploring policy's velocity error."""
 SMOOTHING = 10
 """Iterations over which a curve is averaged before it counts as having reached a score."""
-_LEGEND = f"±: {CONFIDENCE:.0%} interval over the policies of a group, Student's t; none where there is one policy."
+_LEGEND = f"±: {CONFIDENCE:.0%} interval over the policies of a group, by Student's t."
+_WIDTH = 100
+COMPARED = {
+    "error_vel_xy": ("err xy", ".3f"),
+    "error_vel_yaw": ("err yaw", ".3f"),
+    "fall_rate": ("falls", ".1%"),
+}
+"""Figures that stand side by side for several groups."""
 
 Condition = tuple[str, bool, tuple[int, int, int] | None, float, tuple[str, ...]]
 
@@ -42,8 +51,7 @@ def document(results: Results, score: float, baseline: str | None) -> str:
     Raises:
         ConfigError: for a baseline that is no group with curves.
     """
-    parts = [_LEGEND] if results.runs else []
-    parts += [_trainings(results.runs)] if any(run.manifest for run in results.runs) else []
+    parts = [_trainings(results)] if any(run.manifest for run in results.runs) else []
     for condition in _conditions(results.runs):
         parts.append(_evaluations(results, condition))
     if any(run.curves for run in results.runs):
@@ -53,7 +61,8 @@ def document(results: Results, score: float, baseline: str | None) -> str:
     if results.sim2sim:
         order = [robot for run in results.runs for each in run.evaluations.values() for robot in each.robots]
         parts.append(_sim2sim(results.sim2sim, list(dict.fromkeys(order))))
-    return "\n\n".join(parts)
+    text = "\n\n".join(parts)
+    return f"{_LEGEND}\n\n{text}" if "±" in text else text
 
 
 def _with_interval(found: Interval, form: str) -> str:
@@ -63,28 +72,43 @@ def _with_interval(found: Interval, form: str) -> str:
     return format(found.mean, form) if found.seeds < 2 else f"{found.mean:{form}} ±{reach:{form}}"
 
 
-def _trainings(runs: Sequence[Run]) -> str:
+def _trainings(results: Results) -> str:
+    """One row per group: what its runs have in common, and the range of what they do not."""
     rows = []
-    for run in runs:
-        if run.manifest is None:
+    for group, runs in results.groups.items():
+        known = [run for run in runs if run.manifest is not None]
+        if not known:
             continue
-        robots = run.robots
-        last = run.iterations
+        manifests = [run.manifest for run in known if run.manifest is not None]
+        samples = [run.iterations * run.samples_per_iteration / 1e6 for run in known]
         rows.append(
             (
-                run.group,
-                run.name,
-                f"`{run.manifest['task']}`",
-                robots[0] if len(robots) == 1 else str(len(robots)),
-                str(run.seed),
-                "-" if math.isnan(last) else f"{last:.0f}",
-                "-" if math.isnan(last) else f"{last * run.samples_per_iteration / 1e6:.0f}",
-                "-" if math.isnan(run.minutes) else f"{run.minutes:.0f}",
-                f"`{run.manifest['command']}`" if "command" in run.manifest else "-",
+                group,
+                ", ".join(dict.fromkeys(f"`{manifest['task']}`" for manifest in manifests)),
+                _range([len(run.robots) for run in known]),
+                str(len(known)),
+                ", ".join(dict.fromkeys(str(run.seed) for run in known)),
+                _range([run.iterations for run in known]),
+                _range(samples),
+                _range([run.minutes for run in known]),
+                ", ".join(dict.fromkeys(_commit(manifest) for manifest in manifests)),
             )
         )
-    head = ("group", "run", "task", "robots", "seed", "iterations", "million samples", "minutes", "command")
+    head = ("group", "task", "robots", "runs", "seed", "iterations", "million samples", "minutes", "commit")
     return "### Trainings\n\n" + table(head, rows)
+
+
+def _range(values: Sequence[float]) -> str:
+    known = [value for value in values if not math.isnan(value)]
+    if not known:
+        return "-"
+    ends = dict.fromkeys(f"{end:.0f}" for end in (min(known), max(known)))
+    return " to ".join(ends)
+
+
+def _commit(manifest: dict[str, Any]) -> str:
+    git = manifest.get("git")
+    return f"{git['commit'][:9]}{'+' * git['dirty']}" if git else "-"
 
 
 def condition_of(evaluation: Evaluation) -> Condition:
@@ -103,12 +127,36 @@ def _conditions(runs: Sequence[Run]) -> list[Condition]:
 
 
 def _title(condition: Condition) -> str:
-    task, randomized, grid, duration, overrides = condition
-    parts = [f"`{task}`", f"{duration:g} s"]
-    parts.append("noise, pushes and randomisation as in training" if randomized else "no noise, no pushes")
-    parts.append(f"{'x'.join(map(str, grid))} commands" if grid else "commands as the task draws them")
-    parts += [f"`{change}`" for change in overrides]
+    task, randomized, grid, _, overrides = condition
+    parts = [f"`{task}`"]
+    parts += [f"{'x'.join(map(str, grid))} commands"] if grid else []
+    parts += ["randomised"] if randomized else []
+    parts += [f"{len(overrides)} change{'s' * (len(overrides) > 1)} to the task"] if overrides else []
     return ", ".join(parts)
+
+
+def _conditions_of(condition: Condition) -> str:
+    _, randomized, grid, duration, overrides = condition
+    parts = [f"Episodes of {duration:g} s"]
+    parts.append("noise, pushes and randomisation as in training" if randomized else "no noise, no pushes")
+    parts.append("each holds one command of the grid" if grid else "commands as the task draws them")
+    parts += [f"`{change}`" for change in overrides]
+    return ", ".join(parts) + "."
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+def _origins(found: Sequence[tuple[str, Measured | None]]) -> str:
+    """When and where groups were measured, each sentence with the groups that it is about; empty if no file says."""
+    groups: dict[str, list[str]] = {}
+    for group, origin in found:
+        if origin is not None:
+            groups.setdefault(sentence(origin), []).append(group)
+    if len(groups) < 2:
+        return "".join(groups)
+    return " ".join(f"{', '.join(dict.fromkeys(names))}: {text[0].lower()}{text[1:]}" for text, names in groups.items())
 
 
 def _found(results: Results, condition: Condition, seen: bool) -> dict[str, dict[str, list[RobotResult]]]:
@@ -129,14 +177,21 @@ def _trained_on(run: Run, evaluation: Evaluation) -> list[str]:
 
 
 def _evaluations(results: Results, condition: Condition) -> str:
-    parts = [f"### {_title(condition)}"]
+    alike = [
+        (run.group, each)
+        for run in results.runs
+        for each in run.evaluations.values()
+        if condition_of(each) == condition
+    ]
+    origins = _origins([(group, each.measured) for group, each in alike])
+    parts = [f"### {_title(condition)}", _wrapped(f"{_conditions_of(condition)} {origins}".strip())]
     seen, unseen = (_found(results, condition, kind) for kind in (True, False))
     if seen:
         parts += _by_robot(seen)
         parts += _terrain(seen)
         parts += _against_specialists(results, seen)
     if unseen:
-        parts.append("Robots that the policy was not trained on; up: share of the episodes without a fall.")
+        parts.append("Robots that the policy was not trained on. *Up* is the share of episodes without a fall.")
         columns: dict[str, Callable[[RobotResult], float]] = {
             "up": lambda result: 1.0 - result.fall_rate,
             "velocity error (m/s)": lambda result: result.error_vel_xy,
@@ -151,11 +206,21 @@ def _evaluations(results: Results, condition: Condition) -> str:
                     cells.append(_cell([read(result) for result in unseen[group].get(robot, [])], forms[name]))
             rows.append(cells)
         parts.append(table(head, rows))
-    commands = [
-        command(each) for run in results.runs for each in run.evaluations.values() if condition_of(each) == condition
-    ]
-    parts.append("\n".join(["```bash", *dict.fromkeys(commands), "```"]))
+    commands: dict[str, list[str]] = {}
+    for group, each in alike:
+        commands.setdefault(group, []).append(command(each))
+    parts.append(_first_of_each(commands))
     return "\n\n".join(parts)
+
+
+def _first_of_each(commands: dict[str, list[str]]) -> str:
+    """A block with one command of each group, and how many more there are."""
+    lines = ["```bash"]
+    for group, found in commands.items():
+        lines.append(found[0])
+        others = len(dict.fromkeys(found)) - 1
+        lines += [f"# {others} more of {group}, likewise"] if others else []
+    return "\n".join([*lines, "```"])
 
 
 def _robots(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
@@ -179,12 +244,16 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
             rows.append([robot, episodes, *figures])
         return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
-    parts = []
-    for key, (label, form) in FIGURES.items():
-        rows = [[robot, *(_cell(values(group, robot, key), form) for group in found)] for robot in _robots(found)]
-        heads = [f"{group} ({_seeds(robots)})" for group, robots in found.items()]
-        parts += [f"{label[0].upper()}{label[1:]}:", table(["robot", *heads], rows)]
-    return parts
+    rows = [
+        [robot, *(_cell(values(group, robot, key), form) for group in found for key, (_, form) in COMPARED.items())]
+        for robot in _robots(found)
+    ]
+    heads = [f"{group}: {label}" for group in found for label, _ in COMPARED.values()]
+    groups = ", ".join(f"{group} ({_seeds(robots)})" for group, robots in found.items())
+    return [
+        _wrapped(f"Velocity error (m/s), yaw rate error (rad/s) and falls per episode of {groups}:"),
+        table(["robot", *heads], rows),
+    ]
 
 
 def _seeds(robots: dict[str, list[RobotResult]]) -> str:
@@ -263,10 +332,10 @@ def _reached(results: Results, score: float, baseline: str | None) -> str:
         rows.append(cells)
     what = f"the error that {baseline} ends with" if baseline is not None else f"{score:g} m/s"
     text = (
-        f"### Iterations to {what}\n\nOf the exploring policy's velocity error, mean over {SMOOTHING} iterations; "
-        "of several runs the mean of those that came there, and how many did."
+        f"The velocity error is the exploring policy's, averaged over {SMOOTHING} iterations. For several runs: the "
+        "mean of those that reached it, and how many did."
     )
-    return f"{text}\n\n" + table(["robot", "m/s", *groups], rows)
+    return f"### Iterations to {what}\n\n{_wrapped(text)}\n\n" + table(["robot", "m/s", *groups], rows)
 
 
 def _iterations(found: Sequence[float]) -> str:
@@ -286,7 +355,7 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
         title = (
             f"`{each['task']}`, {each['envs_per_robot']} episodes per robot of {each['duration_s']:g} s, "
             f"seed {each['seed']}; MuJoCo {each['mujoco_version']}, {physics['integrator']} at "
-            f"{1e3 * physics['dt']:g} ms, friction {physics['friction']:g}{soft}:"
+            f"{1e3 * physics['dt']:g} ms, friction {physics['friction']:g}{soft}."
         )
         conditions.setdefault(title, []).append(each)
     for title, found in conditions.items():
@@ -304,6 +373,7 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
                 )
             )
         head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
-        commands = dict.fromkeys(each["command"] for each in found)
-        parts += [title, table(head, rows), "\n".join(["```bash", *commands, "```"])]
+        commands = list(dict.fromkeys(each["command"] for each in found))
+        origins = _origins([("", each.get("measured")) for each in found]).removeprefix(": ")
+        parts += [_wrapped(f"{title} {origins}".strip()), table(head, rows), _first_of_each({"robots": commands})]
     return "\n\n".join(parts)

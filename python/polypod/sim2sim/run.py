@@ -19,6 +19,7 @@ from polypod.evaluation import Policy, load_network, load_policy, play_task
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
+from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
 from polypod.sim2sim.twin import Observed, Physics, Twin
 from polypod.training import run_dir
@@ -98,6 +99,7 @@ class Comparison:
     mujoco_version: str
     physics: Physics
     robots: dict[str, RobotComparison]
+    measured: Measured
 
     @property
     def transfers(self) -> bool:
@@ -150,6 +152,7 @@ def compare(
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
+    when = measured()
     in_polypod = _run_polypod(episode, load_policy(state, manifest["policy"]), progress)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
@@ -166,6 +169,7 @@ def compare(
         mujoco_version=reference.version(),
         physics=physics,
         robots=results,
+        measured=when,
     )
 
 

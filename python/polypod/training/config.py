@@ -15,7 +15,7 @@ from polypod.training.manifest import MAX_LAYER, Activation, check_size
 MAX_BYTES = 1 << 20
 """Of a train config."""
 MAX_EXTENDS = 100
-"""Files that a train config may extend, one after the other."""
+"""Files that a train config may extend, directly or not."""
 OBSERVATION_GROUP = "policy"
 """Name of the observation group that actor and critic read."""
 
@@ -152,10 +152,12 @@ class TrainConfig:
 def load(name: str) -> TrainConfig:
     """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
 
+    `extends` is a name, a path relative to the file, or a list of them, of which the later ones win.
+
     Raises:
         ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
     """
-    return parse(_load_tables(name, ()), name)
+    return parse(_load_tables(name), name)
 
 
 def parse(tables: dict[str, Any], source: str) -> TrainConfig:
@@ -169,32 +171,78 @@ def parse(tables: dict[str, Any], source: str) -> TrainConfig:
     return config
 
 
-def _load_tables(name: str, seen: tuple[str, ...]) -> dict[str, Any]:
-    if name in seen:
-        raise _core.ConfigError(f"train config {name!r} extends itself ({' -> '.join((*seen, name))})")
+def _load_tables(name: str) -> dict[str, Any]:
+    """The tables of a config on top of those that it extends, by the rules of tasks and robots."""
+    layers: dict[str, dict[str, Any]] = {}
+    _add_layers(name, None, (), layers)
+    merged: dict[str, Any] = {}
+    for name, tables in layers.items():
+        merged = _merged(merged, tables, name)
+    return merged
+
+
+def _add_layers(name: str, folder: Path | None, above: tuple[str, ...], layers: dict[str, dict[str, Any]]) -> None:
+    """Adds what a config extends, in order, then the config. A layer that is there already stays where it is.
+
+    Args:
+        name: of the config, or a path that ends in `.toml`.
+        folder: where a relative path begins; None: the working directory.
+        above: the configs that lead here, to find circles.
+        layers: tables by the name or the resolved path of their config.
+    """
+    path = (folder or Path()) / name if name.endswith(".toml") else None
+    identity = str(path.resolve()) if path else name
+    if identity in above:
+        raise _core.ConfigError(f"train config {name!r} extends itself ({' -> '.join((*above, identity))})")
+    if identity in layers:
+        return
+    if len(above) > MAX_EXTENDS or len(layers) > MAX_EXTENDS:
+        raise _core.ConfigError(f"train config {name} is the {MAX_EXTENDS}th of a chain of extends; shorten it")
+    tables = _read_tables(name, path)
+    for base in _bases(tables.pop("extends", []), name):
+        _add_layers(base, path.parent if path else None, (*above, identity), layers)
+    layers[identity] = tables
+
+
+def _read_tables(name: str, path: Path | None) -> dict[str, Any]:
     try:
-        text = read_bytes(Path(name), MAX_BYTES).decode() if name.endswith(".toml") else _core.train_config(name)
+        text = read_bytes(path, MAX_BYTES).decode() if path else _core.train_config(name)
     except OSError as error:
         raise _core.ConfigError(f"cannot read train config {name[:80]}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise _core.ConfigError(f"train config {name} is no text in UTF-8: {error}; save it as UTF-8") from error
     try:
-        tables = tomllib.loads(text)
+        return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise _core.ConfigError(f"train config {name} is not valid TOML: {error}") from error
-    if len(seen) > MAX_EXTENDS:
-        raise _core.ConfigError(f"train config {name} is the {MAX_EXTENDS}th of a chain of extends; shorten it")
-    parent = tables.pop("extends", None)
-    if parent is None:
-        return tables
-    return _merged(_load_tables(str(parent), (*seen, name)), tables)
 
 
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+def _bases(extends: Any, name: str) -> list[str]:
+    bases = extends if isinstance(extends, list) else [extends]
+    for base in bases:
+        if not isinstance(base, str):
+            raise _core.ConfigError(
+                f"train config {name}: extends = {base!r} is no name; write a string in quotes, or a list of strings"
+            )
+    return bases
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any], name: str) -> dict[str, Any]:
+    """Tables are merged; a table in the place of an array changes elements by their numbers; all else is replaced."""
     merged = dict(base)
     for key, value in over.items():
         inner = merged.get(key)
-        merged[key] = _merged(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+        if isinstance(inner, dict) and isinstance(value, dict):
+            merged[key] = _merged(inner, value, name)
+        elif isinstance(inner, list) and isinstance(value, dict):
+            elements = {str(index): element for index, element in enumerate(inner)}
+            if unknown := [place for place in value if place not in elements]:
+                raise _core.ConfigError(
+                    f"train config {name}: {key}.{unknown[0]}: there is no such element; {key} has {len(inner)}"
+                )
+            merged[key] = list({**elements, **value}.values())
+        else:
+            merged[key] = value
     return merged
 
 

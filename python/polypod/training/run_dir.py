@@ -17,7 +17,6 @@ import json
 import pickle
 import platform
 import re
-import subprocess
 import zipfile
 from collections.abc import Callable, Iterator
 from datetime import datetime
@@ -32,6 +31,7 @@ import torch
 
 from polypod import _core
 from polypod.files import read_bytes, remove_stale, write_bytes, write_text
+from polypod.provenance import git_state
 from polypod.training import manifest
 from polypod.training.config import TrainConfig
 
@@ -244,30 +244,13 @@ def manifest_of(
             "rsl_rl": version("rsl-rl-lib"),
             "numpy": np.__version__,
         },
-        "git": _git_state(),
+        "git": git_state(),
     }
 
 
 def _checkpoints(run: Path) -> list[Path]:
     numbered = [(int(match[1]), path) for path in run.iterdir() if (match := _CHECKPOINT.fullmatch(path.name))]
     return [path for _, path in sorted(numbered)]
-
-
-def _git_state() -> dict[str, Any] | None:
-    """Commit and cleanness of the source tree polypod is imported from; None for an installed package."""
-    package = Path(_core.__file__ or __file__).parent
-
-    def git(*arguments: str) -> str | None:
-        try:
-            done = subprocess.run(["git", "-C", str(package), *arguments], capture_output=True, text=True, timeout=10)
-        except (OSError, subprocess.SubprocessError):
-            return None
-        return done.stdout.strip() if done.returncode == 0 else None
-
-    if not git("ls-files", "__init__.py"):
-        return None
-    commit, changes = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
-    return None if commit is None or changes is None else {"commit": commit, "dirty": bool(changes)}
 
 
 def source(name: str) -> str:
