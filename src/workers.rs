@@ -87,7 +87,7 @@ split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1
 /// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
 #[derive(Resource)]
 pub struct Workers {
-    crew: Option<ThreadTeam>,
+    team: Option<ThreadTeam>,
     threads: usize,
     dispatch: SimdDispatch,
 }
@@ -103,8 +103,8 @@ impl Workers {
     /// `threads` of them, at least one.
     pub fn new(threads: usize, simd: Simd) -> Self {
         let threads = threads.max(1);
-        let crew = (threads > 1).then(|| ThreadTeam::new(threads - 1));
-        Self { crew, threads, dispatch: simd.dispatch() }
+        let team = (threads > 1).then(|| ThreadTeam::new(threads - 1));
+        Self { team, threads, dispatch: simd.dispatch() }
     }
 
     /// `threads` of them, all cores when absent: but no more than there are pieces of work, since the others would only take memory, nor
@@ -138,7 +138,7 @@ impl Workers {
     /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
     pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
         let threads = self.threads.min(len.div_ceil(ROWS_PER_THREAD).max(2));
-        let Some(crew) = self.crew.as_ref().filter(|_| len > MIN_CHUNK) else {
+        let Some(team) = self.team.as_ref().filter(|_| len > MIN_CHUNK) else {
             return f(0, len, rows);
         };
         let (mut rest, mut start) = (Some(rows), 0);
@@ -153,7 +153,7 @@ impl Workers {
             rest = Some(more);
             Some((first, n, part))
         });
-        crew.for_each(chunks, threads, |(first, n, part)| f(first, n, part));
+        team.for_each(chunks, threads, |(first, n, part)| f(first, n, part));
     }
 
     /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
@@ -168,8 +168,8 @@ impl Workers {
 
     /// Runs `f(task)` on every task, in parallel.
     pub fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, f: impl Fn(T) + Sync) {
-        match &self.crew {
-            Some(crew) => crew.for_each(tasks, self.threads, f),
+        match &self.team {
+            Some(team) => team.for_each(tasks, self.threads, f),
             None => tasks.for_each(f),
         }
     }
