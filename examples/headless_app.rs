@@ -6,7 +6,9 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use polypod::components::{Episode, JointEffort, Robot};
 use polypod::rows::Rows;
-use polypod::systems::{ControlStep, PipelineSet, PolypodPlugins, Setup, SetupSet, add_observation};
+use polypod::systems::{
+    ControlStep, PipelineSet, PolypodPlugins, Setup, SetupSet, TermKind, TermSpec, add_observation,
+};
 use polypod::{Error, Sim, SimOptions};
 
 /// Temperature of the motors above the air, K.
@@ -19,7 +21,8 @@ impl Plugin for TemperaturePlugin {
     fn build(&self, app: &mut App) {
         app.add_systems(Setup, add_temperatures.after(SetupSet::Spawn).before(SetupSet::Engine));
         app.add_systems(ControlStep, warm_motors.in_set(PipelineSet::Sense));
-        add_observation::<MotorTemperature, Robot>(app, "motor_temperature", 1, |temperature, out| {
+        let spec = TermSpec::new(TermKind::Scalar, "100 K", "temperature of the motors above the air");
+        add_observation::<MotorTemperature, Robot>(app, "motor_temperature", 1, spec, |temperature, out| {
             out[0] = 0.01 * temperature.0;
         });
     }

@@ -287,8 +287,13 @@ impl MorphologyModel {
             upper: p.upper.to_vec(),
             base_height: self.stance.spawn_height - self.config.reset.spawn_margin as f32,
             feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
-            mirror: std::array::from_fn(|slot| self.mirror(slot)),
+            mirror: self.mirrored_slots(),
         }
+    }
+
+    /// For each canonical slot the one on the robot's other side, and the sign that its position takes there.
+    pub fn mirrored_slots(&self) -> [(usize, f32); 12] {
+        std::array::from_fn(|slot| self.mirror(slot))
     }
 
     fn mirror(&self, slot: usize) -> (usize, f32) {

@@ -4,7 +4,7 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::terms::{CompiledTask, NoParams, ObservationTerm, Registry};
+use super::terms::{CompiledTask, NoParams, ObservationTerm, Registry, TermKind, TermSpec};
 use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
@@ -142,9 +142,10 @@ pub fn add_observation<C: Component, K: RowKind>(
     app: &mut App,
     name: &'static str,
     size: usize,
+    spec: TermSpec,
     f: fn(&C, &mut [f32]),
 ) {
-    app.world_mut().get_resource_or_insert_with(Registry::builtin).observation_by_system(name, size);
+    app.world_mut().get_resource_or_insert_with(Registry::builtin).observation_by_system(name, size, spec);
     let write = move |is_final: bool| {
         move |task: Res<CompiledTask>,
               request: Res<ResetRequest>,
@@ -188,17 +189,30 @@ pub fn add_observation<C: Component, K: RowKind>(
 
 /// All built-in observation terms, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {
-    registry.observation("base_lin_vel", 3, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.linear_velocity));
-    registry.observation("base_ang_vel", 3, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.angular_velocity));
-    registry.observation("projected_gravity", 3, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.projected_gravity));
-    registry.observation("velocity_commands", 3, |_: &NoParams, r, out| out.copy_from_slice(r.command));
-    registry.observation("joint_pos_rel", 12, |_: &NoParams, r, out| {
+    use TermKind::{Body, PerJoint, PlanarVelocity, Pseudovector, Scan, Vector};
+    let spec = TermSpec::new(Vector, "m/s", "velocity of the base's centre of mass, base axes")
+        .from_inputs(&["base_lin_vel", "base_ang_vel"]);
+    registry.observation("base_lin_vel", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.linear_velocity));
+    let spec = TermSpec::new(Pseudovector, "rad/s", "angular velocity of the base, base axes");
+    registry.observation("base_ang_vel", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.angular_velocity));
+    let spec = TermSpec::new(Vector, "", "unit vector of gravity, base axes");
+    registry.observation("projected_gravity", 3, spec, |_: &NoParams, r, out| {
+        out.copy_from_slice(&r.imu.projected_gravity);
+    });
+    let spec = TermSpec::new(PlanarVelocity, "m/s, rad/s", "forward and left velocity and yaw rate that are commanded");
+    registry.observation("velocity_commands", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(r.command));
+    let spec = TermSpec::new(PerJoint, "rad", "joint positions less the default pose").from_inputs(&["joint_pos"]);
+    registry.observation("joint_pos_rel", 12, spec, |_: &NoParams, r, out| {
         by_slot(r, out, |j| r.joints.position[j] - r.stance.default_position[j]);
     });
-    registry.observation("joint_vel_rel", 12, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
-    registry.observation("last_action", 12, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
-    registry.observation("morphology", MORPHOLOGY_SIZE, morphology);
-    registry.observation_of("height_scan", height_scan_size, height_scan);
+    let spec = TermSpec::new(PerJoint, "rad/s", "joint velocities").from_inputs(&["joint_vel"]);
+    registry.observation("joint_vel_rel", 12, spec, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
+    let spec = TermSpec::new(PerJoint, "", "the last action");
+    registry.observation("last_action", 12, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
+    let spec = TermSpec::new(Body, "", "what body this is, see docs/task.md");
+    registry.observation("morphology", MORPHOLOGY_SIZE, spec, morphology);
+    let spec = TermSpec::new(Scan, "m", "height of the base above the ground below each ray, less the offset");
+    registry.observation_of("height_scan", height_scan_size, spec, height_scan);
 }
 
 #[derive(Deserialize)]

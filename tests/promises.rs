@@ -54,5 +54,6 @@ mod shared_dependencies_are_built_once;
 mod simulation_api;
 mod snapshot_round_trip_is_exact;
 mod tasks_run_on_avian;
+mod terms_describe_themselves;
 mod thread_count_does_not_change_bits;
 mod varied_bodies_are_what_their_numbers_say;

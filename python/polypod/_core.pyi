@@ -121,6 +121,27 @@ class VecSim:
     observation_layout: list[tuple[str, int]]
     """(term, size) of the observation, in order."""
 
+    def observation_terms(self) -> str:
+        """Terms of the observation, in order, as JSON: a list of {term, size, kind, units, description, inputs}.
+
+        `kind` is scalar, vector, pseudovector, planar_velocity, per_joint, scan or body. `inputs` are what a robot's sensors
+        have to give for the term; an empty list means the term itself.
+        """
+
+    def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
+        """Mirror image of an observation, left and right exchanged: (index, sign) of each of its [num_obs] numbers.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have.
+        """
+
+    def action_mirror(self, robot: str) -> list[tuple[int, float]]:
+        """Mirror image of an action: (slot, sign) of each of its [num_actions] numbers.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have.
+        """
+
     def env_ids(self, robot: str) -> tuple[int, int]:
         """The half-open range [start, stop) of the envs that hold `robot`. Raises UnknownNameError."""
 

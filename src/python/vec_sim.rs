@@ -19,7 +19,7 @@ use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::robot::CANONICAL_JOINT_NAMES;
-use polypod::systems::{CompiledTask, Logs, StateField};
+use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
 use polypod::world::Ground;
 use polypod::{Autoreset, Sim, SimOptions};
@@ -235,6 +235,30 @@ impl VecSim {
     #[getter]
     fn observation_layout(&self) -> Vec<(&str, usize)> {
         self.sim.task().observations.iter().map(|term| (term.name.as_str(), term.size)).collect()
+    }
+
+    fn observation_terms(&self, py: Python<'_>) -> PyResult<String> {
+        #[derive(Serialize)]
+        struct Entry<'a> {
+            term: &'a str,
+            size: usize,
+            #[serde(flatten)]
+            spec: TermSpec,
+        }
+        let terms = self.sim.task().observations.iter();
+        let terms: Vec<_> = terms.map(|term| Entry { term: &term.name, size: term.size, spec: term.spec }).collect();
+        let json = serde_json::to_string(&terms);
+        json.map_err(|error| fault_exception(py, &format!("the terms cannot be written as JSON: {error}")))
+    }
+
+    fn observation_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
+        let index = self.robot_index(py, robot)?;
+        self.sim.look(py, |sim| sim.task().mirrored_observation(&sim.morphologies()[index]))
+    }
+
+    fn action_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
+        let index = self.robot_index(py, robot)?;
+        self.sim.look(py, |sim| sim.morphologies()[index].mirrored_slots().to_vec())
     }
 
     fn env_ids(&self, py: Python<'_>, robot: &str) -> PyResult<(usize, usize)> {

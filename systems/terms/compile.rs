@@ -7,6 +7,7 @@ use serde::Deserialize;
 
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
+use super::spec::TermSpec;
 use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
 use crate::dynamics::Simd;
 use crate::engine::StateLimits;
@@ -34,6 +35,8 @@ pub struct ObservationTerm {
     pub name: String,
     /// How many numbers it writes.
     pub size: usize,
+    /// What these are.
+    pub spec: TermSpec,
     /// Half width of its uniform noise; 0 without.
     pub noise: f32,
     /// Limits of the noisy numbers.
@@ -117,8 +120,8 @@ impl CompiledTask {
         let mut observations = Vec::new();
         for (i, term) in config.observations.policy.iter().enumerate() {
             let element = format!("observations.policy[{i}]");
-            let (size, build) = find(&registry.observations, &term.term, file, &element, "observation")?;
-            let size = size(config)
+            let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
+            let size = (registered.size)(config)
                 .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
             observations.push(ObservationTerm {
                 name: term.term.clone(),
@@ -126,7 +129,8 @@ impl CompiledTask {
                 noise: if config.observations.enable_noise { term.noise as f32 } else { 0.0 },
                 clip: term.clip.map(|range| range.map(|x| x as f32)),
                 scale: term.scale as f32,
-                write: build(file, &element, &term.params)?,
+                spec: registered.spec,
+                write: (registered.build)(file, &element, &term.params)?,
             });
         }
         let mut rewards = Vec::new();
@@ -232,6 +236,19 @@ impl CompiledTask {
     /// Numbers in an observation.
     pub fn num_obs(&self) -> usize {
         self.observations.iter().map(|term| term.size).sum()
+    }
+
+    /// The mirror image of an observation of this robot, left and right exchanged: of each number, which one takes its place and with
+    /// which sign.
+    pub fn mirrored_observation(&self, robot: &MorphologyModel) -> Vec<(usize, f32)> {
+        let scanner = self.config.sensors.height_scanner.as_ref();
+        let mut mirror = Vec::with_capacity(self.num_obs());
+        for term in &self.observations {
+            let start = mirror.len();
+            let image = term.spec.mirror(term.size, robot, scanner);
+            mirror.extend(image.into_iter().map(|(index, sign)| (start + index, sign)));
+        }
+        mirror
     }
 
     /// Interval events that each env keeps a timer for.

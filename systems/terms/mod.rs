@@ -6,9 +6,11 @@
 mod builtin;
 mod compile;
 mod registry;
+mod spec;
 
 pub(crate) use compile::ACTION_DELAY;
 pub(super) use compile::{ActionDelay, BODY_VARIATION};
 pub use compile::{CompiledTask, ObservationTerm, RewardTerm, TerminationTerm};
 pub(crate) use registry::NoParams;
 pub use registry::Registry;
+pub use spec::{TermKind, TermSpec};

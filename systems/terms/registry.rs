@@ -8,6 +8,7 @@ use serde::de::DeserializeOwned;
 use toml::Table;
 
 use super::super::view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
+use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
 use crate::config::{ConfigError, TaskConfig, parse_params};
 use crate::dynamics::lanes::{Kernel, SimdDispatch};
@@ -32,12 +33,19 @@ pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sy
 #[derive(Resource, Default)]
 pub struct Registry {
     pub(super) rewards: BTreeMap<&'static str, Builder<RewardFn>>,
-    pub(super) observations: BTreeMap<&'static str, (SizeFn, Builder<ObservationFn>)>,
+    pub(super) observations: BTreeMap<&'static str, RegisteredObservation>,
     pub(super) terminations: BTreeMap<&'static str, (bool, Builder<TerminationFn>)>,
     pub(super) body: Events<BodyFn>,
     pub(super) reset: Events<ResetFn>,
     pub(super) interval: Events<IntervalFn>,
     pub(super) curriculum: BTreeMap<&'static str, Builder<CurriculumFn>>,
+}
+
+/// An observation term: what it is, how many numbers it has in a task, and how it is made.
+pub(super) struct RegisteredObservation {
+    pub(super) spec: TermSpec,
+    pub(super) size: SizeFn,
+    pub(super) build: Builder<ObservationFn>,
 }
 
 /// Events by name, each with its place in the order of registration.
@@ -57,11 +65,11 @@ impl Registry {
     }
 
     /// An observation term of `size` numbers.
-    pub fn observation<P>(&mut self, name: &'static str, size: usize, f: fn(&P, &RobotView, &mut [f32]))
+    pub fn observation<P>(&mut self, name: &'static str, size: usize, spec: TermSpec, f: fn(&P, &RobotView, &mut [f32]))
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        self.observation_of(name, move |_| Ok(size), f);
+        self.observation_of(name, move |_| Ok(size), spec, f);
     }
 
     /// An observation term whose size depends on the task; `size` gives problem and remedy where the task does not fit.
@@ -69,6 +77,7 @@ impl Registry {
         &mut self,
         name: &'static str,
         size: impl Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync + 'static,
+        spec: TermSpec,
         f: fn(&P, &RobotView, &mut [f32]),
     ) where
         P: DeserializeOwned + Send + Sync + 'static,
@@ -77,16 +86,16 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out))))
         });
-        self.observations.insert(name, (Box::new(size), build));
+        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(size), build });
     }
 
     /// An observation term that a system of its own writes.
-    pub(in crate::systems) fn observation_by_system(&mut self, name: &'static str, size: usize) {
+    pub(in crate::systems) fn observation_by_system(&mut self, name: &'static str, size: usize, spec: TermSpec) {
         let build: Builder<ObservationFn> = Box::new(move |file, element, table| {
             let NoParams {} = parse_params(file, element, table)?;
             Ok(None)
         });
-        self.observations.insert(name, (Box::new(move |_| Ok(size)), build));
+        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_| Ok(size)), build });
     }
 
     /// A termination term; `time_out` ones truncate an episode, others end it as failed. The last argument is the

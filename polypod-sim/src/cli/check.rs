@@ -27,7 +27,7 @@ fn package_dir(text: &str) -> Result<(String, PathBuf), String> {
 impl Check {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let options = LoadOptions { package_dirs: self.package_dirs.into_iter().collect(), ..LoadOptions::default() };
-        let text = check(&self.file, &options).map_err(|error| Error::from(error))?;
+        let text = check(&self.file, &options).map_err(Error::from)?;
         std::io::stdout().lock().write_all(text.as_bytes())?;
         Ok(())
     }

@@ -20,7 +20,7 @@ impl Inspect {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         let loaded = Library::new(Vec::new()).robot(&self.robot).map_err(Error::from)?;
-        let robot = MorphologyModel::new(&loaded).map_err(Error::from)?;
+        let robot = MorphologyModel::new(&loaded)?;
         let model = &robot.model;
         writeln!(out, "{} ({}), {}", robot.name(), robot.config.title, loaded.urdf_path.display())?;
         writeln!(

@@ -27,7 +27,7 @@ impl Replay {
     /// Fails when the state does not break again with the same bits.
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
-        let dump = Dump::read(&self.file).map_err(Error::from)?;
+        let dump = Dump::read(&self.file)?;
         let replayed = dump.replay(self.simd.as_deref().map(instruction_set).transpose()?)?;
         let state = &dump.state;
         writeln!(

@@ -142,7 +142,7 @@ impl Soak {
     }
 
     fn soak(&self, library: &Library, robot: &str, envs: usize) -> anyhow::Result<Worst> {
-        let model = MorphologyModel::new(&library.robot(robot).map_err(Error::from)?).map_err(Error::from)?;
+        let model = MorphologyModel::new(&library.robot(robot).map_err(Error::from)?)?;
         let options =
             SimulationOptions { dt: self.dt, threads: self.threads, ..SimulationOptions::new(robot.to_string(), envs) };
         let mut sim = Simulation::new(&options)?;

@@ -15,7 +15,7 @@ from rsl_rl.modules import EmpiricalNormalization
 from polypod import _core
 from polypod.evaluation import load_network
 from polypod.export import onnx_graph
-from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, Treatment, changes, interfaces
+from polypod.export.robot import OUTPUTS, RobotInterface, Treatment, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
@@ -139,7 +139,7 @@ class _Writer:
             name,
             {
                 "kind": "robot",
-                "inputs": [_tensor(key, size, INPUTS[key]) for key, size in sizes.items()],
+                "inputs": [_tensor(key, size, robot.meaning(key)) for key, size in sizes.items()],
                 "outputs": [_tensor(key, size, OUTPUTS[key]) for key, size in outputs.items()],
                 "robots": [robot.name],
                 "robot_info": {robot.name: self._robot(robot)},

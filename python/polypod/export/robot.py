@@ -31,18 +31,6 @@ OUTPUTS = {
 }
 """Its outputs."""
 
-_NEEDS = {
-    "base_lin_vel": ("base_lin_vel", "base_ang_vel"),
-    "base_ang_vel": ("base_ang_vel",),
-    "projected_gravity": ("projected_gravity",),
-    "velocity_commands": ("velocity_commands",),
-    "joint_pos_rel": ("joint_pos",),
-    "joint_vel_rel": ("joint_vel",),
-    "last_action": ("last_action",),
-    "morphology": (),
-    "height_scan": ("height_scan",),
-}
-
 
 @dataclasses.dataclass(frozen=True)
 class Treatment:
@@ -81,6 +69,10 @@ class RobotInterface:
     """Centre of mass of the base in its frame, m: the task observes its velocity."""
     morphology: Array
     """What the term `morphology` says of the robot; empty where it is not observed."""
+    needs: Mapping[str, Sequence[str]]
+    """Inputs from which each term is computed."""
+    meanings: Mapping[str, str]
+    """What each term says, with its units."""
     treatment: Mapping[str, Treatment]
     """What the task does to each term after it is measured."""
     scan_points: Array
@@ -89,18 +81,17 @@ class RobotInterface:
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
 
     def inputs(self) -> dict[str, int]:
-        """Names and sizes of the folded graph's inputs. Raises ConfigError for a term that cannot be folded."""
-        for term, _ in self.layout:
-            if term not in _NEEDS:
-                raise _core.ConfigError(
-                    f"the observation term {term!r} cannot be folded into a graph for {self.name}; export without it "
-                    "and compute the observation yourself, in the order of the manifest"
-                )
-        needed = {name for term, _ in self.layout for name in _NEEDS[term]}
-        sizes = {"joint_pos": len(self.joint_names), "joint_vel": len(self.joint_names)}
-        sizes["last_action"] = len(self.joint_of_slot)
-        sizes["height_scan"] = len(self.scan_points)
-        return {name: sizes.get(name, 3) for name in INPUTS if name in needed}
+        """Names and sizes of the folded graph's inputs."""
+        terms = dict(self.layout)
+        needed = [name for term in terms for name in self.needs[term]]
+        joints = len(self.joint_names)
+        sizes = terms | {"joint_pos": joints, "joint_vel": joints, "height_scan": len(self.scan_points)}
+        in_order = [name for name in INPUTS if name in needed] + [name for name in needed if name not in INPUTS]
+        return {name: sizes.get(name, 3) for name in dict.fromkeys(in_order)}
+
+    def meaning(self, name: str) -> str:
+        """What an input or output of the folded graph is."""
+        return INPUTS.get(name) or OUTPUTS.get(name) or self.meanings[name]
 
     def lever(self) -> Array:
         """[3, 3], `angular velocity @ lever` is the centre of mass' velocity about the base's origin."""
@@ -134,6 +125,10 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             f"{manifest['task']} observes {_terms(layout)}, but the policy was trained on {_terms(trained)}; "
             "use the version of the task that it was trained on"
         )
+    terms = json.loads(sim.observation_terms())
+    # what body it is, the graph knows
+    needs = {term["term"]: [] if term["kind"] == "body" else term["inputs"] or [term["term"]] for term in terms}
+    meanings = {term["term"]: f"{term['description']} {term['units']}".strip() for term in terms}
     infos, shapes = json.loads(sim.robot_info()), json.loads(sim.robot_shapes())
     columns, start = slice(0, 0), 0
     for term, size in layout:
@@ -151,6 +146,8 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             action_scale=infos[robot]["action_scale"],
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
             morphology=observation[sim.env_ids(robot)[0], columns].copy(),
+            needs=needs,
+            meanings=meanings,
             treatment=treatment,
             scan_points=scan_points,
             info=infos[robot],

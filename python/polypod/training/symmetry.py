@@ -4,25 +4,12 @@ Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Polici
 every sample is also seen mirrored.
 """
 
-import json
-
 import torch
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.compat import tomllib
 from polypod.rsl_rl import VecEnv
 from polypod.training.config import OBSERVATION_GROUP
-
-_VECTOR = [(0, 1.0), (1, -1.0), (2, 1.0)]
-_PSEUDOVECTOR = [(0, -1.0), (1, 1.0), (2, -1.0)]
-_FIXED_TERMS = {
-    "base_lin_vel": _VECTOR,
-    "base_ang_vel": _PSEUDOVECTOR,
-    "projected_gravity": _VECTOR,
-    "velocity_commands": [(0, 1.0), (1, -1.0), (2, -1.0)],
-}
-_JOINT_TERMS = ("joint_pos_rel", "joint_vel_rel", "last_action")
 
 
 class Mirror:
@@ -32,19 +19,17 @@ class Mirror:
         """For the robots and the observation of `env`.
 
         Raises:
-            ConfigError: when the robots of the run have different mirrors, or an observation term has none.
+            ConfigError: when the robots of the run have different mirrors.
         """
         sim = env.unwrapped.sim
-        infos = json.loads(sim.robot_info())
-        mirrors = {name: [(int(slot), float(sign)) for slot, sign in info["mirror"]] for name, info in infos.items()}
-        first, joints = next(iter(mirrors.items()))
-        for name, mirror in mirrors.items():
-            if mirror != joints:
+        first, *others = sim.robots
+        actions, observations = sim.action_mirror(first), sim.observation_mirror(first)
+        for name in others:
+            if sim.action_mirror(name) != actions or sim.observation_mirror(name) != observations:
                 raise _core.ConfigError(
                     f"joints of {first} and {name} change sign differently in a mirror: set symmetry = false in [run]"
                 )
-        self._actions = _tensors(joints, device)
-        self._observations = _tensors(_observation_mirror(sim.observation_layout, joints, _scan_rows(sim)), device)
+        self._actions, self._observations = _tensors(actions, device), _tensors(observations, device)
 
     def augment(
         self, env: VecEnv, obs: TensorDict | None, actions: torch.Tensor | None
@@ -66,41 +51,6 @@ class Mirror:
         if actions is not None:
             actions = torch.cat([actions, _mirrored(actions, self._actions)])
         return obs, actions
-
-
-def _scan_rows(sim: _core.VecSim) -> int:
-    """Rows of the height scanner's rays from right to left; 0 without one."""
-    scanner = tomllib.loads(sim.resolved_config())["task"].get("sensors", {}).get("height_scanner")
-    # as the simulator counts them
-    return int(scanner["size"][1] / scanner["resolution"] + 1e-9) + 1 if scanner else 0
-
-
-def _observation_mirror(
-    layout: list[tuple[str, int]], joints: list[tuple[int, float]], scan_rows: int
-) -> list[tuple[int, float]]:
-    mirror: list[tuple[int, float]] = []
-    for name, size in layout:
-        if name in _JOINT_TERMS:
-            term = joints
-        elif name == "morphology":
-            # all but the default pose, 12 numbers before the last, are means over the legs
-            term = [(i, 1.0) for i in range(size)]
-            start = size - 1 - len(joints)
-            term[start:-1] = [(start + slot, sign) for slot, sign in joints]
-        elif name == "height_scan":
-            # rows from right to left, each from back to front
-            length = size // scan_rows
-            rows = [range(row * length, (row + 1) * length) for row in reversed(range(scan_rows))]
-            term = [(index, 1.0) for row in rows for index in row]
-        elif name in _FIXED_TERMS:
-            term = _FIXED_TERMS[name]
-        else:
-            raise _core.ConfigError(
-                f"it is not known how the observation term {name} is mirrored: set symmetry = false in [run]"
-            )
-        start = len(mirror)
-        mirror += [(start + index, sign) for index, sign in term]
-    return mirror
 
 
 def _tensors(mirror: list[tuple[int, float]], device: str) -> tuple[torch.Tensor, torch.Tensor]:
