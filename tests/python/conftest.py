@@ -17,6 +17,7 @@ from filelock import FileLock
 import polypod
 import polypod.__main__
 from common import FLAT_POLICY, ROBOTS, TASK, TINY
+from fork_server import ForkServer
 
 Finished = subprocess.CompletedProcess[str]
 
@@ -113,6 +114,14 @@ def cli_process(tmp_path: Path) -> Callable[..., Finished]:
         return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=170, check=False)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def fork_server() -> Iterator[ForkServer]:
+    """Runs `polypod` in processes of their own, each begun in milliseconds."""
+    server = ForkServer()
+    yield server
+    server.close()
 
 
 @pytest.fixture(scope="session")
