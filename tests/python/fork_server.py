@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -41,27 +42,39 @@ class ForkServer:
         pipe = subprocess.PIPE
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "300"}
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
+        self._running: int | None = None
 
-    def start(self, words: list[str], folder: Path, seconds: float = 60.0, memory: int = 0) -> int:
-        """Starts `polypod` in `folder`, for at most so long and with at most so much memory; returns its process."""
+    def start(
+        self, words: Iterable[str], folder: Path, seconds: float = 60.0, memory: int = 0, user: int | None = None
+    ) -> int:
+        """Starts `polypod` in `folder`, for at most so long, with at most so much memory, maybe as another user.
+
+        Returns its process.
+        """
+        if self._running is not None:  # a test failed before it ended
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._running, signal.SIGKILL)
+            self._answer()
         self._folder = folder
-        request = {"words": list(words), "folder": str(folder), "seconds": seconds, "memory": memory}
+        request = {"words": list(words), "folder": str(folder), "seconds": seconds, "memory": memory, "user": user}
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
-        return int(self._answer()["process"])
+        self._running = int(self._answer()["process"])
+        return self._running
 
     def ended(self) -> Ended:
         """Waits for what was started last."""
         answer = self._answer()
+        self._running = None
         said = [(self._folder / name).read_bytes().decode(errors="replace") for name in (".output", ".errors")]
         for name in (".output", ".errors"):
             (self._folder / name).unlink()
         return Ended(answer["code"], *said, answer["memory"])
 
-    def run(self, *words: str, cwd: Path, seconds: float = 60.0, memory: int = 0) -> Ended:
+    def run(self, *words: str, cwd: Path, seconds: float = 60.0, memory: int = 0, user: int | None = None) -> Ended:
         """Starts `polypod` and waits for it."""
-        self.start(list(words), cwd, seconds, memory)
+        self.start(words, cwd, seconds, memory, user)
         return self.ended()
 
     def close(self) -> None:
@@ -93,7 +106,7 @@ def _serve() -> None:
         print(json.dumps({"code": os.waitstatus_to_exitcode(status), "memory": usage.ru_maxrss << 10}), flush=True)
 
 
-def _become_polypod(words: list[str], folder: str, seconds: float, memory: int) -> None:
+def _become_polypod(words: list[str], folder: str, seconds: float, memory: int, user: int | None) -> None:
     import polypod.__main__
 
     os.setsid()
@@ -106,6 +119,8 @@ def _become_polypod(words: list[str], folder: str, seconds: float, memory: int) 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if memory:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    if user is not None:
+        os.setuid(user)
     try:
         code = polypod.__main__.main()
     except SystemExit as left:

@@ -114,7 +114,11 @@ def train(options: Options) -> int:
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
             f"simulator {env.sim.threads} threads, learner on {_learner(device)}; {run}"
         )
-        runner.logger.open(options.logger, purge_step=runner.current_learning_iteration)
+        runner.logger.open(
+            options.logger,
+            runner.current_learning_iteration,
+            lambda problem: reporter.message(f"polypod: warning: {problem}"),
+        )
         try:
             runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
         finally:
