@@ -21,6 +21,9 @@ from typing import Any
 _MODULES = ("evaluation", "export", "play.session", "sim2sim", "training.session", "results", "bench")
 _LIBRARIES = ("mujoco", "onnx", "onnxruntime", "rsl_rl.runners", "torch.utils.tensorboard", "viser", "av", "tyro")
 
+_MEMORY_UNIT = 1 if sys.platform == "darwin" else 1024
+"""Bytes of the unit of a process's peak memory."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Ended:
@@ -103,7 +106,10 @@ def _serve() -> None:
                 os._exit(70)
         print(json.dumps({"process": child}), flush=True)
         status, usage = _waited(child, request["seconds"])
-        print(json.dumps({"code": os.waitstatus_to_exitcode(status), "memory": usage.ru_maxrss << 10}), flush=True)
+        print(
+            json.dumps({"code": os.waitstatus_to_exitcode(status), "memory": usage.ru_maxrss * _MEMORY_UNIT}),
+            flush=True,
+        )
 
 
 def _become_polypod(words: list[str], folder: str, seconds: float, memory: int, user: int | None) -> None:
