@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float32]
 class OnnxPolicy:
     """An ONNX graph that can be called."""
 
-    def __init__(self, model: Path | bytes, threads: int = 1) -> None:
+    def __init__(self, model: Path | str | bytes, threads: int = 1) -> None:
         """Loads a file or its bytes.
 
         Raises:
@@ -27,7 +27,7 @@ class OnnxPolicy:
         """
         runtime = package("onnxruntime", "running an exported policy", "export")
         name = "the model" if isinstance(model, bytes) else str(model)
-        source = model if isinstance(model, bytes) else _read(model)
+        source = model if isinstance(model, bytes) else _read(Path(model))
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = threads
         try:
