@@ -19,6 +19,9 @@ use tract_onnx::prelude::*;
 /// Largest network that is read, bytes: twice what `polypod export` writes for the largest one that it accepts.
 const MAX_NETWORK: u64 = 1 << 30;
 
+/// Largest observation or action of a policy, as `polypod.training.manifest.MAX_LAYER` has it.
+const MAX_LAYER: usize = 65536;
+
 /// A policy could not be read, or does not fit a simulation.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {element}: {problem}; {remedy}", file.display())]
@@ -123,6 +126,12 @@ impl PolicyManifest {
         if manifest.kind != "policy" {
             let problem = format!("is `{}`: the graph is folded for one robot and takes its sensors", manifest.kind);
             return Err(failure("kind", problem, "pass policy.onnx of the same export, which takes observations"));
+        }
+        for (element, size) in [("observation_layout", manifest.num_obs()), ("num_actions", manifest.num_actions)] {
+            if !(1..=MAX_LAYER).contains(&size) {
+                let problem = format!("{size} numbers, not 1 to {MAX_LAYER}");
+                return Err(failure(element, problem, "copy the manifest again from its export"));
+            }
         }
         if manifest.canonical_joint_names != CANONICAL_JOINT_NAMES {
             let problem = "are in another order than this version's".to_string();

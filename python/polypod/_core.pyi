@@ -124,8 +124,8 @@ class VecSim:
     def observation_terms(self) -> str:
         """Terms of the observation, in order, as JSON: a list of {term, size, kind, units, description, inputs}.
 
-        `kind` is scalar, vector, pseudovector, planar_velocity, per_joint, scan or body. `inputs` are what a robot's sensors
-        have to give for the term; an empty list means the term itself.
+        `kind` is scalar, vector, pseudovector, planar_velocity, per_joint, scan or body. `inputs` are what a robot's
+        sensors have to give for the term; an empty list means the term itself.
         """
 
     def observation_mirror(self, robot: str) -> list[tuple[int, float]]:

@@ -4,7 +4,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from polypod import _core
-from polypod.files import write_text
+from polypod.files import read_bytes, write_text
+
+MAX_BYTES = 16 << 20
+"""Of a document."""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -36,7 +39,7 @@ def replace(document: Path, name: str, text: str) -> None:
 def _parts(document: Path, name: str) -> tuple[str, str]:
     """What stands before and after the marks."""
     try:
-        content = document.read_text(encoding="utf-8")
+        content = read_bytes(document, MAX_BYTES).decode()
     except OSError as error:
         raise _core.ConfigError(f"cannot read {document}: {error.strerror}; choose another file") from error
     except UnicodeDecodeError as error:

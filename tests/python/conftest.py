@@ -116,6 +116,18 @@ def cli_process(tmp_path: Path) -> Callable[..., Finished]:
 
 
 @pytest.fixture(scope="session")
+def fork_server() -> Iterator[Any]:
+    """Runs `polypod` in processes of their own, each begun in milliseconds."""
+    if not hasattr(os, "fork"):
+        pytest.skip("processes are not forked here")
+    from fork_server import ForkServer
+
+    server = ForkServer()
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
 def built_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
     """Returns a folder that the first worker to ask for it fills and that all workers read."""
     base = tmp_path_factory.getbasetemp()

@@ -1,5 +1,6 @@
 """Exported graphs compute what the checkpoint does, from a robot's own sensors to its own joints."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -182,11 +183,16 @@ def build(activation, normalized=False):
     return network.eval()
 
 
-def test_a_term_that_cannot_be_folded_is_named():
+def test_a_term_of_its_own_is_an_input_of_its_own():
+    """What no formula makes of other inputs, a deployment measures itself."""
     robot = interfaces(run_dir.read_manifest(FLAT_POLICY), ["spot"])["spot"]
-    strange = type(robot)(**{**vars(robot), "layout": (("contact_forces", 12),)})
-    with pytest.raises(polypod.ConfigError, match="contact_forces"):
-        strange.inputs()
+    layout = (("base_lin_vel", 3), ("motor_temperature", 2), ("joint_pos_rel", 12))
+    needs = {**robot.needs, "motor_temperature": ["motor_temperature"]}
+    meanings = {**robot.meanings, "motor_temperature": "temperature above the air K"}
+    warm = dataclasses.replace(robot, layout=layout, needs=needs, meanings=meanings)
+    assert warm.inputs() == {"base_lin_vel": 3, "base_ang_vel": 3, "joint_pos": 12, "motor_temperature": 2}
+    assert warm.meaning("motor_temperature") == "temperature above the air K"
+    assert "rad" in warm.meaning("joint_pos")
 
 
 @pytest.mark.parametrize(

@@ -1,141 +1,27 @@
 """No command line, however bad, ends in a traceback, a panic or a hang. Who is refused is told why."""
 
-import itertools
 import os
 import random
+import re
 import resource
 import signal
 import subprocess
-from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
 
-from common import FLAT_POLICY, size
+import bad_lines
+from common import size
+from fork_server import Ended
 
-ROOT = Path(__file__).parents[2]
-PROGRAM = ROOT / "target" / "release" / "polypod-sim"
-URDF = ROOT / "assets" / "robots" / "spot" / "spot.urdf"
-
-LINES = size(150, 1500)
-"""Command lines of each of the two programs."""
+PROGRAM = bad_lines.ROOT / "target" / "release" / "polypod-sim"
 CHUNKS = 10
+SINGLE = size(10, 1_000_000)
+"""Lines of one bad thing in each chunk; in the extended tier all there are, about 3000."""
+SEVERAL = size(2, 25)
+"""Lines of several bad things, of each command."""
 SECONDS = 20
 MEMORY = 4 << 30
-
-COUNTS = ["-1", "0", "1.5", "", "x", "nan", "-9223372036854775809", "18446744073709551616", "9" * 40, "0x10", "\u0661"]
-FLOATS = ["nan", "inf", "-inf", "-1", "", "x", "1e999", "-1e-320", "1,5", "\u0663"]
-NAMES = ["", " ", ",", "spott", "spot,", "spot,spot", "..", "/", "/dev/null", "/dev/zero", "/dev/zero.toml", "a" * 5000]
-NAMES += ["\u202e", "\udcff", "spot\n", "-", "--", "robots/spot", "~", "$HOME", "`true`", "%s%n", "nul.toml", "."]
-FILES = ["", ".", "/", "/dev/null", "/dev/full", "/proc/self/mem", "/nothing/here", "a" * 5000, "loop", "binary"]
-FILES += ["manifest.json", "empty.pt", "binary.pt", "\udcff", "../../../../etc/passwd", "folder"]
-OUTPUTS = ["", ".", "/", "/proc/nothing", "/nothing/\x01/here", "loop", "folder", "a" * 5000, "file/below"]
-OVERRIDES = ["", "=", "a", "sim.dt", "sim.dt=", "sim.dt=nan", "sim.dt=-1", "sim.dt=0", "sim.dt=1e-320", "sim.dt=[]"]
-OVERRIDES += ["sim.dt=1=1", ".=1", "sim..dt=1", "sim.gravity=[nan,0,0]", "sim.gravity=[0,0]", "sim.decimation=0"]
-OVERRIDES += ["sim.decimation=1000000000", "sim.decimation=-1", "[=1", "sim.dt='", "a.b.c.d=" + "[" * 5000, "sim=3"]
-OVERRIDES += [
-    "sim.episode_length_s=0",
-    "sim.episode_length_s=1e300",
-    "commands.base_velocity.ranges.lin_vel_x=[1e30,-1e30]",
-]
-OVERRIDES += ["observations.policy=[]", "rewards=1", "scene.terrain.num_rows=1000000", "=" * 5000, "sim.dt=\udcff"]
-
-CHECKPOINT = ("--checkpoint", str(FLAT_POLICY))
-COMMON = {"--robots": NAMES, "--set": OVERRIDES, "--seed": COUNTS[:-3]}
-WITH_TASK = COMMON | {"--task": NAMES, "--threads": COUNTS}
-COMMANDS: dict[str, tuple[tuple[str, ...], dict[str, list[str]]]] = {
-    "eval": (
-        (*CHECKPOINT, "--num-envs", "8", "--steps", "1"),
-        WITH_TASK
-        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--episodes": COUNTS, "--steps": COUNTS, "--grid": COUNTS}
-        | {"--json": OUTPUTS, "--plot": OUTPUTS},
-    ),
-    "export": (
-        (*CHECKPOINT, "--formats", "onnx", "--out", "out"),
-        {"--checkpoint": FILES, "--out": OUTPUTS, "--robots": NAMES, "--formats": NAMES},
-    ),
-    "play": (
-        (*CHECKPOINT, "--headless", "--seconds", "0.1"),
-        WITH_TASK
-        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--seconds": FLOATS, "--warm-up": FLOATS, "--fps": COUNTS}
-        | {
-            "--port": [*COUNTS, "99999"],
-            "--record": OUTPUTS,
-            "--video": OUTPUTS,
-            "--command": FLOATS,
-            "--size": COUNTS,
-        },
-    ),
-    "sim2sim": (
-        (*CHECKPOINT, "--num-envs", "1", "--steps", "1", "--robots", "spot"),
-        COMMON
-        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--steps": COUNTS, "--dt": FLOATS, "--friction": FLOATS}
-        | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES},
-    ),
-    "train": (
-        ("--num-envs", "64", "--max-iterations", "1", "--logger", "none", "--robots", "spot"),
-        WITH_TASK
-        | {"--num-envs": COUNTS, "--max-iterations": COUNTS, "--train-config": [*NAMES, *FILES], "--resume": FILES}
-        | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES},
-    ),
-    "check": ((str(URDF),), {"": FILES, "--package-dir": ["", "=", "a", "a=", "=b", "a=/dev/zero"]}),
-    "robot": (
-        ("new", str(URDF), "--out", "/nothing/spot.toml"),
-        {"--name": NAMES, "--out": OUTPUTS, "--package-dir": ["", "a"]},
-    ),
-    "terrain": (
-        ("--out", "map.npz", "--task", "velocity_flat"),
-        {"--out": OUTPUTS, "--task": NAMES, "--set": OVERRIDES},
-    ),
-    "results": (("folder",), {"--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES}),
-    "accuracy": (("--robots", "nobody"), {"--robots": ["", ",", "x"], "--out": FILES, "--readme": FILES}),
-    "bench": (
-        ("--robot", "nobody"),
-        {"--num-envs": COUNTS[:7], "--threads": COUNTS[:7], "--step-threads": COUNTS[:7], "--robot": NAMES},
-    ),
-    "list": ((), {"--x": NAMES, "": NAMES}),
-    "info": ((), {"--x": NAMES, "": NAMES}),
-    "": ((), {"": NAMES, "--version": NAMES, "-h": [""]}),
-}
-SIM_COMMANDS: dict[str, tuple[tuple[str, ...], dict[str, list[str]]]] = {
-    "rollout": (
-        ("--task", "velocity_flat", "--num-envs", "8", "--steps", "1"),
-        WITH_TASK | {"--num-envs": COUNTS, "--actions": NAMES, "--engine": NAMES, "--dump-dir": OUTPUTS},
-    ),
-    "inspect": (("--robot", "spot"), {"--robot": NAMES}),
-    "check": ((str(URDF),), {"": FILES, "--package-dir": ["", "=", "a", "a="]}),
-    "replay": (("manifest.json",), {"": [*FILES, "/dev/zero"], "--simd": NAMES}),
-    "play": (
-        ("--policy", str(FLAT_POLICY.parent / "exported" / "policy.onnx"), "--num-envs", "8", "--steps", "1"),
-        WITH_TASK | {"--policy": FILES, "--num-envs": COUNTS, "--steps": COUNTS[:7], "--command": FLOATS},
-    ),
-    "soak": (("--minutes", "0"), {"--minutes": ["0", "-1", "nan", "x"], "--dt": FLOATS, "--robots": NAMES}),
-    "list": ((), {"--x": NAMES, "": NAMES}),
-}
-
-
-def lines(commands, seed):
-    """Bad command lines, every flag with every value before one comes twice; some have two bad flags."""
-    draw = random.Random(seed)
-    single = [
-        (command, (*base, *_flag(flag, value)))
-        for command, (base, flags) in commands.items()
-        for flag, values in flags.items()
-        for value in values
-    ]
-    draw.shuffle(single)
-    yield from single
-    while True:
-        command = draw.choice(list(commands))
-        base, flags = commands[command]
-        pairs = [_flag(flag, draw.choice(flags[flag])) for flag in draw.choices(list(flags), k=2)]
-        yield command, (*base, *itertools.chain(*pairs))
-
-
-def _flag(flag, value):
-    if not flag:
-        return (value,)
-    count = {"--grid": 3, "--command": 3, "--size": 2}.get(flag, 1)
-    return (flag, *[value] * count)
 
 
 @pytest.fixture
@@ -150,45 +36,9 @@ def place(tmp_path):
     return tmp_path
 
 
-class TooLongError(Exception):
-    """A command took more than `SECONDS`."""
-
-
-def _alarm(number, frame):
-    raise TooLongError
-
-
-def chunk_of(commands, chunk):
-    return itertools.islice(lines(commands, 0), chunk * LINES // CHUNKS, (chunk + 1) * LINES // CHUNKS)
-
-
-@pytest.mark.parametrize("chunk", range(CHUNKS))
-def test_polypod(cli, place, chunk):
-    bad = []
-    previous = signal.signal(signal.SIGALRM, _alarm)
-    try:
-        for command, arguments in chunk_of(COMMANDS, chunk):
-            words = (*([command] if command else []), *arguments)
-            signal.alarm(SECONDS)
-            try:
-                done = cli(*words, cwd=place)
-            except TooLongError:
-                bad.append(f"{words}: took more than {SECONDS} s")
-                continue
-            except BaseException as error:  # PanicException is no Exception
-                bad.append(f"{words}: {type(error).__name__}: {error}")
-                continue
-            finally:
-                signal.alarm(0)
-            said = done.stdout + done.stderr
-            if done.returncode not in (0, 2, 3) or "Traceback" in said or "bug" in said or "panicked" in said:
-                bad.append(f"{words}: {done.returncode} {said[-600:]}")
-            elif done.returncode == 2 and not done.stderr.strip():
-                bad.append(f"{words}: no word")
-    finally:
-        signal.signal(signal.SIGALRM, previous)
-    assert not bad, "\n".join(bad)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 < MEMORY
+def of_polypod(fork_server, words, place):
+    """Runs `polypod`; its memory ends above `MEMORY`, so that the machine survives what is compared below."""
+    return fork_server.run(*words, cwd=place, seconds=SECONDS, memory=MEMORY + (1 << 30))
 
 
 def _limit():
@@ -196,21 +46,99 @@ def _limit():
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
+def of_the_program(fork_server, words, place):
+    """Runs `polypod-sim`."""
+    command = [PROGRAM, *(os.fsencode(word) for word in words)]
+    options = {"encoding": "utf-8", "errors": "replace", "timeout": SECONDS, "stdin": subprocess.DEVNULL}
+    try:
+        done = subprocess.run(command, cwd=place, capture_output=True, preexec_fn=_limit, check=False, **options)
+    except subprocess.TimeoutExpired:
+        return Ended(-signal.SIGKILL, "", "", 0)
+    return Ended(done.returncode, done.stdout, done.stderr, 0)
+
+
+RUNS = {"polypod": (of_polypod, (0, 2, 3)), "polypod-sim": (of_the_program, (0, 1, 2))}
+COMMANDS = {"polypod": bad_lines.POLYPOD, "polypod-sim": bad_lines.POLYPOD_SIM}
+
+
+def complaint(fork_server, program, words, place):
+    """What is wrong with how a line ends; None for nothing."""
+    run, codes = RUNS[program]
+    ended = run(fork_server, words, place)
+    said = ended.output + ended.errors
+    shown = [word if len(word) < 100 else f"{word[:20]}... ({len(word)})" for word in words]
+    if ended.code == -signal.SIGKILL:
+        return f"{shown}: took more than {SECONDS} s"
+    if ended.memory > MEMORY:
+        return f"{shown}: took {ended.memory >> 20} MiB"
+    bad = [word for word in ("Traceback", "this is a bug", "panicked", "memory allocation") if word in said]
+    if ended.code not in codes or bad:
+        return f"{shown}: {ended.code} {said[-600:]}"
+    if ended.code and not ended.errors.strip():
+        return f"{shown}: {ended.code} without a word"
+    return None
+
+
 @pytest.mark.parametrize("chunk", range(CHUNKS))
-def test_polypod_sim(place, chunk):
-    bad = []
-    for command, arguments in chunk_of(SIM_COMMANDS, chunk):
-        words = [os.fsencode(word) for word in (command, *arguments)]
-        try:
-            done = subprocess.run(
-                [PROGRAM, *words], cwd=place, capture_output=True, timeout=SECONDS, preexec_fn=_limit, check=False
-            )
-        except subprocess.TimeoutExpired:
-            bad.append(f"{words}: took more than {SECONDS} s")
-            continue
-        said = done.stdout + done.stderr
-        if done.returncode not in (0, 1, 2) or b"panicked" in said or b"memory allocation" in said:
-            bad.append(f"{words}: {done.returncode} {said[-600:]!r}")
-        elif done.returncode and not done.stderr.strip():
-            bad.append(f"{words}: no word")
-    assert not bad, "\n".join(bad)
+@pytest.mark.parametrize("program", RUNS)
+def test_every_flag_with_every_bad_value(fork_server, place, program, chunk):
+    lines = bad_lines.single(COMMANDS[program])[chunk::CHUNKS][:SINGLE]
+    complaints = [complaint(fork_server, program, line, place) for line in lines]
+    assert not any(complaints), "\n".join(filter(None, complaints))
+
+
+@pytest.mark.parametrize(
+    ("program", "command"), [(program, command) for program, commands in COMMANDS.items() for command in commands]
+)
+def test_several_bad_flags_at_once(fork_server, place, program, command):
+    @settings(
+        max_examples=SEVERAL,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(bad_lines.several(COMMANDS[program], command))
+    def check(line):
+        assert (wrong := complaint(fork_server, program, line, place)) is None, wrong
+
+    check()
+
+
+_FLAG = re.compile(r"(?:^|[ ,│])(--?[A-Za-z][\w-]*)")
+
+
+def flags_in(help_text):
+    """The flags that the tables of a command's help begin their lines with."""
+    found = set()
+    for line in help_text.splitlines():
+        text = line.strip("│ ")
+        if text.startswith("-"):
+            found |= set(_FLAG.findall(text.split("  ")[0]))
+    return found | {
+        flag for names in re.findall(r"\[alias(?:es)?: ([^]]*)\]", help_text) for flag in _FLAG.findall(names)
+    }
+
+
+def commands_in(help_text):
+    """The commands of a program's help: tyro's list in braces, clap's table."""
+    if braces := re.search(r"\{([\w,-]+)\}", help_text):
+        return set(braces[1].split(","))
+    table = help_text.partition("Commands:\n")[2].partition("\n\n")[0]
+    return {line.split()[0] for line in table.splitlines()}
+
+
+@pytest.mark.parametrize("program", RUNS)
+def test_no_command_and_no_flag_is_left_out(fork_server, tmp_path, program):
+    run, _ = RUNS[program]
+    commands = COMMANDS[program]
+    assert commands_in(run(fork_server, ["--help"], tmp_path).output) == set(commands) - {""}
+    for command, flags in bad_lines.flags_of(commands):
+        if command != "help":
+            said = run(fork_server, [*([command] if command else []), "--help"], tmp_path).output
+            assert flags_in(said) == flags, command
+
+
+def test_the_lines_are_as_many_as_are_promised():
+    single = sum(len(bad_lines.single(commands)) for commands in COMMANDS.values())
+    assert single > 2000

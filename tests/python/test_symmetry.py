@@ -82,22 +82,22 @@ def test_the_physics_has_the_same_mirror() -> None:
     assert not np.allclose(found[12:24], observations["policy"][0][12:24], atol=0.2)
 
 
-def test_an_observation_without_a_known_mirror_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robots_with_other_mirrors_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     env, _ = mirror_of(TASKS[0])
-
-    info = env.unwrapped.sim.robot_info()
+    sim = env.unwrapped.sim
 
     class Sim:
-        observation_layout = (("base_lin_vel", 3), ("smell", 4))
+        robots = sim.robots
 
-        def robot_info(self) -> str:
-            return info
+        def action_mirror(self, robot: str) -> list[tuple[int, float]]:
+            mirror = sim.action_mirror(robot)
+            return mirror if robot != "spot" else [(slot, -sign) for slot, sign in mirror]
 
-        def resolved_config(self) -> str:
-            return "[task]"
+        def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
+            return sim.observation_mirror(robot)
 
     monkeypatch.setattr(env, "unwrapped", type("Env", (), {"sim": Sim()})())
-    with pytest.raises(polypod.ConfigError, match="smell"):
+    with pytest.raises(polypod.ConfigError, match="spot change sign differently"):
         Mirror(env, "cpu")
 
 

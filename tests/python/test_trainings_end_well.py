@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -14,6 +15,7 @@ import torch
 import polypod
 from common import TINY
 from polypod.training import run_dir, session
+from polypod.training import runner as module
 from polypod.training.runner import Runner
 
 TRAIN = (
@@ -65,6 +67,30 @@ def test_an_ignored_signal_stays_ignored(tmp_path):
     process.terminate()
     process.communicate(timeout=60)
     assert process.returncode == 143
+
+
+def test_a_signal_that_comes_twice_at_once_is_one(monkeypatch):
+    """A scheduler tells the whole group of `make train`, and make tells its child again."""
+    said = []
+    runner = Runner.__new__(Runner)
+    runner.stopped_by, runner.reporter = None, SimpleNamespace(message=said.append)
+    with runner._stop_on_signals():
+        for _ in range(3):
+            signal.raise_signal(signal.SIGTERM)
+        assert runner.stopped_by == signal.SIGTERM
+        assert len(said) == 1
+        monkeypatch.setattr(module, "SAME_SIGNAL_S", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+
+def test_ctrl_c_twice_ends_at_once():
+    runner = Runner.__new__(Runner)
+    runner.stopped_by, runner.reporter = None, SimpleNamespace(message=lambda text: None)
+    with runner._stop_on_signals():
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_two_trainings_do_not_share_a_run(cli, tmp_path):

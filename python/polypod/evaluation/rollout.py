@@ -17,6 +17,8 @@ ENVS_PER_ROBOT = 64
 
 MAX_GRID = 1_000_000
 """Commands of a grid."""
+MAX_STEPS = 10_000_000
+"""Control steps of all episodes together: hours, even of few envs."""
 
 Grid = tuple[int, int, int]
 """How many forward velocities, left velocities and yaw rates, each evenly over the task's range."""
@@ -59,7 +61,7 @@ def evaluate(
         randomized: with the noise, the pushes and the randomisation of the training.
 
     Raises:
-        ConfigError: for an unknown task or robot, and for counts below one.
+        ConfigError: for an unknown task or robot, for counts below one, and for more than `MAX_STEPS` control steps.
     """
     for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
         if count is not None and count < 1:
@@ -75,6 +77,11 @@ def evaluate(
         name, num_envs, robots=named, seed=seed, threads=threads, overrides=changes, autoreset="disabled"
     )
     length = min(steps or sim.max_episode_length, sim.max_episode_length)
+    if episodes * length > MAX_STEPS:
+        raise _core.ConfigError(
+            f"episodes = {episodes} of {length} control steps are more than {MAX_STEPS:,} steps; "
+            "choose smaller --episodes or --steps"
+        )
     commands = _commands(sim, grid) if grid is not None else None
     runs = []
     for episode in range(episodes):

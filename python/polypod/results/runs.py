@@ -22,9 +22,12 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.evaluation import Evaluation
 from polypod.extras import package
+from polypod.files import read_bytes
 from polypod.results.archive import unpacked
 from polypod.training.run_dir import MANIFEST
 
+MAX_BYTES = 64 << 20
+"""Of a file of figures."""
 Array = npt.NDArray[np.float64]
 
 
@@ -149,8 +152,10 @@ def _read_directory(folder: Path, directory: Path, results: Results) -> None:
 
 def _load(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        content = json.loads(read_bytes(file, MAX_BYTES).decode())
+    except _core.PolypodError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
         raise _core.ConfigError(f"cannot read {file}: {error}; write it again") from error
     if not isinstance(content, dict):
         raise _core.ConfigError(f"{file} holds no table; move it elsewhere")

@@ -29,6 +29,8 @@ MAX_FALL_RATE = 0.05
 MAX_VELOCITY_DIFFERENCE = 0.1
 """Of the velocity errors in the two simulators, m/s."""
 
+MAX_STEPS = 50_000_000
+"""Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
 DT_ON_TERRAIN = 0.002
 """MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown off steep faces."""
 MARGIN = 30.0
@@ -209,6 +211,11 @@ class _Episode:
         self.envs_per_robot = options.envs_per_robot
         self.step_dt = self.sim.step_dt
         self.steps = min(options.steps or self.sim.max_episode_length, self.sim.max_episode_length)
+        if self.steps * self.sim.num_envs > MAX_STEPS:
+            raise _core.ConfigError(
+                f"{self.sim.num_envs} envs of {self.steps} control steps are more than {MAX_STEPS:,} steps; "
+                "choose smaller --steps or --num-envs"
+            )
         self.seed = options.seed
         task = tomllib.loads(self.sim.resolved_config())["task"]
         if task["scene"].get("obstacles") or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6:

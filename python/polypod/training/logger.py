@@ -1,5 +1,7 @@
 """What a training run records: rsl_rl's scalars, written once per iteration and never printed."""
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 import torch
@@ -7,10 +9,13 @@ from rsl_rl.utils.logger import Logger
 
 
 class ScalarWriter(Protocol):
-    """The part of TensorBoard's writer that is used here."""
+    """Takes numbers, and writes them."""
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
         """Records one number."""
+
+    def flush(self) -> None:
+        """Writes what is buffered."""
 
     def close(self) -> None:
         """Writes what is still buffered."""
@@ -20,6 +25,9 @@ class NoWriter:
     """Records nothing: `--logger none`."""
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
+        """Does nothing."""
+
+    def flush(self) -> None:
         """Does nothing."""
 
     def close(self) -> None:
@@ -33,19 +41,20 @@ class TrainingLogger(Logger):
     env's log over steps; here the simulator averages it over the episodes that ended in the iteration.
     """
 
-    def open(self, kind: str, purge_step: int) -> None:
+    def open(self, kind: str, purge_step: int, warn: Callable[[str], None]) -> None:
         """Begins to record.
 
         Args:
             kind: "tensorboard" or "none".
+            warn: is told when the disk takes no curves.
             purge_step: records of this and later iterations, left by a run that went on after its last checkpoint, are
                 dropped.
         """
         self.writer: ScalarWriter | None
         if kind == "tensorboard":
-            from torch.utils.tensorboard import SummaryWriter
+            from polypod.training.curves import Curves
 
-            self.writer = SummaryWriter(log_dir=self.log_dir, purge_step=purge_step or None, flush_secs=10)
+            self.writer = Curves(Path(self.log_dir), purge_step or None, warn)
         else:
             self.writer = NoWriter()
 
@@ -67,6 +76,7 @@ class TrainingLogger(Logger):
         if self.writer is not None:
             for tag, value in scalars.items():
                 self.writer.add_scalar(tag, value, iteration)
+            self.writer.flush()
         return steps_per_second
 
     @property

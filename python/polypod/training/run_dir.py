@@ -69,6 +69,8 @@ def find_checkpoint(log_dir: Path, run: str) -> Path:
             return path
         if path.is_dir():
             return latest_checkpoint(path)
+    except PermissionError as error:
+        raise _core.ConfigError(f"cannot read {run}: {error.strerror}; ask its owner for a copy") from error
     except OSError:  # a name that is none, such as one of 5000 letters
         pass
     runs = sorted(

@@ -26,6 +26,11 @@ from polypod.training.symmetry import Mirror
 
 STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
 """Ctrl-C; what Slurm, Docker and spot machines send; a closed terminal."""
+SAME_SIGNAL_S = 1.0
+"""Time in which a further SIGTERM or SIGHUP is the first one again, s.
+
+Who tells a whole group of processes to end tells make too, which passes it on.
+"""
 STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
 
@@ -196,10 +201,15 @@ class Runner(OnPolicyRunner):
     @contextlib.contextmanager
     def _stop_on_signals(self) -> Iterator[None]:
         """Lets `STOP_SIGNALS` end the training after the iteration under way; a second one ends it at once."""
+        begin = 0.0
 
         def stop(number: int, frame: FrameType | None) -> None:
+            nonlocal begin
             if self.stopped_by is not None:
+                if number != signal.SIGINT and time.monotonic() - begin < SAME_SIGNAL_S:
+                    return
                 raise KeyboardInterrupt
+            begin = time.monotonic()
             self.stopped_by = signal.Signals(number)
             again = "Ctrl-C again" if number == signal.SIGINT else "a second signal"
             self.reporter.message(f"stopping after this iteration ({again}: at once, without a checkpoint)")

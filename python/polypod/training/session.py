@@ -20,6 +20,8 @@ from polypod.training.runner import Runner
 
 DEFAULT_SEED = 42
 DEFAULT_TRAIN_CONFIG = "flat"
+LONGEST_EVALUATION_S = 60.0
+"""Of the episodes after a training, s. Episodes of tasks without time-outs have no end."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,17 +114,23 @@ def train(options: Options) -> int:
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
             f"simulator {env.sim.threads} threads, learner on {_learner(device)}; {run}"
         )
-        runner.logger.open(options.logger, purge_step=runner.current_learning_iteration)
+        runner.logger.open(
+            options.logger,
+            runner.current_learning_iteration,
+            lambda problem: reporter.message(f"polypod: warning: {problem}"),
+        )
         try:
             runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
         finally:
             runner.logger.close()
+    longest = round(LONGEST_EVALUATION_S / env.sim.step_dt)
+    steps = longest if env.sim.max_episode_length > longest else None
     env.close()
     checkpoint = run_dir.checkpoint_path(run, runner.current_learning_iteration)
     reporter.message(f"checkpoint {checkpoint}")
     if runner.stopped_by is not None:
         return 128 + runner.stopped_by
-    reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads))
+    reporter.evaluation(evaluate_checkpoint(checkpoint, steps=steps, threads=options.threads))
     return 0
 
 

@@ -1,0 +1,200 @@
+"""Bad command lines of both programs: every flag with every bad value, and several at once."""
+
+import random
+import string
+from collections.abc import Iterator
+from pathlib import Path
+
+from hypothesis import strategies as st
+
+from common import FLAT_POLICY
+
+ROOT = Path(__file__).parents[2]
+URDF = ROOT / "assets" / "robots" / "spot" / "spot.urdf"
+
+Line = tuple[str, ...]
+Commands = dict[str, tuple[Line, dict[str, list[str | None]]]]
+"""By command: a line of arguments that is in order but for what follows, and the bad values of each flag.
+
+The flag "" stands for positional arguments, the value None for a flag without a value.
+"""
+
+UNKNOWN = "--x"
+"""A flag that no command has."""
+
+COUNTS = ["-1", "0", "1.5", "", "x", "nan", "-9223372036854775809", "18446744073709551616", "9" * 40, "0x10"]
+COUNTS += ["\u0661", "2147483648", "9223372036854775807"]
+FLOATS = ["nan", "inf", "-inf", "-1", "", "x", "1e999", "-1e-320", "1,5", "\u0663", "1e30"]
+NAMES = ["", " ", ",", "spott", "spot,", "spot,spot", "..", "/", "/dev/null", "/dev/zero", "/dev/zero.toml", "a" * 5000]
+NAMES += ["\u202e", "\udcff", "spot\n", "-", "--", "robots/spot", "~", "$HOME", "`true`", "%s%n", "nul.toml", "."]
+FILES = ["", ".", "/", "/dev/null", "/dev/full", "/proc/self/mem", "/nothing/here", "a" * 5000, "loop", "binary"]
+FILES += ["manifest.json", "empty.pt", "binary.pt", "\udcff", "../../../../etc/passwd", "folder"]
+OUTPUTS = ["", ".", "/", "/proc/nothing", "/nothing/\x01/here", "loop", "folder", "a" * 5000, "file/below"]
+OVERRIDES = ["", "=", "a", "sim.dt", "sim.dt=", "sim.dt=nan", "sim.dt=-1", "sim.dt=0", "sim.dt=1e-320", "sim.dt=[]"]
+OVERRIDES += ["sim.dt=1=1", ".=1", "sim..dt=1", "sim.gravity=[nan,0,0]", "sim.gravity=[0,0]", "sim.decimation=0"]
+OVERRIDES += ["sim.decimation=1000000000", "sim.decimation=-1", "[=1", "sim.dt='", "a.b.c.d=" + "[" * 5000, "sim=3"]
+OVERRIDES += ["sim.episode_length_s=0", "sim.episode_length_s=1e300", "observations.policy=[]", "rewards=1"]
+OVERRIDES += ["commands.base_velocity.ranges.lin_vel_x=[1e30,-1e30]", "scene.terrain.num_rows=1000000", "=" * 5000]
+OVERRIDES += ["sim.dt=\udcff"]
+SWITCH = [None, "x", ""]
+"""What a flag without a value takes: nothing, or what does not belong to it."""
+
+_CHECKPOINT = ("--checkpoint", str(FLAT_POLICY))
+_SEEDS = COUNTS[:9]
+_COMMON = {"--robots": NAMES, "--set": OVERRIDES, "--seed": _SEEDS}
+_WITH_TASK = _COMMON | {"--task": NAMES, "--threads": COUNTS}
+_PACKAGES = ["", "=", "a", "a=", "=b", "a=/dev/zero"]
+
+_POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
+    "eval": (
+        (*_CHECKPOINT, "--num-envs", "8", "--steps", "1"),
+        _WITH_TASK
+        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--episodes": COUNTS, "--steps": COUNTS, "--grid": COUNTS}
+        | {"--json": OUTPUTS, "--plot": OUTPUTS, "--quadrupeds": NAMES},
+    ),
+    "export": (
+        (*_CHECKPOINT, "--formats", "onnx", "--out", "out"),
+        {"--checkpoint": FILES, "--out": OUTPUTS, "--robots": NAMES, "--robot": NAMES, "--formats": NAMES},
+    ),
+    "play": (
+        (*_CHECKPOINT, "--headless", "--seconds", "0.1"),
+        _WITH_TASK
+        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--seconds": FLOATS, "--warm-up": FLOATS, "--fps": COUNTS}
+        | {"--record": OUTPUTS, "--video": OUTPUTS, "--command": FLOATS, "--size": COUNTS, "--robot": NAMES}
+        | {"--port": [*COUNTS, "99999"]},
+    ),
+    "sim2sim": (
+        (*_CHECKPOINT, "--num-envs", "1", "--steps", "1", "--robots", "spot"),
+        _COMMON
+        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--steps": COUNTS, "--dt": FLOATS, "--friction": FLOATS}
+        | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES},
+    ),
+    "train": (
+        ("--num-envs", "64", "--max-iterations", "1", "--logger", "none", "--robots", "spot"),
+        _WITH_TASK
+        | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
+        | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
+        | {"--quadrupeds": NAMES},
+    ),
+    "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
+    "robot": (
+        ("new", str(URDF), "--out", "/nothing/spot.toml"),
+        {"": FILES, "--name": NAMES, "--out": OUTPUTS, "--package-dir": _PACKAGES},
+    ),
+    "terrain": (
+        ("--out", "map.npz", "--task", "velocity_flat"),
+        {"--out": OUTPUTS, "--task": NAMES, "--set": OVERRIDES},
+    ),
+    "results": (("folder",), {"": FILES, "--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES}),
+    "accuracy": (
+        ("--robots", "nobody"),
+        {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},
+    ),
+    "bench": (
+        ("--robot", "nobody"),
+        {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
+        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS},
+    ),
+    "list": ((), {"": NAMES}),
+    "info": ((), {"": NAMES}),
+    "": ((), {"": NAMES}),
+}
+_POLYPOD_SWITCHES = {
+    "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised"),
+    "export": ("--fold", "--no-fold"),
+    "play": ("--headless", "--no-headless"),
+    "sim2sim": ("--soft-contact", "--no-soft-contact"),
+    "robot": ("--force", "--no-force"),
+    "bench": ("--quick", "--no-quick"),
+}
+_SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {
+    "rollout": (
+        ("--task", "velocity_flat", "--num-envs", "8", "--steps", "1"),
+        _WITH_TASK
+        | {"--num-envs": COUNTS, "--steps": [*COUNTS[:9], COUNTS[10]], "--actions": NAMES, "--engine": NAMES}
+        | {"--dump-dir": OUTPUTS},
+    ),
+    "inspect": (("--robot", "spot"), {"--robot": NAMES}),
+    "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
+    "replay": (("manifest.json",), {"": [*FILES, "/dev/zero"], "--simd": NAMES}),
+    "play": (
+        ("--policy", str(FLAT_POLICY.parent / "exported" / "policy.onnx"), "--num-envs", "8", "--steps", "1"),
+        _WITH_TASK
+        | {"--policy": FILES, "--num-envs": COUNTS, "--steps": COUNTS[:7], "--command": FLOATS, "--robot": NAMES},
+    ),
+    "soak": (
+        ("--minutes", "0"),
+        {"--minutes": ["0", "-1", "nan", "x"], "--dt": FLOATS, "--robots": NAMES, "--num-envs": COUNTS}
+        | {"--seed": _SEEDS, "--threads": COUNTS},
+    ),
+    "list": ((), {"": NAMES}),
+    "help": ((), {"": NAMES}),
+    "": ((), {"": NAMES}),
+}
+_SIM_SWITCHES = {"play": ("--json",), "replay": ("--steps-print",), "": ("--version", "-V")}
+
+_VALUES = {"--grid": 3, "--command": 3, "--size": 2}
+"""Number of values of the flags that take several."""
+
+
+def _completed(commands: dict[str, tuple[Line, dict[str, list[str]]]], switches: dict[str, Line]) -> Commands:
+    """With what all commands share: each flag without a value, an unknown flag, and the two spellings of help."""
+    return {
+        command: (
+            base,
+            {flag: [*values, None] if flag else [*values] for flag, values in flags.items()}
+            | dict.fromkeys(switches.get(command, ()), SWITCH)
+            | {UNKNOWN: [None, *NAMES], "--help": [None, "x"], "-h": [None]},
+        )
+        for command, (base, flags) in commands.items()
+    }
+
+
+POLYPOD = _completed(_POLYPOD, _POLYPOD_SWITCHES)
+POLYPOD_SIM = _completed(_SIM, _SIM_SWITCHES)
+
+
+def single(commands: Commands) -> list[Line]:
+    """Lines with one bad thing: every flag of every command with every value, in a mixed order."""
+    lines = [
+        _line(command, base, _spelled(flag, value, False))
+        for command, (base, flags) in commands.items()
+        for flag, values in flags.items()
+        for value in values
+    ]
+    random.Random(0).shuffle(lines)
+    return lines
+
+
+@st.composite
+def several(draw: st.DrawFn, commands: Commands, command: str) -> Line:
+    """Lines of one command with two to four bad things, in both spellings, some of them of no list."""
+    base, flags = commands[command]
+    words: list[str] = []
+    for flag in draw(st.lists(st.sampled_from(sorted(flags)), min_size=2, max_size=4)):
+        values = flags[flag]
+        value = draw(
+            st.sampled_from(values) | st.text(string.printable, max_size=8) if flag else st.sampled_from(values)
+        )
+        words += _spelled(flag, value, draw(st.booleans()))
+    return _line(command, base, words)
+
+
+def _line(command: str, base: Line, words: list[str]) -> Line:
+    return (*([command] if command else []), *base, *words)
+
+
+def _spelled(flag: str, value: str | None, joined: bool) -> list[str]:
+    if value is None:
+        return [flag]
+    if not flag:
+        return [value]
+    if joined and flag not in _VALUES:
+        return [f"{flag}={value}"]
+    return [flag, *[value] * _VALUES.get(flag, 1)]
+
+
+def flags_of(commands: Commands) -> Iterator[tuple[str, set[str]]]:
+    """Commands and their flags, without what no command has."""
+    for command, (_, flags) in commands.items():
+        yield command, {flag for flag in flags if flag not in ("", UNKNOWN)}

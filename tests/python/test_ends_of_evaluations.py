@@ -1,0 +1,49 @@
+"""What would not end, or would fill the memory, is refused: evaluations of no end, documents and figures of no end."""
+
+import pytest
+
+from common import FLAT_POLICY
+
+CHECKPOINT = ("--checkpoint", str(FLAT_POLICY), "--robots", "spot")
+ENDLESS = ("--set", "sim.episode_length_s=1e300")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("eval", *CHECKPOINT, "--num-envs", "8", "--steps", "1", "--episodes", "2147483648"),
+        ("eval", *CHECKPOINT, "--num-envs", "8", *ENDLESS),
+        ("sim2sim", *CHECKPOINT, "--num-envs", "1", *ENDLESS),
+    ],
+    ids=["episodes", "eval", "sim2sim"],
+)
+def test_steps_without_end_are_refused(cli, arguments):
+    done = cli(*arguments)
+    assert done.returncode == 2
+    assert "--steps" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_training_of_episodes_without_end_is_evaluated(cli, monkeypatch):
+    from polypod.training import session
+
+    monkeypatch.setattr(session, "LONGEST_EVALUATION_S", 0.1)
+    done = cli("train", "--logger", "none", "--max-iterations", "1", "--num-envs", "64", "--robots", "spot", *ENDLESS)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_document_is_no_device(fork_server, tmp_path):
+    for flag in ("--out", "--readme"):
+        done = fork_server.run("accuracy", "--robots", "nobody", flag, "/dev/zero", cwd=tmp_path, memory=1 << 30)
+        assert done.code == 2
+        assert "/dev/zero" in done.errors
+        assert "MiB" in done.errors
+
+
+def test_figures_are_no_devices(fork_server, tmp_path):
+    run = tmp_path / "results" / "group" / "run"
+    run.mkdir(parents=True)
+    (run / "eval.json").symlink_to("/dev/zero")
+    done = fork_server.run("results", "results", cwd=tmp_path, memory=1 << 30)
+    assert done.code == 2
+    assert "eval.json" in done.errors
