@@ -5,7 +5,7 @@
 //! an entity spawned beside it, a row is an [`Error::Rows`] that names the entity, never another env's numbers.
 //!
 //! Bevy keeps entities with the same components in one table, and moves an entity into another table when it gains or loses a
-//! component. [`restore_order`] puts the entities of a table in the order of their env ids again before each control step.
+//! component. Before each control step the entities of a table are put in the order of their env ids again.
 //! Components with `#[component(storage = "SparseSet")]` move nothing: they may be given to single entities.
 
 use bevy_ecs::change_detection::ContiguousMut;

@@ -256,7 +256,7 @@ impl CompiledTask {
         self.interval_events.len()
     }
 
-    /// Names of the bits of [`Episode::causes`].
+    /// Names of the bits of [`Episode::causes`](crate::components::Episode::causes).
     pub fn cause_names(&self) -> impl Iterator<Item = &str> {
         std::iter::once(ILLEGAL_STATE).chain(self.terminations.iter().map(|term| term.name.as_str()))
     }
