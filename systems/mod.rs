@@ -193,7 +193,7 @@ plugin_group! {
     /// | [`ObservePlugin`] | observations |
     /// | [`LogsPlugin`] | statistics of ended episodes |
     /// | [`FinitePlugin`] | says which set wrote a number that is not finite; in debug builds |
-    #[derive(Debug)]
+    #[derive(Clone, Copy, Debug, Default)]
     pub struct PolypodPlugins {
         :PipelinePlugin,
         :LoadPlugin,
