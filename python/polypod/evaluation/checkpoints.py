@@ -17,7 +17,7 @@ from polypod.training import run_dir
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
     """`evaluate` for a checkpoint; task, robots and overrides come from its manifest unless given."""
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    given, when = list(arguments.pop("overrides", ())), measured()
+    given = list(arguments.pop("overrides", ()))
     evaluation = evaluate(
         load_policy(state, manifest["policy"]),
         arguments.pop("task", None) or manifest["task"],
@@ -35,7 +35,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         "train_config": manifest.get("train_config"),
         "git": manifest.get("git"),
     }
-    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given, measured=when)
+    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given, measured=measured())
 
 
 def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[Evaluation]:
