@@ -290,11 +290,14 @@ pub struct ConstraintImpulses {
 pub const FORCE_HISTORY: usize = 3;
 
 /// Contact forces of the last control step: on the feet, and on whatever else touched something.
+///
+/// The normal force on a body is the sum of the normal forces of its contacts, along each contact's own normal. Friction is no part of
+/// it, and what presses from two sides counts twice. Both engines count so.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactForces {
     /// Net force on each foot in the last physics step, world axes, N.
     pub feet: PerFoot<[f32; 3]>,
-    /// Norm of the net normal force on each foot in each physics step of the control step, N; in place for the library's tasks.
+    /// Sum of the normal forces of each foot's contacts in each physics step of the control step, N; in place for the library's tasks.
     pub feet_normal: SmallVec<[PerFoot; PHYSICS_STEPS]>,
     /// On contact bodies other than feet, where it is not zero.
     pub others: SmallVec<[BodyForce; 4]>,
@@ -307,7 +310,7 @@ pub struct BodyForce {
     pub body: u32,
     /// Net force in the last physics step, world axes, N.
     pub net: [f32; 3],
-    /// Norm of the net normal force in each of the last physics steps, N; zero where the control step has fewer.
+    /// Sum of the normal forces of its contacts in each of the last physics steps, N; zero where the control step has fewer.
     pub normal: [f32; FORCE_HISTORY],
 }
 
@@ -413,7 +416,7 @@ pub struct Sensors(Vec<Entity>);
 /// Contact sensor over all contact bodies of a robot.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactSensor {
-    /// Largest norm of the net normal force over the last three physics steps, N, `[bodies]`.
+    /// Largest normal force over the last three physics steps, N, `[bodies]`: see [`ContactForces`].
     pub peak_force: PerBody,
     /// How long each foot has been in contact, s.
     pub contact_time: PerFoot,

@@ -36,6 +36,7 @@ mod mesh_obstacles_are_read_once;
 mod momentum_is_conserved_in_free_flight;
 mod no_renderer_is_compiled;
 mod no_robot_is_named_in_the_code;
+mod normal_forces_mean_the_same;
 mod obstacles_are_one_terrain;
 mod plugins_can_be_replaced;
 mod randomisation_follows_its_ranges;

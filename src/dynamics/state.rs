@@ -56,7 +56,7 @@ pub struct Report<S> {
     pub joint_acceleration: Vec<S>,
     /// Net contact force of the last physics step in world axes, N, `[bodies]`.
     pub body_force: Vec<Vec3<S>>,
-    /// Norm of the net normal contact force, N: `normal_force[physics step][body]`.
+    /// Sum of the normal forces of a body's contacts, N: `normal_force[physics step][body]`.
     pub normal_force: Vec<Vec<S>>,
     /// Bodies that had a contact in some lane and physics step: forces on all others are zero, `[bodies]`.
     pub touched: Vec<bool>,

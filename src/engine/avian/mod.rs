@@ -109,6 +109,7 @@ struct Env {
     parameters: Parameters<f64>,
     effort: Vec<f64>,
     force: Vec<[f64; 3]>,
+    normal_force: Vec<f64>,
 }
 
 impl Engine {
@@ -245,6 +246,12 @@ impl Engine {
         &chunk.envs[i].force
     }
 
+    /// Sum of the normal forces of each contact body's contacts in the last physics step, N.
+    pub(crate) fn normal_force(&self, env: usize) -> &[f64] {
+        let (chunk, i) = self.at(env);
+        &chunk.envs[i].normal_force
+    }
+
     /// Sets what the last physics step reports.
     pub(crate) fn set_report(&mut self, env: usize, effort: &[f64], force: &[[f64; 3]]) {
         let (chunk, i) = self.at_mut(env);
@@ -308,6 +315,7 @@ impl Chunk {
             parameters: nominal.clone(),
             effort: vec![0.0; topology.num_joints()],
             force: vec![[0.0; 3]; topology.num_bodies],
+            normal_force: vec![0.0; topology.num_bodies],
         };
         Ok(Self {
             world,
@@ -423,6 +431,7 @@ impl Chunk {
                 env.effort[j] = f64::from(joint.effort);
             }
             env.force.fill([0.0; 3]);
+            env.normal_force.fill(0.0);
             let base = self.bodies.links[i * links];
             if topology.floating
                 && let Ok(base) = self.world.get_entity(base)
@@ -445,11 +454,12 @@ impl Chunk {
         let on_statics = self.body_of_collider.len() * statics;
         let count = on_statics + self.self_pairs.len();
         let dt = self.dt.as_secs_f64();
-        world::contact_impulses(&self.world, |pair, impulse| {
+        world::contact_impulses(&self.world, |pair, impulse, along_normal| {
             let (env, place) = (&mut self.envs[pair / count], pair % count);
             let mut add = |collider: usize, sign: f64| {
-                let force = &mut env.force[self.body_of_collider[collider]];
-                for (sum, p) in force.iter_mut().zip(impulse.to_array()) {
+                let body = self.body_of_collider[collider];
+                env.normal_force[body] += f64::from(along_normal) / dt;
+                for (sum, p) in env.force[body].iter_mut().zip(impulse.to_array()) {
                     *sum += sign * f64::from(p) / dt;
                 }
             };

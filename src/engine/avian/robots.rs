@@ -216,9 +216,8 @@ impl Block {
     fn note_forces(&mut self, substep: usize) {
         for row in 0..self.count {
             let first = (row * self.decimation + substep) * self.topology.num_bodies;
-            for (to, f) in self.normal[first..].iter_mut().zip(self.engine.force(row)) {
-                // what carries a robot is mostly level
-                *to = f[2].abs() as f32;
+            for (to, normal) in self.normal[first..].iter_mut().zip(self.engine.normal_force(row)) {
+                *to = *normal as f32;
             }
         }
     }

@@ -263,9 +263,9 @@ pub(super) fn step(world: &mut World, dt: Duration, h: Duration) {
     world.run_schedule(PhysicsSchedule);
 }
 
-/// Adds what touched in the last physics step to `add(pair, impulse on its first body)`. Pairs count robot after robot:
+/// Adds what touched in the last physics step to `add(pair, impulse on its first body, its part along the contact's normal)`. Pairs count robot after robot:
 /// collider after collider with all that stands still, then the colliders that may touch each other.
-pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3)) {
+pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3, f32)) {
     let (Some(constraints), Some(contacts), Some(impulses)) = (
         world.get_resource::<ConstraintGraph>(),
         world.get_resource::<ContactGraph>(),
@@ -280,7 +280,8 @@ pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3)) 
             continue;
         };
         // restitution comes after the last substep
-        add(pair, *sum + impulse(constraint) - *last);
+        let whole = *sum + impulse(constraint) - *last;
+        add(pair, whole, whole.dot(constraint.normal).abs());
     }
 }
 
