@@ -52,17 +52,6 @@ impl<T: Send> SplitRows for MatrixRows<'_, T> {
     }
 }
 
-/// Rows that a task has for all envs or for none.
-pub struct OptionalRows<'a, T>(pub &'a mut [T]);
-
-impl<T: Send> SplitRows for OptionalRows<'_, T> {
-    fn split_rows(self, n: usize) -> (Self, Self) {
-        let n = n.min(self.0.len());
-        let (a, b) = self.0.split_at_mut(n);
-        (Self(a), Self(b))
-    }
-}
-
 macro_rules! split_tuple {
     ($($name:ident $a:ident $b:ident),*) => {
         impl<$($name: SplitRows),*> SplitRows for ($($name,)*) {

@@ -76,23 +76,16 @@ impl Dump {
         let failure = |problem: String, remedy: &str| Error::file(file, problem, remedy);
         let bytes = files::read(file)
             .map_err(|error| failure(format!("cannot be read: {error}"), "check the path and its permissions"))?;
-        Self::parse(&bytes).map_err(|(problem, remedy)| failure(problem, remedy))
-    }
-
-    /// Reads the bytes of a file: the dump, or problem and remedy.
-    ///
-    /// # Errors
-    /// They are no dump, damaged, or of another format.
-    pub fn parse(bytes: &[u8]) -> Result<Self, (String, &'static str)> {
-        let Some(header) = sealed::header(bytes, KIND) else {
-            return Err(("is no dump of a broken state".into(), "pass a broken_*.polypod file"));
+        let Some(header) = sealed::header(&bytes, KIND) else {
+            return Err(failure("is no dump of a broken state".into(), "pass a broken_*.polypod file"));
         };
         if header.format != FORMAT {
             let problem = format!("its format is {}, not {FORMAT}", header.format);
-            return Err((problem, "replay it with the version of polypod that wrote it"));
+            return Err(failure(problem, "replay it with the version of polypod that wrote it"));
         }
-        sealed::open(bytes)
-            .ok_or_else(|| ("is damaged: its checksum does not fit".into(), "copy it again from where it was written"))
+        sealed::open(&bytes).ok_or_else(|| {
+            failure("is damaged: its checksum does not fit".into(), "copy it again from where it was written")
+        })
     }
 
     /// Writes a file `broken_<robot>_env<id>_step<n>.polypod`, whole or not at all, and makes the directory if need be.
@@ -168,7 +161,7 @@ impl Dump {
         let resolved = self.table(&self.task)?;
         let task = LoadedTask { config, resolved, hash: fnv1a(self.task.as_bytes()) };
         let options = SimOptions { seed: self.seed, threads: Some(1), simd, ..SimOptions::new(self.robot.clone(), 1) };
-        let mut sim = Sim::of_loaded(&options, Loaded { task, robots: vec![robot] })?;
+        let mut sim = Sim::with_resource(&options, Loaded { task, robots: vec![robot] })?;
         self.check_sizes(&mut sim)?;
         Ok((sim, decimation))
     }

@@ -51,15 +51,13 @@ impl Sim {
     /// # Errors
     /// As [`Sim::new`].
     pub fn with_registry(options: &SimOptions, registry: Registry) -> Result<Self, Error> {
-        let mut app = App::empty();
-        app.insert_resource(registry).insert_resource(options.clone()).add_plugins(PolypodPlugins);
-        Self::from_app(app)
+        Self::with_resource(options, registry)
     }
 
-    /// The same of a task and robots that are loaded.
-    pub(crate) fn of_loaded(options: &SimOptions, loaded: Loaded) -> Result<Self, Error> {
+    /// The same with a resource that is there before the plugins are: terms, or a task and robots that are loaded.
+    fn with_resource(options: &SimOptions, resource: impl Resource) -> Result<Self, Error> {
         let mut app = App::empty();
-        app.insert_resource(loaded).insert_resource(options.clone()).add_plugins(PolypodPlugins);
+        app.insert_resource(resource).insert_resource(options.clone()).add_plugins(PolypodPlugins);
         Self::from_app(app)
     }
 

@@ -11,6 +11,7 @@ mod imu;
 use bevy_app::{App, Plugin};
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::*;
+use bevy_ecs::system::SystemParam;
 
 use super::spawn::spawn_robots;
 use super::terms::CompiledTask;
@@ -125,22 +126,43 @@ type SensedColumns = (
     &'static Body,
 );
 
+/// System parameter: what measuring on all robots takes.
+#[derive(SystemParam)]
+struct Sensing<'w, 's, S: Sensor> {
+    workers: Res<'w, Workers>,
+    morphologies: Res<'w, Morphologies>,
+    task: Res<'w, CompiledTask>,
+    ground: Res<'w, Ground>,
+    settings: Res<'w, SensorSettings<S>>,
+    robots: Rows<'w, 's, SensedColumns, Robot>,
+    envs: Rows<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
+    sensors: Rows<'w, 's, &'static mut S, S>,
+}
+
+impl<S: Sensor> Sensing<'_, '_, S> {
+    /// Measures on all robots, or begins the episodes of those that have just been reset.
+    fn run(&mut self, begins: bool) -> Result<(), Error> {
+        let (origins, episodes) = self.envs.read()?;
+        if begins && !episodes.iter().any(|episode| episode.fresh) {
+            return Ok(());
+        }
+        let (tags, poses, velocities, joints, forces, bodies) = self.robots.read()?;
+        let rows = (tags, (poses, velocities, joints), (forces, bodies), (origins, episodes), self.sensors.write()?);
+        let common = Common {
+            morphologies: &self.morphologies,
+            ground: &self.ground,
+            settings: &self.settings.0,
+            dt: self.task.config.sim.dt,
+            begins,
+        };
+        self.workers.vectorize_chunks(rows, tags.len(), |_, _, rows| SensorRows { common, rows });
+        Ok(())
+    }
+}
+
 /// Measures on all robots.
-fn measure_all<S: Sensor>(
-    workers: Res<Workers>,
-    morphologies: Res<Morphologies>,
-    task: Res<CompiledTask>,
-    ground: Res<Ground>,
-    settings: Res<SensorSettings<S>>,
-    robots: Rows<SensedColumns, Robot>,
-    envs: Rows<&'static EnvOrigin, Env>,
-    mut sensors: Rows<&'static mut S, S>,
-) -> Result {
-    let common = Common { morphologies: &morphologies, ground: &ground, settings: &settings.0, dt: task.config.sim.dt };
-    let (tags, poses, velocities, joints, forces, bodies) = robots.read()?;
-    let rows = (tags, (poses, velocities, joints), (forces, bodies), envs.read()?, sensors.write()?);
-    workers.vectorize_chunks(rows, tags.len(), |_, _, rows| SensorRows { common, rows, fresh: None });
-    Ok(())
+fn measure_all<S: Sensor>(mut sensing: Sensing<S>) -> Result {
+    Ok(sensing.run(false)?)
 }
 
 /// Measures on all robots, where the task has such sensors; after a snapshot was restored.
@@ -152,29 +174,8 @@ fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
 }
 
 /// Begins the episodes of the robots that have just been reset.
-fn begin_episodes<S: Sensor>(
-    workers: Res<Workers>,
-    morphologies: Res<Morphologies>,
-    task: Res<CompiledTask>,
-    ground: Res<Ground>,
-    settings: Res<SensorSettings<S>>,
-    robots: Rows<SensedColumns, Robot>,
-    envs: Rows<(&'static EnvOrigin, &'static Episode), Env>,
-    mut sensors: Rows<&'static mut S, S>,
-) -> Result {
-    let (origins, episodes) = envs.read()?;
-    if !episodes.iter().any(|episode| episode.fresh) {
-        return Ok(());
-    }
-    let common = Common { morphologies: &morphologies, ground: &ground, settings: &settings.0, dt: task.config.sim.dt };
-    let (tags, poses, velocities, joints, forces, bodies) = robots.read()?;
-    let rows = (tags, (poses, velocities, joints), (forces, bodies), origins, sensors.write()?);
-    workers.vectorize_chunks((rows, episodes), tags.len(), |_, _, (rows, episodes)| SensorRows {
-        common,
-        rows,
-        fresh: Some(episodes),
-    });
-    Ok(())
+fn begin_episodes<S: Sensor>(mut sensing: Sensing<S>) -> Result {
+    Ok(sensing.run(true)?)
 }
 
 /// What all rows have in common.
@@ -183,6 +184,8 @@ struct Common<'a, S: Sensor> {
     ground: &'a Ground,
     settings: &'a S::Settings,
     dt: f64,
+    /// Only the robots whose episode has just begun, which begin it.
+    begins: bool,
 }
 
 impl<S: Sensor> Clone for Common<'_, S> {
@@ -197,15 +200,13 @@ type Columns<'a, S> = (
     &'a [Morphology],
     (&'a [BasePose], &'a [BaseVelocity], &'a [JointState]),
     (&'a [ContactForces], &'a [Body]),
-    &'a [EnvOrigin],
+    (&'a [EnvOrigin], &'a [Episode]),
     &'a mut [S],
 );
 
 struct SensorRows<'a, S: Sensor> {
     common: Common<'a, S>,
     rows: Columns<'a, S>,
-    /// Only the rows whose episode has just begun, if there is such a list.
-    fresh: Option<&'a [Episode]>,
 }
 
 impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
@@ -213,8 +214,8 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { common: Common { morphologies, ground, settings, dt }, rows, fresh } = self;
-        let (tags, (poses, velocities, joints), (forces, bodies), origins, sensors) = rows;
+        let Self { common: Common { morphologies, ground, settings, dt, begins }, rows } = self;
+        let (tags, (poses, velocities, joints), (forces, bodies), (origins, episodes), sensors) = rows;
         let order = if S::READS_TERRAIN { ground.order_of_tiles(origins) } else { None };
         for k in 0..tags.len() {
             let row = order.as_ref().map_or(k, |order| order[k] as usize);
@@ -229,10 +230,10 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
                 ground,
                 dt: dt as f32,
             };
-            match fresh {
-                None => sensors[row].measure(settings, &robot),
-                Some(episodes) if episodes[row].fresh => sensors[row].begin(settings, &robot),
-                Some(_) => {}
+            if !begins {
+                sensors[row].measure(settings, &robot);
+            } else if episodes[row].fresh {
+                sensors[row].begin(settings, &robot);
             }
         }
     }
