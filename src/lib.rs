@@ -31,6 +31,7 @@ pub mod workers;
 pub mod world;
 
 pub use polypod_dynamics as dynamics;
+pub use polypod_learner as learner;
 
 pub use app::{Sim, dump, snapshot};
 pub use config::AVIAN_SUBSTEPS;

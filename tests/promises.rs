@@ -49,6 +49,7 @@ mod robots_stand_on_their_feet;
 mod robots_that_run_away_stay_in_their_lane;
 mod rough_terrain_is_one_terrain;
 mod rows_cannot_be_confused;
+mod same_seed_same_policy;
 mod seeds_decide_the_draws;
 mod self_collision_keeps_links_apart;
 mod shared_dependencies_are_built_once;

@@ -6,7 +6,7 @@ into them; what is handed out is the array itself and never a copy, unless a doc
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -64,6 +64,110 @@ class CoreInfo(TypedDict):
     version: str
     simd: str
     threads: int
+
+class Learner:
+    """Proximal policy optimisation of two perceptrons on the threads of a `VecSim`, in float32.
+
+    It computes what rsl_rl's PPO computes. What it computes depends on its options, its networks' numbers, the seed of
+    the simulation and the iteration alone: not on the number of threads and not on the instruction set. Its networks
+    begin with zeros: see `set_network`.
+    """
+
+    def __init__(self, sim: VecSim, options: str) -> None:
+        """Makes a learner for the envs, robots and observations of `sim`.
+
+        Args:
+            sim: the simulation.
+            options: JSON, see `polypod.training.config.TrainConfig.native_options`.
+
+        Raises:
+            ValueError: for options that cannot be read.
+            ConfigError: for options that are out of range.
+        """
+
+    def collect(self, sim: VecSim, iteration: int) -> list[tuple[float, float]]:
+        """Simulates the steps of an iteration with the policy, noise added, and estimates the advantages.
+
+        The interpreter's lock is free meanwhile.
+
+        Args:
+            sim: the simulation that the learner was made for.
+            iteration: its number, which the noise depends on.
+
+        Returns:
+            Return and length, in control steps, of each episode that ended, by steps and envs.
+
+        Raises:
+            ConfigError: for another simulation, and for actions that a diverged policy gives.
+        """
+
+    def update(self, sim: VecSim, learning_rate: float) -> dict[str, float]:
+        """Learns from the steps, and takes their observations into the networks' statistics.
+
+        Returns:
+            The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on with.
+
+        Raises:
+            ConfigError: for another simulation, and where a loss is not finite.
+        """
+
+    def network(
+        self, name: str
+    ) -> tuple[list[npt.NDArray[np.float32]], list[npt.NDArray[np.float32]], list[npt.NDArray[np.float32]], int]:
+        """Returns the numbers of the network `actor` or `critic`, as copies.
+
+        Returns:
+            Weights, Adam's mean of the gradients, Adam's mean of their squares, and Adam's steps. Each list is in the
+            order of torch's parameters: the deviations of the actions (of the actor), then weight [outputs, inputs] and
+            bias [outputs] of each layer; flat.
+        """
+
+    def set_network(
+        self,
+        name: str,
+        weights: Sequence[npt.NDArray[np.float32]],
+        first: Sequence[npt.NDArray[np.float32]],
+        second: Sequence[npt.NDArray[np.float32]],
+        steps: int,
+    ) -> None:
+        """Takes over what `network` gives. Raises ConfigError for other sizes, which change nothing."""
+
+    def normalizer(self, name: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], int] | None:
+        """Returns mean [num_obs], variance [num_obs] and number of the observations, or None for a network without."""
+
+    def set_normalizer(
+        self, name: str, mean: npt.NDArray[np.float32], variance: npt.NDArray[np.float32], count: int
+    ) -> None:
+        """Takes over what `normalizer` gives. Raises ConfigError for other sizes."""
+
+    def reward_scale(self) -> tuple[npt.NDArray[np.float32], list[npt.NDArray[np.float64]]] | None:
+        """Returns the discounted returns [num_envs], and count, mean and variance [robots] of each robot's returns.
+
+        None where rewards are not scaled.
+        """
+
+    def set_reward_scale(
+        self,
+        returns: npt.NDArray[np.float32],
+        count: npt.NDArray[np.float64],
+        mean: npt.NDArray[np.float64],
+        variance: npt.NDArray[np.float64],
+    ) -> None:
+        """Takes over what `reward_scale` gives. Raises ConfigError for other sizes."""
+
+    def episodes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Returns the sums of the rewards and the control steps of the present episodes, [num_envs] each."""
+
+    def set_episodes(self, rewards: npt.NDArray[np.float32], lengths: npt.NDArray[np.float32]) -> None:
+        """Takes over what `episodes` gives. Raises ConfigError for other sizes."""
+
+    def rollout(self) -> dict[str, npt.NDArray[Any]]:
+        """Returns the samples of the iteration as flat arrays by steps, envs and numbers.
+
+        `observations`, `actions`, `means`, `rewards` (as they came), `ends` (0 none, 1 terminated, 2 time-out),
+        `log_probs`, `values`, `returns`, `advantages` (brought to one scale), and `order`: the samples, step * num_envs
+        + env, as the mini-batches take them.
+        """
 
 class VecSim:
     """Many independent envs, one robot each, stepped together on the CPU.

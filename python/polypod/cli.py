@@ -44,6 +44,9 @@ class Train:
     """Of every random stream. Default: 42."""
     train_config: Name = None
     """Name of a file in configs/train (flat, flat_universal, quick, rough), or the path of a .toml. Default: flat."""
+    learner: Literal["auto", "native", "rsl_rl"] | None = None
+    """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
+    perceptrons on a CPU. A resumed run may go on with the other one."""
     logger: Literal["tensorboard", "none"] = "tensorboard"
     """Where the curves go."""
     resume: Annotated[str | None, _arg(metavar="RUN")] = None
@@ -427,6 +430,7 @@ def _train(command: Train) -> int:
             max_iterations=command.max_iterations,
             seed=command.seed,
             train_config=command.train_config,
+            learner=command.learner,
             logger=command.logger,
             resume=command.resume,
             init=command.init,

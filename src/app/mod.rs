@@ -1,6 +1,7 @@
 //! A simulation of many envs: a headless Bevy app that is stepped by its caller.
 
 pub mod dump;
+mod learning;
 mod sim_queries;
 pub mod snapshot;
 

@@ -1,6 +1,8 @@
 //! Elementary functions of single numbers, with IEEE operations only: the bits are the same on every machine.
 //!
-//! Those of lanes, sine and cosine, are [`Real`](crate::Real)'s.
+//! Sine and cosine of lanes are [`Real`](crate::Real)'s.
+
+use crate::lanes::Real;
 
 /// `e^x`, relative error below 3e-7: range reduction and a polynomial (the single-precision coefficients of the Cephes
 /// library), with IEEE operations only, so that the bits are the same on every machine.
@@ -16,6 +18,20 @@ pub fn exp(x: f32) -> f32 {
     let p = series.iter().fold(0.0f32, |p, &c: &f32| p.mul_add(r, c));
     let y = p.mul_add(r * r, r) + 1.0;
     y * f32::from_bits(((k as i32 + 127) as u32) << 23)
+}
+
+/// `e^x` of lanes: the polynomial of [`exp`], with arguments limited to -87 and 88.
+#[inline(always)]
+pub fn exp_of_lanes<S: Real>(x: S) -> S {
+    let x = x.clamp(S::broadcast(-87.0), S::broadcast(88.0));
+    let k = (x * S::broadcast(std::f32::consts::LOG2_E)).round();
+    let r = k.neg_mul_add(S::broadcast(-2.121_944_4e-4), k.neg_mul_add(S::broadcast(0.693_359_4), x));
+    let p = S::broadcast(1.987_569_2e-4).mul_add(r, S::broadcast(1.398_199_9e-3));
+    let p = p.mul_add(r, S::broadcast(8.333_452e-3));
+    let p = p.mul_add(r, S::broadcast(4.166_579_6e-2));
+    let p = p.mul_add(r, S::broadcast(0.166_666_66));
+    let p = p.mul_add(r, S::broadcast(0.5));
+    (p.mul_add(r * r, r) + S::one()) * k.exp2_of_whole()
 }
 
 /// Hyperbolic tangent of a non-negative number.
@@ -61,6 +77,7 @@ mod tests {
             let x = i as f32 * 0.01;
             let exact = f64::from(x).exp();
             assert!((f64::from(exp(x)) - exact).abs() <= 4e-7 * exact + 1e-37, "{x}: {} {exact}", exp(x));
+            assert!(x < -87.0 || exp_of_lanes(x).to_bits() == exp(x).to_bits(), "{x}");
             let x = x.abs();
             assert!((f64::from(tanh_positive(x)) - f64::from(x).tanh()).abs() < 2e-7, "{x}");
         }

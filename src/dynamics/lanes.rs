@@ -60,6 +60,20 @@ pub trait Real:
     fn set_lane_f32(&mut self, lane: usize, value: f32);
     /// Sine and cosine of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
+    /// The same number in every lane.
+    fn broadcast(x: f32) -> Self;
+    /// The first [`Real::LANES`] numbers of a slice, one per lane.
+    ///
+    /// # Panics
+    /// If there are fewer.
+    fn load(from: &[f32]) -> Self;
+    /// Writes the lanes to the first numbers of a slice.
+    ///
+    /// # Panics
+    /// If it is shorter than [`Real::LANES`].
+    fn store(self, to: &mut [f32]);
+    /// `2^x` of a whole number from -126 to 127.
+    fn exp2_of_whole(self) -> Self;
 
     /// Reads one lane.
     #[inline(always)]
@@ -129,7 +143,7 @@ fn sin_cos_f32<S: Real>(x: S) -> (S, S) {
 }
 
 macro_rules! impl_scalar {
-    ($t:ty, $sin_cos:expr) => {
+    ($t:ty, $sin_cos:expr, $exp2:expr) => {
         impl Real for $t {
             type Mask = bool;
             const LANES: usize = 1;
@@ -197,11 +211,27 @@ macro_rules! impl_scalar {
             fn sin_cos(self) -> (Self, Self) {
                 $sin_cos(self)
             }
+            #[inline(always)]
+            fn broadcast(x: f32) -> Self {
+                x.into()
+            }
+            #[inline(always)]
+            fn load(from: &[f32]) -> Self {
+                from[0].into()
+            }
+            #[inline(always)]
+            fn store(self, to: &mut [f32]) {
+                to[0] = self as f32;
+            }
+            #[inline(always)]
+            fn exp2_of_whole(self) -> Self {
+                $exp2(self)
+            }
         }
     };
 }
-impl_scalar!(f32, sin_cos_f32);
-impl_scalar!(f64, f64::sin_cos);
+impl_scalar!(f32, sin_cos_f32, |x| f32::from_bits(((x as i32 + 127) as u32) << 23));
+impl_scalar!(f64, f64::sin_cos, |x| f64::from_bits(((x as i64 + 1023) as u64) << 52));
 
 /// A computation over lanes of type `S`, with its arguments.
 pub trait Kernel<S: Real> {
@@ -308,6 +338,24 @@ impl Real for Portable {
     fn sin_cos(self) -> (Self, Self) {
         sin_cos_f32(self)
     }
+    #[inline(always)]
+    fn broadcast(x: f32) -> Self {
+        Portable([x; PORTABLE_LANES])
+    }
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        let mut lanes = [0.0; PORTABLE_LANES];
+        lanes.copy_from_slice(&from[..PORTABLE_LANES]);
+        Portable(lanes)
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        to[..PORTABLE_LANES].copy_from_slice(&self.0);
+    }
+    #[inline(always)]
+    fn exp2_of_whole(self) -> Self {
+        Portable(self.0.map(Real::exp2_of_whole))
+    }
 }
 
 /// A lane type that packs of robots are stored in, with the way into code compiled for its instruction set.
@@ -333,7 +381,8 @@ macro_rules! native_lanes {
     ($(#[$doc:meta])* $name:ident, $reg:ty, $registers:literal x $width:literal, $features:literal, {
         add: $add:path, sub: $sub:path, mul: $mul:path, div: $div:path, fma: $fma:expr, fnma: $fnma:expr,
         sqrt: $sqrt:path, round: $round:expr, splat: $splat:path, lt: $lt:expr, select: $select:expr, any: $any:expr,
-        or: $or:expr, and: $and:expr, abs: $abs:expr, neg: $neg:expr, min: $min:expr, max: $max:expr, mask: $mask:ty
+        or: $or:expr, and: $and:expr, abs: $abs:expr, neg: $neg:expr, min: $min:expr, max: $max:expr,
+        exp2: $exp2:expr, mask: $mask:ty
     }) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
@@ -455,6 +504,29 @@ macro_rules! native_lanes {
             fn sin_cos(self) -> (Self, Self) {
                 sin_cos_f32(self)
             }
+            #[inline(always)]
+            fn broadcast(x: f32) -> Self {
+                // SAFETY: as in `each`
+                Self([unsafe { $splat(x) }; $registers])
+            }
+            #[inline(always)]
+            fn load(from: &[f32]) -> Self {
+                let mut out = Self::zero();
+                // SAFETY: the registers are so many consecutive f32
+                let lanes = unsafe { &mut *std::ptr::from_mut(&mut out).cast::<[f32; $registers * $width]>() };
+                lanes.copy_from_slice(&from[..$registers * $width]);
+                out
+            }
+            #[inline(always)]
+            fn store(self, to: &mut [f32]) {
+                // SAFETY: the registers are so many consecutive f32
+                let lanes = unsafe { &*std::ptr::from_ref(&self).cast::<[f32; $registers * $width]>() };
+                to[..$registers * $width].copy_from_slice(lanes);
+            }
+            #[inline(always)]
+            fn exp2_of_whole(self) -> Self {
+                native_lanes!(@each $registers, $exp2, self)
+            }
         }
         impl Lanes for $name {
             fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
@@ -505,6 +577,9 @@ mod x86 {
             abs: |x| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x), neg: |x| _mm256_xor_ps(x, _mm256_set1_ps(-0.0)),
             // the second operand when either is NaN, as wanted
             min: _mm256_min_ps, max: _mm256_max_ps,
+            exp2: |x| _mm256_castsi256_ps(_mm256_slli_epi32::<23>(_mm256_add_epi32(
+                _mm256_cvtps_epi32(x), _mm256_set1_epi32(127)
+            ))),
             mask: __m256
         }
     );
@@ -519,6 +594,9 @@ mod x86 {
             or: _kor_mask16, and: _kand_mask16,
             abs: |x| _mm512_andnot_ps(_mm512_set1_ps(-0.0), x), neg: |x| _mm512_xor_ps(x, _mm512_set1_ps(-0.0)),
             min: _mm512_min_ps, max: _mm512_max_ps,
+            exp2: |x| _mm512_castsi512_ps(_mm512_slli_epi32::<23>(_mm512_add_epi32(
+                _mm512_cvtps_epi32(x), _mm512_set1_epi32(127)
+            ))),
             mask: __mmask16
         }
     );
@@ -541,6 +619,7 @@ mod arm {
             or: vorrq_u32, and: vandq_u32, abs: vabsq_f32, neg: vnegq_f32,
             // vminq and vmaxq would give NaN when either is
             min: |a, b| vbslq_f32(vcltq_f32(a, b), a, b), max: |a, b| vbslq_f32(vcltq_f32(b, a), a, b),
+            exp2: |x| vreinterpretq_f32_s32(vshlq_n_s32::<23>(vaddq_s32(vcvtnq_s32_f32(x), vdupq_n_s32(127)))),
             mask: uint32x4_t
         }
     );

@@ -124,6 +124,14 @@ impl<S: Send + Sync> Guarded<S> {
         py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.get_or_init(|| message)))
     }
 
+    /// Changes it in the midst of a change of something else, which has its own guard.
+    ///
+    /// # Errors
+    /// As [`Guarded::run`] raises, as an error of the library.
+    pub(super) fn try_run<T>(&mut self, f: impl FnOnce(&mut S) -> Result<T, Error>) -> Result<T, Error> {
+        f(&mut self.sim)
+    }
+
     /// Computes something of it in the same way.
     pub(super) fn look<T: Send>(&self, py: Python<'_>, f: impl FnOnce(&S) -> T + Send) -> PyResult<T> {
         self.check(py)?;

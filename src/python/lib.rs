@@ -1,6 +1,7 @@
 //! The PyO3 boundary: `polypod._core`. Thin; what it says to users stands in `python/polypod/_core.pyi`.
 
 mod exceptions;
+mod learner;
 mod simulation;
 mod terrain;
 mod vec_sim;
@@ -93,6 +94,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
     module.add_class::<simulation::Simulation>()?;
+    module.add_class::<learner::Learner>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;
     module.add_function(wrap_pyfunction!(robots, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;

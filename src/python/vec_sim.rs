@@ -100,6 +100,18 @@ fn rows(py: Python<'_>, numbers: Vec<f64>, count: usize) -> PyResult<Bound<'_, P
 }
 
 impl VecSim {
+    /// The simulation, for the learner.
+    pub(super) fn sim(&self) -> &Guarded<Sim> {
+        &self.sim
+    }
+
+    /// Changes the simulation, and shows Python what came of it.
+    pub(super) fn run<T: Send>(&mut self, py: Python<'_>, f: impl FnOnce(&mut Sim) -> T + Send) -> PyResult<T> {
+        let result = self.sim.run(py, f)?;
+        self.publish(py)?;
+        Ok(result)
+    }
+
     fn publish(&mut self, py: Python<'_>) -> PyResult<()> {
         let arrays = &mut self.arrays;
         arrays.current = 1 - arrays.current;

@@ -1,5 +1,6 @@
 """`configs/train/*.toml`: what is typed there, checked, and turned into rsl_rl's configuration."""
 
+import contextlib
 import dataclasses
 import difflib
 import types
@@ -19,6 +20,11 @@ MAX_EXTENDS = 100
 OBSERVATION_GROUP = "policy"
 """Name of the observation group that actor and critic read."""
 
+ALTERNATE = "alternate"
+"""Symmetry that learns from each sample or its mirror image, in turn from epoch to epoch."""
+LEARNERS = ("auto", "native", "rsl_rl")
+NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
+
 MLP = "MLPModel"
 URMA = "polypod.networks:UrmaModel"
 ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
@@ -36,7 +42,9 @@ class RunConfig:
     save_interval: int
     normalize_reward_per_robot: bool
     normalize_advantage_per_robot: bool
-    symmetry: bool
+    symmetry: bool | str
+    learner: str = "rsl_rl"
+    """What learns: native, rsl_rl, or auto. Runs from before there was a choice are rsl_rl's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,6 +138,57 @@ class TrainConfig:
             return self
         mode = "on" if _computes_in_bfloat16(device_type) else "off"
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
+
+    def with_learner_resolved(self, learner: str | None, device_type: str) -> "TrainConfig":
+        """The config with "auto" decided: the native learner for perceptrons on a CPU, else rsl_rl.
+
+        Args:
+            learner: what is to learn instead of what the config says; None: that.
+            device_type: cpu or cuda.
+
+        Raises:
+            ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
+        """
+        config = self.with_run(learner=learner)
+        why_not = config._why_not_native(device_type)
+        if config.run.learner == "auto":
+            config = config.with_run(learner="rsl_rl" if why_not else "native")
+        if config.run.learner == "native" and why_not:
+            raise _core.ConfigError(f"the native learner {why_not}; use --learner rsl_rl or auto")
+        if config.run.learner == "rsl_rl" and config.run.symmetry == ALTERNATE:
+            raise _core.ConfigError(
+                f'[run] symmetry = "{ALTERNATE}" is of the native learner; use --learner native, or symmetry = true'
+            )
+        return config
+
+    def _why_not_native(self, device_type: str) -> str | None:
+        """What keeps the native learner from this config."""
+        if device_type != "cpu":
+            return f"runs on the CPU, not on {device_type}"
+        for section, network in (("actor", self.actor), ("critic", self.critic)):
+            if network.class_name != MLP:
+                return f"learns perceptrons, and [{section}] is a {network.class_name}"
+            if network.activation not in NATIVE_ACTIVATIONS:
+                return f"knows {', '.join(NATIVE_ACTIVATIONS)}, and [{section}] has activation {network.activation}"
+        return None
+
+    def native_options(self) -> dict[str, Any]:
+        """What `polypod._core.Learner` reads."""
+        run, algorithm = self.run, dataclasses.asdict(self.algorithm)
+        for key in ("learning_rate", "mixed_precision"):
+            del algorithm[key]
+        if algorithm.pop("schedule") == "fixed":
+            algorithm["desired_kl"] = None
+        of_network = ("hidden_dims", "activation", "obs_normalization")
+        return {
+            "num_steps_per_env": run.num_steps_per_env,
+            "actor": {key: getattr(self.actor, key) for key in of_network},
+            "critic": {key: getattr(self.critic, key) for key in of_network},
+            "algorithm": algorithm,
+            "normalize_reward_per_robot": run.normalize_reward_per_robot,
+            "normalize_advantage_per_robot": run.normalize_advantage_per_robot,
+            "symmetry": run.symmetry if isinstance(run.symmetry, str) else "both" if run.symmetry else "none",
+        }
 
     def rsl_rl_cfg(self, sim: _core.VecSim | None = None) -> dict[str, Any]:
         """The configuration that rsl_rl's runner reads; arguments and errors are those of `CriticConfig.model_cfg`."""
@@ -273,8 +332,9 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
         if isinstance(value, list):
             return [_checked(element, item, f"{where}[{i}]") for i, element in enumerate(value)]
     elif isinstance(expected, types.UnionType):
-        (some,) = (item for item in get_args(expected) if item is not type(None))
-        return _checked(value, some, where)
+        for some in get_args(expected):
+            with contextlib.suppress(_core.ConfigError):
+                return _checked(value, some, where)
     elif expected is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     elif type(value) is expected:
@@ -336,11 +396,17 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         )
     for section, network in (("actor", config.actor), ("critic", config.critic)):
         _check_network(network, f"{source}: [{section}]")
-    choices = {"schedule": ("adaptive", "fixed"), "mixed_precision": ("off", "on", "auto")}
-    for key, allowed in choices.items():
-        value = getattr(algorithm, key)
+    choices: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
+        ("algorithm", "schedule", ("adaptive", "fixed")),
+        ("algorithm", "mixed_precision", ("off", "on", "auto")),
+        ("run", "learner", LEARNERS),
+        ("run", "symmetry", (False, True, ALTERNATE)),
+    )
+    for section, key, allowed in choices:
+        value = getattr(getattr(config, section), key)
         if value not in allowed:
-            raise _core.ConfigError(f"{source}: [algorithm] {key} = {value!r} is not one of {', '.join(allowed)}")
+            names = ", ".join(str(name).lower() if isinstance(name, bool) else name for name in allowed)
+            raise _core.ConfigError(f"{source}: [{section}] {key} = {value!r} is not one of {names}")
 
 
 def _check_network(network: CriticConfig, where: str) -> None:

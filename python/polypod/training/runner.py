@@ -113,18 +113,14 @@ class Runner(OnPolicyRunner):
 
     def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
         started = time.perf_counter()
-        with torch.inference_mode():
-            observations = self._collect(observations)
-            collected = time.perf_counter()
-            self.alg.compute_returns(observations)
-            if self.cfg["normalize_advantage_per_robot"]:
-                normalize_per_robot(self.alg.storage.advantages, self.blocks)
-        loss = self.alg.update()
+        observations = self._collect(observations)
+        collected = time.perf_counter()
+        loss = self._update(observations)
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1
 
         sim = self.env.unwrapped.sim
-        scalars = scalars_of(loss, self.alg.learning_rate, self.alg.get_policy().output_std) | sim.log()
+        scalars = scalars_of(loss, self.alg.learning_rate, self._action_std()) | sim.log()
         steps_per_second = self.logger.record(iteration, collected - started, learned - collected, scalars)
         self.reporter.iteration(
             Iteration(iteration + 1, stop, self.logger.mean_reward, self.logger.mean_episode_length, steps_per_second)
@@ -133,7 +129,9 @@ class Runner(OnPolicyRunner):
             self.reporter.robots(sim.episode_stats(clear=True))
         return observations
 
+    @torch.inference_mode()
     def _collect(self, observations: TensorDict) -> TensorDict:
+        """Takes the steps of an iteration; returns the observations after them."""
         for _ in range(self.cfg["num_steps_per_env"]):
             actions = self.alg.act(observations)
             observations, rewards, dones, extras = self.env.step(actions)
@@ -142,6 +140,19 @@ class Runner(OnPolicyRunner):
             self.alg.process_env_step(observations, scaled, dones, extras)
             self.logger.process_env_step(rewards, dones, extras)
         return observations
+
+    def _update(self, observations: TensorDict) -> dict[str, float]:
+        """Learns from the steps; returns the mean losses."""
+        with torch.inference_mode():
+            self.alg.compute_returns(observations)
+            if self.cfg["normalize_advantage_per_robot"]:
+                normalize_per_robot(self.alg.storage.advantages, self.blocks)
+        loss: dict[str, float] = self.alg.update()
+        return loss
+
+    def _action_std(self) -> torch.Tensor:
+        """Deviations of the actions, [num_actions] or [num_envs, num_actions]."""
+        return self.alg.get_policy().output_std
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint, whole or not at all."""

@@ -15,6 +15,7 @@ from polypod import _core
 from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.training import config, run_dir
+from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 
@@ -34,6 +35,7 @@ class Options:
     max_iterations: int | None = None
     seed: int | None = None
     train_config: str | None = None
+    learner: str | None = None
     logger: str = "tensorboard"
     resume: str | None = None
     init: Path | None = None
@@ -68,6 +70,7 @@ class _Plan:
     seed: int
     overrides: list[str]
     checkpoint: Path | None
+    device: str
 
 
 def train(options: Options) -> int:
@@ -76,8 +79,8 @@ def train(options: Options) -> int:
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
     """
-    device = _device(options.device)
-    plan = _new_plan(options, device) if options.resume is None else _resumed_plan(options)
+    plan = _new_plan(options) if options.resume is None else _resumed_plan(options)
+    device = plan.device
     begin_with = plan.checkpoint or options.init
     if begin_with is not None:
         run_dir.load_checkpoint(begin_with)  # a broken one is refused before anything is written
@@ -102,9 +105,7 @@ def train(options: Options) -> int:
     with run_dir.locked(run):
         with _kept_if_begun(run, plan.checkpoint is None):
             env.sim.set_dump_dir(run)
-            runner = Runner(
-                VecEnv(env, device, log_extras=False), plan.config.rsl_rl_cfg(env.sim), run, device, reporter
-            )
+            runner = _runner(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter)
             if plan.checkpoint is not None:
                 runner.load(str(plan.checkpoint))
             elif options.init is not None:
@@ -112,7 +113,7 @@ def train(options: Options) -> int:
             iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
         reporter.message(
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
-            f"simulator {env.sim.threads} threads, learner on {_learner(device)}; {run}"
+            f"simulator {env.sim.threads} threads, {_learner(run_config.learner, device)}; {run}"
         )
         runner.logger.open(
             options.logger,
@@ -145,13 +146,15 @@ def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
         raise
 
 
-def _new_plan(options: Options, device: str) -> _Plan:
+def _new_plan(options: Options) -> _Plan:
     train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
+    device = _device(options, train_config)
     train_config = train_config.with_run(
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
     ).with_mixed_precision_resolved(device)
+    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
@@ -162,7 +165,7 @@ def _new_plan(options: Options, device: str) -> _Plan:
             f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
             "leave out slashes, and use 100 letters at most"
         )
-    return _Plan(train_config, options.robots, seed, options.overrides, checkpoint=None)
+    return _Plan(train_config, options.robots, seed, options.overrides, None, device)
 
 
 def _resumed_plan(options: Options) -> _Plan:
@@ -185,7 +188,9 @@ def _resumed_plan(options: Options) -> _Plan:
         )
     manifest = run_dir.read_manifest(checkpoint)
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
-    return _Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint)
+    device = _device(options, train_config)
+    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
+    return _Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint, device)
 
 
 def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
@@ -199,13 +204,23 @@ def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int)
     return count
 
 
-def _device(name: str) -> str:
-    if name == "cpu" or (name == "auto" and not torch.cuda.is_available()):
+def _device(options: Options, train_config: config.TrainConfig) -> str:
+    name, learner = options.device, options.learner or train_config.run.learner
+    if name == "cpu" or (name == "auto" and (learner == "native" or not torch.cuda.is_available())):
         return "cpu"
     if not torch.cuda.is_available():
         raise _core.ConfigError("--device cuda, but torch finds no CUDA device; use --device cpu or auto")
     return "cuda:0"
 
 
-def _learner(device: str) -> str:
-    return f"{torch.get_num_threads()} CPU threads" if device == "cpu" else torch.cuda.get_device_name(device)
+def _runner(env: VecEnv, train_config: config.TrainConfig, run: Path, device: str, reporter: Reporter) -> Runner:
+    if train_config.run.learner == "native":
+        return NativeRunner(env, train_config, run, device, reporter)
+    return Runner(env, train_config.rsl_rl_cfg(env.unwrapped.sim), run, device, reporter)
+
+
+def _learner(learner: str, device: str) -> str:
+    if learner == "native":
+        return "native learner on the same"
+    where = f"{torch.get_num_threads()} CPU threads" if device == "cpu" else torch.cuda.get_device_name(device)
+    return f"rsl_rl on {where}"

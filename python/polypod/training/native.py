@@ -1,0 +1,135 @@
+"""Training with the native learner: policy, simulator and update take turns on the simulator's threads, in f32.
+
+rsl_rl's networks and optimiser stay as the form in which a run is begun, saved and loaded. So a run may begin with one
+learner and go on with the other.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+from polypod import _core
+from polypod.rsl_rl import VecEnv
+from polypod.training.config import TrainConfig
+from polypod.training.report import Reporter
+from polypod.training.runner import Runner
+
+NETWORKS = ("actor", "critic")
+
+
+class NativeRunner(Runner):
+    """A `Runner` whose iterations are computed by `polypod._core.Learner`."""
+
+    def __init__(self, env: VecEnv, config: TrainConfig, run: Path, device: str, reporter: Reporter) -> None:
+        """Builds the networks; `config` is one for the native learner."""
+        sim = env.unwrapped.sim
+        cfg = config.rsl_rl_cfg(sim)
+        # samples and mirror images are the native learner's: rsl_rl stores none
+        super().__init__(env, {**cfg, "symmetry": False, "num_steps_per_env": 1}, run, device, reporter)
+        self.cfg = self.logger.cfg = cfg
+        self._learner = _core.Learner(sim, json.dumps(config.native_options()))
+        self._give()
+
+    def _collect(self, observations: TensorDict) -> TensorDict:
+        sim = self.env.unwrapped.sim
+        for reward, length in self._learner.collect(sim, self.current_learning_iteration):
+            self.logger.rewbuffer.append(reward)
+            self.logger.lenbuffer.append(length)
+        return observations
+
+    def _update(self, observations: TensorDict) -> dict[str, float]:
+        loss = self._learner.update(self.env.unwrapped.sim, self.alg.learning_rate)
+        self.alg.learning_rate = loss.pop("learning_rate")
+        return loss
+
+    def _action_std(self) -> torch.Tensor:
+        weights, *_ = self._learner.network("actor")
+        return torch.from_numpy(weights[0])
+
+    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+        """Writes a checkpoint that either learner can go on from."""
+        self._take()
+        super().save(path, infos)
+
+    def load(
+        self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
+    ) -> dict[str, Any]:
+        """Takes over a checkpoint of either learner."""
+        infos = super().load(path, load_cfg, strict, map_location)
+        self._give()
+        return infos
+
+    def start_from(self, path: Path) -> None:
+        """Takes over a checkpoint's networks and nothing else."""
+        super().start_from(path)
+        self._give()
+
+    def _give(self) -> None:
+        """Hands rsl_rl's networks, optimiser and statistics to the native learner."""
+        for name in NETWORKS:
+            parameters = self._parameters(name)
+            states = [self.alg.optimizer.state.get(parameter, {}) for parameter in parameters]
+            zeros = [torch.zeros_like(parameter) for parameter in parameters]
+            first, second = (
+                [_array(state.get(key, zero)) for state, zero in zip(states, zeros, strict=True)]
+                for key in ("exp_avg", "exp_avg_sq")
+            )
+            steps = int(states[0].get("step", 0))
+            self._learner.set_network(name, [_array(parameter) for parameter in parameters], first, second, steps)
+            if (normalizer := self._normalizer(name)) is not None:
+                mean, variance = normalizer.get_buffer("_mean"), normalizer.get_buffer("_var")
+                count = int(normalizer.get_buffer("count"))
+                self._learner.set_normalizer(name, _array(mean), _array(variance), count)
+        if self.reward_scale is not None:
+            state = self.reward_scale.state()
+            self._learner.set_reward_scale(*(_array(state[key]) for key in ("returns", "count", "mean", "variance")))
+        self._learner.set_episodes(_array(self.logger.cur_reward_sum), _array(self.logger.cur_episode_length))
+
+    @torch.no_grad()
+    def _take(self) -> None:
+        """The reverse of `_give`."""
+        for name in NETWORKS:
+            parameters = self._parameters(name)
+            weights, first, second, steps = self._learner.network(name)
+            for parameter, *arrays in zip(parameters, weights, first, second, strict=True):
+                values = [torch.from_numpy(array).view_as(parameter) for array in arrays]
+                parameter.copy_(values[0])
+                self.alg.optimizer.state[parameter] = {
+                    "step": torch.tensor(float(steps)),
+                    "exp_avg": values[1],
+                    "exp_avg_sq": values[2],
+                }
+            if (normalizer := self._normalizer(name)) is not None and (of := self._learner.normalizer(name)):
+                mean, variance, count = of
+                normalizer.get_buffer("_mean").copy_(torch.from_numpy(mean))
+                normalizer.get_buffer("_var").copy_(torch.from_numpy(variance))
+                normalizer.get_buffer("_std").copy_(torch.from_numpy(np.sqrt(variance)))
+                normalizer.get_buffer("count").fill_(count)
+        for group in self.alg.optimizer.param_groups:
+            group["lr"] = self.alg.learning_rate
+        if self.reward_scale is not None and (scale := self._learner.reward_scale()):
+            returns, of_robots = scale
+            names = ("returns", "count", "mean", "variance")
+            self.reward_scale.restore(
+                {name: torch.from_numpy(array) for name, array in zip(names, [returns, *of_robots], strict=True)}
+            )
+        rewards, lengths = self._learner.episodes()
+        self.logger.cur_reward_sum = torch.from_numpy(rewards)
+        self.logger.cur_episode_length = torch.from_numpy(lengths)
+
+    def _parameters(self, name: str) -> list[torch.nn.Parameter]:
+        return list(getattr(self.alg, name).parameters())
+
+    def _normalizer(self, name: str) -> torch.nn.Module | None:
+        normalizer: torch.nn.Module = getattr(self.alg, name).obs_normalizer
+        return None if isinstance(normalizer, torch.nn.Identity) else normalizer
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    """A copy with one dimension."""
+    flat: np.ndarray = tensor.detach().cpu().numpy().ravel().copy()
+    return flat

@@ -1,0 +1,141 @@
+//! The policy's distribution: independent normal numbers with learnt deviations that do not depend on the observation.
+
+use polypod_dynamics::elementary::exp;
+
+use crate::lines::{Line, WIDTH, lines_of};
+
+/// Deviations that the policy may have.
+const RANGE: [f32; 2] = [1e-6, 1e6];
+const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
+
+/// Deviations, and what is computed of them once.
+#[derive(Clone, Debug)]
+pub(crate) struct Gaussian {
+    num_actions: usize,
+    /// `[lines of an action]`, 0 beyond the actions.
+    pub(crate) deviation: Vec<Line>,
+    inverse: Vec<Line>,
+    /// What the log-density has in any state: minus the sum of the deviations' logarithms, minus that of `sqrt(2 pi)`.
+    constant: f32,
+}
+
+/// Sum of a line's numbers, in a fixed order that lanes can follow.
+#[inline(always)]
+fn sum_of(line: &[f32; WIDTH]) -> f32 {
+    let mut half = WIDTH / 2;
+    let mut sums = *line;
+    while half > 0 {
+        for i in 0..half {
+            sums[i] += sums[i + half];
+        }
+        half /= 2;
+    }
+    sums[0]
+}
+
+/// Hyperparameters of the surrogate loss, and the sample's part of it.
+pub(crate) struct Surrogate {
+    pub(crate) clip: f32,
+    pub(crate) advantage: f32,
+    pub(crate) old_log_prob: f32,
+    /// What the loss' derivative is multiplied by: one over the number of samples.
+    pub(crate) weight: f32,
+}
+
+impl Gaussian {
+    /// With deviations `[lines of an action]`, limited to [`RANGE`].
+    pub(crate) fn new(deviation: &[Line], num_actions: usize) -> Self {
+        let mut this = Self {
+            num_actions,
+            deviation: vec![Line::ZERO; lines_of(num_actions)],
+            inverse: vec![Line::ZERO; lines_of(num_actions)],
+            constant: 0.0,
+        };
+        for i in 0..num_actions {
+            let sigma = deviation[i / WIDTH].0[i % WIDTH].clamp(RANGE[0], RANGE[1]);
+            this.deviation[i / WIDTH].0[i % WIDTH] = sigma;
+            this.inverse[i / WIDTH].0[i % WIDTH] = 1.0 / sigma;
+            this.constant -= libm::logf(sigma) + HALF_LOG_TWO_PI;
+        }
+        this
+    }
+
+    /// Differential entropy.
+    pub(crate) fn entropy(&self) -> f32 {
+        0.5 * self.num_actions as f32 - self.constant
+    }
+
+    /// Logarithm of the density of an action.
+    pub(crate) fn log_prob(&self, action: &[Line], mean: &[Line]) -> f32 {
+        let mut sum = 0.0;
+        for ((action, mean), inverse) in action.iter().zip(mean).zip(&self.inverse) {
+            let mut squares = Line::ZERO;
+            for i in 0..WIDTH {
+                let z = (action.0[i] - mean.0[i]) * inverse.0[i];
+                squares.0[i] = z * z;
+            }
+            sum += sum_of(&squares.0);
+        }
+        self.constant - 0.5 * sum
+    }
+
+    /// The clipped surrogate loss of an action under this distribution, and its derivatives: those of the mean are written to `mean`,
+    /// which holds it; those of the deviations are added to `deviation`.
+    #[inline(always)]
+    pub(crate) fn surrogate(
+        &self,
+        action: &[Line],
+        mean: &mut [Line],
+        deviation: &mut [Line],
+        sample: &Surrogate,
+    ) -> f32 {
+        let ratio = exp(self.log_prob(action, mean) - sample.old_log_prob);
+        let free = -sample.advantage * ratio;
+        let clipped = -sample.advantage * ratio.clamp(1.0 - sample.clip, 1.0 + sample.clip);
+        // where the clipped loss is the greater one, it does not depend on the policy
+        let slope = if free >= clipped { free * sample.weight } else { 0.0 };
+        for (((action, mean), inverse), deviation) in action.iter().zip(mean).zip(&self.inverse).zip(deviation) {
+            for i in 0..WIDTH {
+                let z = (action.0[i] - mean.0[i]) * inverse.0[i];
+                mean.0[i] = slope * z * inverse.0[i];
+                deviation.0[i] += slope * (z * z - 1.0) * inverse.0[i];
+            }
+        }
+        free.max(clipped)
+    }
+
+    /// Kullback-Leibler divergence of this distribution from an older one, whose deviations add `of_deviations`; exactly zero if they are
+    /// the same.
+    #[inline(always)]
+    pub(crate) fn divergence(&self, mean: &[Line], old_mean: &[Line], of_deviations: f32) -> f32 {
+        let mut sum = 0.0;
+        for (k, inverse) in self.inverse.iter().enumerate() {
+            let mut terms = Line::ZERO;
+            for i in 0..WIDTH {
+                let z = (old_mean[k].0[i] - mean[k].0[i]) * inverse.0[i];
+                terms.0[i] = z * z;
+            }
+            sum += sum_of(&terms.0);
+        }
+        of_deviations + 0.5 * sum
+    }
+
+    /// The part of [`Gaussian::divergence`] that does not depend on the means.
+    pub(crate) fn divergence_of_deviations(&self, old: &Self) -> f32 {
+        let mut sum = 0.0;
+        for i in 0..self.num_actions {
+            let ratio = old.deviation[i / WIDTH].0[i % WIDTH] / self.deviation[i / WIDTH].0[i % WIDTH];
+            sum += 0.5 * (ratio * ratio - 1.0) - libm::logf(ratio);
+        }
+        sum
+    }
+
+    /// Adds the derivative of `-coefficient * entropy` to those of the deviations.
+    pub(crate) fn add_entropy(&self, coefficient: f32, deviation: &mut [Line]) {
+        for (line, inverse) in deviation.iter_mut().zip(&self.inverse) {
+            for i in 0..WIDTH {
+                line.0[i] -= coefficient * inverse.0[i];
+            }
+        }
+    }
+}

@@ -1,0 +1,28 @@
+#![doc = include_str!("README.md")]
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+mod activation;
+mod adam;
+mod gaussian;
+mod learner;
+mod lines;
+mod matrix;
+mod moments;
+mod network;
+mod normalizer;
+mod perceptron;
+mod random;
+mod reward_scale;
+mod rollout;
+mod settings;
+mod update;
+
+pub use activation::Activation;
+pub use learner::{Learner, RolloutArrays, Team};
+pub use network::{NetworkState, Which};
+pub use normalizer::Normalizer;
+pub use reward_scale::RewardScale;
+pub use rollout::Episode;
+pub use settings::{Algorithm, LearnerError, Network, Options, Robot, Settings, Symmetry};
+pub use update::Losses;

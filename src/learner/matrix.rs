@@ -1,0 +1,349 @@
+//! The three matrix products of a perceptron, over lines: what nearly all time of a training is spent on.
+//!
+//! Matrices are stored by panels of sixteen columns: the sixteen numbers of a row in a panel are a [`Line`], and the lines of a panel
+//! follow one another. A block of rows times two panels of columns stays in registers while the inner dimension runs, and reads memory
+//! in order.
+//!
+//! Every number of a product is one chain of fused multiply-adds in the order of the inner dimension. So the bits depend neither on
+//! the width of the registers nor on the size of the blocks.
+
+use polypod_dynamics::lanes::{Kernel, Lanes, Portable, Real, Simd};
+
+use crate::activation::Activation;
+use crate::lines::{Line, Pair, WIDTH};
+
+/// Numbers of rows and inner dimensions are multiples of this.
+pub(crate) const BLOCK: usize = 8;
+
+/// `out = end(a b)`.
+pub(crate) struct Product<'a> {
+    /// Rows of `a` and of `out`, a multiple of [`BLOCK`].
+    pub(crate) rows: usize,
+    /// Columns of `a`, a multiple of [`BLOCK`].
+    pub(crate) inner: usize,
+    /// Panels `[lines of inner][rows]`.
+    pub(crate) a: &'a [Line],
+    /// Panels `[panels][inner, then what `end` reads]`.
+    pub(crate) b: &'a [Line],
+    /// Panels `[panels][rows]`.
+    pub(crate) out: &'a mut [Line],
+    pub(crate) end: End<'a>,
+}
+
+/// What is done with a sum before it is written.
+#[derive(Clone, Copy)]
+pub(crate) enum End<'a> {
+    /// Each panel of `b` has one line more: the bias. The activation follows, if there is one.
+    Bias(Option<Activation>),
+    /// The sum is multiplied by the activation's derivative at these outputs, panels `[panels][rows]`.
+    Derivative(Activation, &'a [Line]),
+}
+
+/// `gradient += transposed(input) delta`, and the sum of `delta` for the bias.
+pub(crate) struct WeightGradient<'a> {
+    /// Samples.
+    pub(crate) rows: usize,
+    /// Columns of `input`, a multiple of [`BLOCK`].
+    pub(crate) inner: usize,
+    /// Panels `[lines of inner][rows]`.
+    pub(crate) input: &'a [Line],
+    /// Panels `[panels][rows]`.
+    pub(crate) delta: &'a [Line],
+    /// Panels `[panels][inner, then the bias]`.
+    pub(crate) gradient: &'a mut [Line],
+}
+
+/// The products, compiled for an instruction set.
+#[derive(Clone, Copy)]
+pub(crate) struct Matrix {
+    pub(crate) product: fn(Product),
+    pub(crate) weight_gradient: fn(WeightGradient),
+}
+
+impl Matrix {
+    pub(crate) fn new(simd: Simd) -> Self {
+        match simd {
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => Self::of::<polypod_dynamics::lanes::Avx512>(),
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => Self::of::<polypod_dynamics::lanes::Avx2>(),
+            #[cfg(target_arch = "aarch64")]
+            Simd::Neon => Self::of::<Pair<polypod_dynamics::lanes::Neon>>(),
+            _ => Self::of::<Pair<Portable>>(),
+        }
+    }
+
+    fn of<L: Blocking>() -> Self {
+        Self { product: |product| L::vectorize(product), weight_gradient: |gradient| L::vectorize(gradient) }
+    }
+}
+
+/// Sixteen lanes, and how many registers of them there are.
+trait Blocking: Lanes {
+    /// Whether [`BLOCK`] rows times two panels fit into the registers; else half as many rows times one panel.
+    const MANY_REGISTERS: bool;
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Blocking for polypod_dynamics::lanes::Avx512 {
+    const MANY_REGISTERS: bool = true;
+}
+#[cfg(target_arch = "x86_64")]
+impl Blocking for polypod_dynamics::lanes::Avx2 {
+    const MANY_REGISTERS: bool = false;
+}
+#[cfg(target_arch = "aarch64")]
+impl Blocking for Pair<polypod_dynamics::lanes::Neon> {
+    const MANY_REGISTERS: bool = false;
+}
+impl Blocking for Pair<Portable> {
+    const MANY_REGISTERS: bool = false;
+}
+
+impl<L: Blocking> Kernel<L> for Product<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(mut self) {
+        let panels = self.out.len() / self.rows;
+        if L::MANY_REGISTERS {
+            let mut panel = 0;
+            while panel + 2 <= panels {
+                self.columns::<L, BLOCK, 2>(panel);
+                panel += 2;
+            }
+            if panel < panels {
+                self.columns::<L, BLOCK, 1>(panel);
+            }
+        } else {
+            for panel in 0..panels {
+                self.columns::<L, { BLOCK / 2 }, 1>(panel);
+            }
+        }
+    }
+}
+
+impl Product<'_> {
+    /// All rows of `W` panels, `R` rows at a time.
+    #[inline(always)]
+    fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize) {
+        let (rows, inner) = (self.rows, self.inner);
+        let stride = inner + usize::from(matches!(self.end, End::Bias(_)));
+        let mut b: [&[Line]; W] = [&[]; W];
+        let mut start = [L::zero(); W];
+        for w in 0..W {
+            b[w] = &self.b[(panel + w) * stride..][..inner];
+            if let End::Bias(_) = self.end {
+                start[w] = L::load(&self.b[(panel + w) * stride + inner].0);
+            }
+        }
+        let mut row = 0;
+        while row < rows {
+            let mut sums = [start; R];
+            let mut k = 0;
+            while k < inner {
+                let a = &self.a[k / WIDTH * rows + row..][..R];
+                let n = WIDTH.min(inner - k);
+                for i in 0..n {
+                    let mut line = [L::zero(); W];
+                    for w in 0..W {
+                        line[w] = L::load(&b[w][k + i].0);
+                    }
+                    for r in 0..R {
+                        let x = L::broadcast(a[r].0[i % WIDTH]);
+                        for w in 0..W {
+                            sums[r][w] = x.mul_add(line[w], sums[r][w]);
+                        }
+                    }
+                }
+                k += WIDTH;
+            }
+            // sums that are written before anything else is done with them stay in registers until then
+            for w in 0..W {
+                let out = &mut self.out[(panel + w) * rows + row..][..R];
+                for r in 0..R {
+                    sums[r][w].store(&mut out[r].0);
+                }
+            }
+            for w in 0..W {
+                self.finish::<L, R>((panel + w) * rows + row);
+            }
+            row += R;
+        }
+    }
+
+    /// Applies the activation or its derivative to `R` lines.
+    #[inline(always)]
+    fn finish<L: Real, const R: usize>(&mut self, first: usize) {
+        let out = &mut self.out[first..][..R];
+        match self.end {
+            End::Bias(None) => {}
+            End::Bias(Some(activation)) => {
+                for line in out {
+                    activation.apply(L::load(&line.0)).store(&mut line.0);
+                }
+            }
+            End::Derivative(activation, y) => {
+                for (line, y) in out.iter_mut().zip(&y[first..]) {
+                    (L::load(&line.0) * activation.derivative(L::load(&y.0))).store(&mut line.0);
+                }
+            }
+        }
+    }
+}
+
+impl<L: Blocking> Kernel<L> for WeightGradient<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(mut self) {
+        let panels = self.gradient.len() / (self.inner + 1);
+        if L::MANY_REGISTERS {
+            let mut panel = 0;
+            while panel + 2 <= panels {
+                self.columns::<L, BLOCK, 2>(panel);
+                panel += 2;
+            }
+            if panel < panels {
+                self.columns::<L, BLOCK, 1>(panel);
+            }
+        } else {
+            for panel in 0..panels {
+                self.columns::<L, { BLOCK / 2 }, 1>(panel);
+            }
+        }
+    }
+}
+
+impl WeightGradient<'_> {
+    /// The gradients of `W` panels, those of `R` inputs at a time.
+    #[inline(always)]
+    fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize) {
+        let (rows, inner) = (self.rows, self.inner);
+        let mut delta: [&[Line]; W] = [&[]; W];
+        for w in 0..W {
+            delta[w] = &self.delta[(panel + w) * rows..][..rows];
+        }
+        let mut k = 0;
+        while k < inner {
+            let input = &self.input[k / WIDTH * rows..][..rows];
+            let column = k % WIDTH;
+            let mut sums = [[L::zero(); W]; R];
+            for w in 0..W {
+                let gradient = &self.gradient[(panel + w) * (inner + 1) + k..][..R];
+                for r in 0..R {
+                    sums[r][w] = L::load(&gradient[r].0);
+                }
+            }
+            for t in 0..rows {
+                let mut line = [L::zero(); W];
+                for w in 0..W {
+                    line[w] = L::load(&delta[w][t].0);
+                }
+                let x = &input[t].0[column..][..R];
+                for r in 0..R {
+                    let x = L::broadcast(x[r]);
+                    for w in 0..W {
+                        sums[r][w] = x.mul_add(line[w], sums[r][w]);
+                    }
+                }
+            }
+            for w in 0..W {
+                let gradient = &mut self.gradient[(panel + w) * (inner + 1) + k..][..R];
+                for r in 0..R {
+                    sums[r][w].store(&mut gradient[r].0);
+                }
+            }
+            k += R;
+        }
+        for w in 0..W {
+            let bias = &mut self.gradient[(panel + w) * (inner + 1) + inner];
+            let mut sum = L::load(&bias.0);
+            for line in delta[w] {
+                sum = sum + L::load(&line.0);
+            }
+            sum.store(&mut bias.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lines::lines_of;
+
+    fn numbers(count: usize, seed: u32) -> Vec<f32> {
+        let mut x = seed;
+        let mut next = || {
+            x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (x >> 8) as f32 / 8_388_608.0 - 1.0
+        };
+        (0..count).map(|_| next()).collect()
+    }
+
+    /// A row-major matrix by panels, with `rows` rows of lines.
+    fn panels(matrix: &[f32], rows: usize, columns: usize) -> Vec<Line> {
+        let mut lines = vec![Line::ZERO; lines_of(columns) * rows];
+        for row in 0..rows {
+            for column in 0..columns {
+                lines[column / WIDTH * rows + row].0[column % WIDTH] = matrix[row * columns + column];
+            }
+        }
+        lines
+    }
+
+    /// One chain of fused multiply-adds in order.
+    fn chain(start: f32, terms: impl Iterator<Item = (f32, f32)>) -> f32 {
+        terms.fold(start, |sum, (a, b)| a.mul_add(b, sum))
+    }
+
+    #[test]
+    fn products_are_chains_in_order_on_every_instruction_set() {
+        for (rows, inner, columns) in [(8, 8, 1), (16, 24, 16), (24, 88, 37), (8, 40, 64)] {
+            let (a, b) = (numbers(rows * inner, 1), numbers((inner + 1) * columns, 2));
+            for simd in Simd::available() {
+                let mut out = vec![Line::ZERO; lines_of(columns) * rows];
+                (Matrix::new(simd).product)(Product {
+                    rows,
+                    inner,
+                    a: &panels(&a, rows, inner),
+                    b: &panels(&b, inner + 1, columns),
+                    out: &mut out,
+                    end: End::Bias(Some(Activation::Relu)),
+                });
+                for row in 0..rows {
+                    for column in 0..columns {
+                        let terms = (0..inner).map(|k| (a[row * inner + k], b[k * columns + column]));
+                        let expected = chain(b[inner * columns + column], terms).max(0.0);
+                        let found = out[column / WIDTH * rows + row].0[column % WIDTH];
+                        assert_eq!(found.to_bits(), expected.to_bits(), "{} {row} {column}", simd.name());
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weight_gradients_are_chains_in_order_on_every_instruction_set() {
+        for (rows, inner, columns) in [(8, 8, 1), (16, 24, 16), (24, 88, 37), (8, 40, 64)] {
+            let (input, delta) = (numbers(rows * inner, 3), numbers(rows * columns, 4));
+            for simd in Simd::available() {
+                let mut gradient = vec![Line([0.5; WIDTH]); lines_of(columns) * (inner + 1)];
+                (Matrix::new(simd).weight_gradient)(WeightGradient {
+                    rows,
+                    inner,
+                    input: &panels(&input, rows, inner),
+                    delta: &panels(&delta, rows, columns),
+                    gradient: &mut gradient,
+                });
+                for column in 0..columns {
+                    let delta = |row: usize| delta[row * columns + column];
+                    for k in 0..=inner {
+                        let input = |row: usize| if k == inner { 1.0 } else { input[row * inner + k] };
+                        let expected = chain(0.5, (0..rows).map(|row| (input(row), delta(row))));
+                        let found = gradient[column / WIDTH * (inner + 1) + k].0[column % WIDTH];
+                        assert_eq!(found.to_bits(), expected.to_bits(), "{} {k} {column}", simd.name());
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! Observations brought to mean 0 and deviation 1, as rsl_rl's `EmpiricalNormalization` does it.
+
+use crate::lines::{Line, WIDTH, lines_of};
+use crate::moments::Moments;
+
+/// What is added to a deviation before it divides.
+const EPSILON: f32 = 1e-2;
+
+/// Running statistics of the observations.
+#[derive(Clone, Debug)]
+pub struct Normalizer {
+    /// Mean of each number, `[num_obs]`.
+    pub mean: Vec<f32>,
+    /// Variance of each number, `[num_obs]`.
+    pub variance: Vec<f32>,
+    /// Samples so far.
+    pub count: u64,
+    mean_lines: Vec<Line>,
+    inverse_lines: Vec<Line>,
+}
+
+impl Normalizer {
+    /// Before the first sample: mean 0 and deviation 1.
+    pub(crate) fn new(num_obs: usize) -> Self {
+        Self::from_parts(vec![0.0; num_obs], vec![1.0; num_obs], 0)
+    }
+
+    /// With these statistics, `[num_obs]` each.
+    pub fn from_parts(mean: Vec<f32>, variance: Vec<f32>, count: u64) -> Self {
+        let lines = vec![Line::ZERO; lines_of(mean.len())];
+        let mut this = Self { mean, variance, count, mean_lines: lines.clone(), inverse_lines: lines };
+        this.prepare();
+        this
+    }
+
+    fn prepare(&mut self) {
+        for (i, (&mean, &variance)) in self.mean.iter().zip(&self.variance).enumerate() {
+            self.mean_lines[i / WIDTH].0[i % WIDTH] = mean;
+            self.inverse_lines[i / WIDTH].0[i % WIDTH] = 1.0 / (variance.sqrt() + EPSILON);
+        }
+    }
+
+    /// Line `index` of an observation, normalised.
+    #[inline(always)]
+    pub(crate) fn apply(&self, index: usize, line: &Line) -> Line {
+        let (mean, inverse) = (&self.mean_lines[index].0, &self.inverse_lines[index].0);
+        let mut out = Line::ZERO;
+        for i in 0..WIDTH {
+            out.0[i] = (line.0[i] - mean[i]) * inverse[i];
+        }
+        out
+    }
+
+    /// Takes in the samples of an iteration, `[num_obs]`.
+    pub(crate) fn update(&mut self, samples: &[Moments]) {
+        let added = samples.first().map_or(0, |of| of.count as u64);
+        self.count += added;
+        let rate = added as f64 / self.count.max(1) as f64;
+        for (of, (mean, variance)) in samples.iter().zip(self.mean.iter_mut().zip(&mut self.variance)) {
+            let delta = of.mean - f64::from(*mean);
+            let new_mean = f64::from(*mean) + rate * delta;
+            let spread = of.variance() - f64::from(*variance) + delta * (of.mean - new_mean);
+            *mean = new_mean as f32;
+            *variance = (f64::from(*variance) + rate * spread) as f32;
+        }
+        self.prepare();
+    }
+}

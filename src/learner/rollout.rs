@@ -1,0 +1,243 @@
+//! What a part's envs did in an iteration, and what follows from it: values, scaled rewards, returns, advantages.
+
+use std::ops::Range;
+
+use crate::lines::{Line, WIDTH, lines_of};
+use crate::moments::Moments;
+use crate::settings::Settings;
+
+/// Most parts that the envs are divided into.
+const MOST_PARTS: usize = 32;
+/// Envs that a part has at least.
+const LEAST_ENVS: usize = 16;
+
+/// The envs of each part. They depend on the number of envs alone, and so do all sums.
+pub(crate) fn parts_of(num_envs: usize) -> impl Iterator<Item = Range<usize>> {
+    let count = (num_envs / LEAST_ENVS).clamp(1, MOST_PARTS);
+    (0..count).map(move |part| part * num_envs / count..(part + 1) * num_envs / count)
+}
+
+/// A block of envs that is simulated, stored and learnt from on its own.
+///
+/// Sample `step * num_envs + env` is that of the part's env `env` at step `step`.
+pub(crate) struct Part {
+    pub(crate) envs: Range<usize>,
+    /// The robots it has envs of, with these envs, counted from the part's first.
+    pub(crate) blocks: Vec<(usize, Range<usize>)>,
+    /// Of each of its envs.
+    pub(crate) robot_of: Vec<usize>,
+    /// `[samples][lines of an observation]`, as they came.
+    pub(crate) observations: Vec<Line>,
+    /// `[samples][lines of an action]`.
+    pub(crate) actions: Vec<Line>,
+    /// What the policy's mean was, `[samples][lines of an action]`.
+    pub(crate) means: Vec<Line>,
+    /// Logarithm of the action's probability density, `[samples]`.
+    pub(crate) log_probs: Vec<f32>,
+    /// `[samples]`, as they came.
+    pub(crate) rewards: Vec<f32>,
+    pub(crate) ends: Vec<End>,
+    pub(crate) values: Vec<f32>,
+    /// Values of the observations after the last step, `[envs]`.
+    pub(crate) last_values: Vec<f32>,
+    pub(crate) returns: Vec<f32>,
+    pub(crate) advantages: Vec<f32>,
+    /// Discounted sum of the rewards so far, `[envs]`.
+    pub(crate) discounted: Vec<f32>,
+    /// Sum of the rewards of the present episode, `[envs]`.
+    pub(crate) episode_reward: Vec<f32>,
+    /// Control steps of the present episode that were seen, `[envs]`.
+    pub(crate) episode_length: Vec<f32>,
+    /// Samples in the order in which they are learnt from.
+    pub(crate) order: Vec<u32>,
+}
+
+/// How an env's episode goes on after a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum End {
+    None,
+    /// It ended, and what would have come after it counts nothing.
+    Terminated,
+    /// Its time was up; the value stands for what would have come after it.
+    TimeOut,
+}
+
+/// An episode that ended: at which step and in which env, its return and its control steps.
+#[derive(Clone, Copy, Debug)]
+pub struct Episode {
+    /// Step of the iteration.
+    pub step: usize,
+    /// Global index of the env.
+    pub env: usize,
+    /// Sum of its rewards.
+    pub reward: f32,
+    /// Control steps.
+    pub length: f32,
+}
+
+impl Part {
+    pub(crate) fn new(envs: Range<usize>, settings: &Settings) -> Self {
+        let count = envs.len();
+        let samples = count * settings.options.num_steps_per_env;
+        let overlap = |(robot, of): (usize, &crate::settings::Robot)| {
+            let (first, end) = (of.envs.0.max(envs.start), of.envs.1.min(envs.end));
+            (first < end).then(|| (robot, first - envs.start..end - envs.start))
+        };
+        let blocks: Vec<_> = settings.robots.iter().enumerate().filter_map(overlap).collect();
+        let robot_of = blocks.iter().flat_map(|(robot, of)| of.clone().map(|_| *robot)).collect();
+        let lines = |numbers: usize| vec![Line::ZERO; samples * lines_of(numbers)];
+        Self {
+            observations: lines(settings.num_obs),
+            actions: lines(settings.num_actions),
+            means: lines(settings.num_actions),
+            log_probs: vec![0.0; samples],
+            rewards: vec![0.0; samples],
+            ends: vec![End::None; samples],
+            values: vec![0.0; samples],
+            last_values: vec![0.0; count],
+            returns: vec![0.0; samples],
+            advantages: vec![0.0; samples],
+            discounted: vec![0.0; count],
+            episode_reward: vec![0.0; count],
+            episode_length: vec![0.0; count],
+            order: Vec::new(),
+            envs,
+            blocks,
+            robot_of,
+        }
+    }
+
+    /// Number of its envs.
+    pub(crate) fn len(&self) -> usize {
+        self.envs.len()
+    }
+
+    /// Stores the observations before a step, `[envs, num_obs]`.
+    pub(crate) fn store_observations(&mut self, step: usize, observations: &[f32], num_obs: usize) {
+        let first = step * self.len() * lines_of(num_obs);
+        rows_to_lines(observations, num_obs, &mut self.observations[first..]);
+    }
+
+    /// The samples of a mini-batch.
+    pub(crate) fn mini_batch(&self, batch: usize, batches: usize) -> &[u32] {
+        let count = self.order.len();
+        &self.order[batch * count / batches..(batch + 1) * count / batches]
+    }
+
+    /// Stores what came of a step; `[envs]` each. Episodes that ended are added to `episodes`.
+    pub(crate) fn store_outcome(
+        &mut self,
+        step: usize,
+        rewards: &[f32],
+        terminated: &[bool],
+        truncated: &[bool],
+        episodes: &mut Vec<Episode>,
+    ) {
+        let first = step * self.len();
+        for env in 0..self.len() {
+            let (reward, ended) = (rewards[env], terminated[env] || truncated[env]);
+            self.rewards[first + env] = reward;
+            self.ends[first + env] = match (terminated[env], truncated[env]) {
+                (true, _) => End::Terminated,
+                (false, true) => End::TimeOut,
+                (false, false) => End::None,
+            };
+            self.episode_reward[env] += reward;
+            self.episode_length[env] += 1.0;
+            if ended {
+                let (reward, length) = (self.episode_reward[env], self.episode_length[env]);
+                episodes.push(Episode { step, env: self.envs.start + env, reward, length });
+                (self.episode_reward[env], self.episode_length[env]) = (0.0, 0.0);
+            }
+        }
+    }
+
+    /// Follows the discounted returns through the iteration; their moments of each step and of each of the part's robots,
+    /// `[steps][blocks]`.
+    pub(crate) fn discounted_returns(&mut self, gamma: f32) -> Vec<Moments> {
+        let n = self.len();
+        let mut moments = Vec::new();
+        for (rewards, ends) in self.rewards.chunks_exact(n).zip(self.ends.chunks_exact(n)) {
+            for (sum, reward) in self.discounted.iter_mut().zip(rewards) {
+                *sum = *sum * gamma + reward;
+            }
+            moments
+                .extend(self.blocks.iter().map(|(_, envs)| Moments::of(self.discounted[envs.clone()].iter().copied())));
+            for (sum, end) in self.discounted.iter_mut().zip(ends) {
+                if *end != End::None {
+                    *sum = 0.0;
+                }
+            }
+        }
+        moments
+    }
+
+    /// Returns and advantages by generalised advantage estimation; `scale` is what the rewards of a step and a robot are multiplied by.
+    pub(crate) fn estimate_advantages(&mut self, gamma: f32, lam: f32, scale: impl Fn(usize, usize) -> f32) {
+        let n = self.len();
+        let mut advantage = vec![0.0f32; n];
+        let steps = self.rewards.len() / n.max(1);
+        for step in (0..steps).rev() {
+            for env in 0..n {
+                let at = step * n + env;
+                let (value, end) = (self.values[at], self.ends[at]);
+                let next_value = if step + 1 == steps { self.last_values[env] } else { self.values[at + n] };
+                let mut reward = self.rewards[at] * scale(step, self.robot_of[env]);
+                if end == End::TimeOut {
+                    reward += gamma * value;
+                }
+                let goes_on = if end == End::None { 1.0 } else { 0.0 };
+                let delta = reward + goes_on * gamma * next_value - value;
+                advantage[env] = delta + goes_on * gamma * lam * advantage[env];
+                self.returns[at] = advantage[env] + value;
+                self.advantages[at] = self.returns[at] - value;
+            }
+        }
+    }
+
+    /// Advantages of one of the part's blocks of envs.
+    pub(crate) fn advantages_of(&self, envs: Range<usize>) -> impl Iterator<Item = f32> + Clone {
+        self.advantages.chunks_exact(self.len()).flat_map(move |step| step[envs.clone()].iter().copied())
+    }
+
+    /// Moments of each number of the observations, about `about`.
+    pub(crate) fn observation_moments(&self, about: &[f32]) -> Vec<Moments> {
+        let lines = lines_of(about.len());
+        let mut shift = vec![Line::ZERO; lines];
+        copy_to_lines(about, &mut shift);
+        let mut sums = vec![([0.0f64; WIDTH], [0.0f64; WIDTH]); lines];
+        for observation in self.observations.chunks_exact(lines) {
+            for ((line, shift), (sum, squares)) in observation.iter().zip(&shift).zip(&mut sums) {
+                for i in 0..WIDTH {
+                    let x = f64::from(line.0[i] - shift.0[i]);
+                    sum[i] += x;
+                    squares[i] += x * x;
+                }
+            }
+        }
+        let count = self.rewards.len() as f64;
+        let moments = |(i, &about): (usize, &f32)| {
+            let (sum, squares) = (sums[i / WIDTH].0[i % WIDTH], sums[i / WIDTH].1[i % WIDTH]);
+            Moments { count, mean: f64::from(about) + sum / count, squares: (squares - sum * sum / count).max(0.0) }
+        };
+        about.iter().enumerate().map(moments).collect()
+    }
+}
+
+/// Rows of `width` numbers as rows of lines.
+pub(crate) fn rows_to_lines(from: &[f32], width: usize, to: &mut [Line]) {
+    for (to, from) in to.chunks_exact_mut(lines_of(width)).zip(from.chunks_exact(width)) {
+        copy_to_lines(from, to);
+    }
+}
+
+/// Numbers as lines, the last of which is filled with zeros.
+fn copy_to_lines(from: &[f32], to: &mut [Line]) {
+    let (whole, rest) = from.as_chunks::<WIDTH>();
+    for (line, numbers) in to.iter_mut().zip(whole) {
+        line.0 = *numbers;
+    }
+    if let Some(line) = to.get_mut(whole.len()) {
+        line.0[..rest.len()].copy_from_slice(rest);
+    }
+}

@@ -1,0 +1,169 @@
+//! What a training is told: sizes, hyperparameters, robots. Names are those of rsl_rl.
+
+use serde::Deserialize;
+
+use crate::activation::Activation;
+
+/// Everything that decides what a learner computes.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Envs that are simulated.
+    pub num_envs: usize,
+    /// Numbers of an observation.
+    pub num_obs: usize,
+    /// Numbers of an action.
+    pub num_actions: usize,
+    /// Seed of the exploration and of the order of the samples.
+    pub seed: u64,
+    /// The robots, which together have all envs.
+    pub robots: Vec<Robot>,
+    /// What a train config says.
+    pub options: Options,
+}
+
+/// What a train config says of the learner.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Options {
+    /// Control steps per env and iteration.
+    pub num_steps_per_env: usize,
+    /// The policy's mean.
+    pub actor: Network,
+    /// The value function.
+    pub critic: Network,
+    /// Proximal policy optimisation.
+    pub algorithm: Algorithm,
+    /// Divide each robot's rewards by the deviation of its own returns.
+    pub normalize_reward_per_robot: bool,
+    /// Over each robot's own samples instead of all samples.
+    pub normalize_advantage_per_robot: bool,
+    /// What is learnt of mirror images.
+    pub symmetry: Symmetry,
+}
+
+/// A multi-layer perceptron.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Network {
+    /// Sizes of the hidden layers.
+    pub hidden_dims: Vec<usize>,
+    /// What follows each of them.
+    pub activation: Activation,
+    /// Whether observations are brought to mean 0 and deviation 1 first.
+    pub obs_normalization: bool,
+}
+
+/// Hyperparameters of the update.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Algorithm {
+    /// Times that each sample is learnt from.
+    pub num_learning_epochs: usize,
+    /// Updates of the weights per epoch.
+    pub num_mini_batches: usize,
+    /// How far the probability of an action may move, as a ratio.
+    pub clip_param: f32,
+    /// Discount per control step.
+    pub gamma: f32,
+    /// Decay of the generalised advantage estimate.
+    pub lam: f32,
+    /// Weight of the value loss.
+    pub value_loss_coef: f32,
+    /// Weight of the entropy.
+    pub entropy_coef: f32,
+    /// Greatest norm of each network's gradient.
+    pub max_grad_norm: f64,
+    /// Whether a value may move by `clip_param` at most.
+    pub use_clipped_value_loss: bool,
+    /// Kullback-Leibler divergence that the learning rate is adapted to; a fixed learning rate without.
+    pub desired_kl: Option<f64>,
+    /// Bring the advantages of each mini-batch to one scale, instead of those of all samples.
+    pub normalize_advantage_per_mini_batch: bool,
+}
+
+/// What is learnt of left and right exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Symmetry {
+    /// Nothing.
+    None,
+    /// Each sample and its mirror image, at twice the cost.
+    Both,
+    /// Each sample or its mirror image, in turn from epoch to epoch.
+    Alternate,
+}
+
+/// A block of envs with the same robot.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    /// Its envs, `[start, stop)`.
+    pub envs: (usize, usize),
+    /// Of each number of an observation: which number its mirror image is, and with which sign. Empty where there is no mirror.
+    pub observation_mirror: Vec<(usize, f32)>,
+    /// The same of an action.
+    pub action_mirror: Vec<(usize, f32)>,
+}
+
+/// Settings that contradict each other, or arrays that do not fit them.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{element}: {problem}")]
+pub struct LearnerError {
+    /// The setting or argument.
+    pub element: &'static str,
+    /// What is wrong with it, and what to do.
+    pub problem: String,
+}
+
+impl LearnerError {
+    pub(crate) fn new(element: &'static str, problem: impl Into<String>) -> Self {
+        Self { element, problem: problem.into() }
+    }
+}
+
+/// Most numbers of a layer, an observation or an action.
+const MOST_NUMBERS: usize = 65_536;
+/// Most samples of an iteration.
+const MOST_SAMPLES: usize = 1 << 28;
+
+impl Settings {
+    /// Whether a learner can be made of them.
+    pub(crate) fn check(&self) -> Result<(), LearnerError> {
+        let sizes = [("num_envs", self.num_envs), ("num_steps_per_env", self.options.num_steps_per_env)];
+        let algorithm = &self.options.algorithm;
+        let counts =
+            [("num_learning_epochs", algorithm.num_learning_epochs), ("num_mini_batches", algorithm.num_mini_batches)];
+        for (element, size) in sizes.into_iter().chain(counts) {
+            if size == 0 || size > MOST_SAMPLES {
+                return Err(LearnerError::new(element, format!("{size} is not from 1 to {MOST_SAMPLES}")));
+            }
+        }
+        if self.num_envs.saturating_mul(self.options.num_steps_per_env) > MOST_SAMPLES {
+            return Err(LearnerError::new("num_envs", format!("more than {MOST_SAMPLES} samples an iteration")));
+        }
+        let layers = self.options.actor.hidden_dims.iter().chain(&self.options.critic.hidden_dims);
+        for &size in layers.chain([&self.num_obs, &self.num_actions]) {
+            if size == 0 || size > MOST_NUMBERS {
+                return Err(LearnerError::new("hidden_dims", format!("{size} is not from 1 to {MOST_NUMBERS}")));
+            }
+        }
+        let mut next = 0;
+        for robot in &self.robots {
+            let (start, stop) = robot.envs;
+            if start != next || stop < start {
+                return Err(LearnerError::new("robots", "their envs must follow one another"));
+            }
+            next = stop;
+            let mirrors = [(&robot.observation_mirror, self.num_obs), (&robot.action_mirror, self.num_actions)];
+            for (mirror, size) in mirrors {
+                let fits = mirror.len() == size && mirror.iter().all(|&(index, _)| index < size);
+                if !(fits || mirror.is_empty() && self.options.symmetry == Symmetry::None) {
+                    return Err(LearnerError::new("robots", format!("a mirror must say {size} numbers below {size}")));
+                }
+            }
+        }
+        if next != self.num_envs {
+            return Err(LearnerError::new("robots", format!("they have {next} of {} envs", self.num_envs)));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,182 @@
+//! `Learner`: PPO on the simulator's threads.
+
+use std::collections::BTreeMap;
+
+use numpy::{PyArray1, PyReadonlyArray1};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use super::exceptions::{Guarded, to_python, unsigned, value_error, whole};
+use super::vec_sim::VecSim;
+use polypod::learner::{self, NetworkState, Normalizer, RewardScale, Which};
+
+/// Numbers as NumPy arrays of one dimension.
+type Arrays<'py, T> = Vec<Bound<'py, PyArray1<T>>>;
+/// Weights, Adam's two moments, Adam's steps.
+type Network<'py> = (Arrays<'py, f32>, Arrays<'py, f32>, Arrays<'py, f32>, u64);
+
+#[pyclass(module = "polypod._core")]
+pub(super) struct Learner {
+    learner: Guarded<learner::Learner>,
+}
+
+fn which(name: &str) -> PyResult<Which> {
+    match name {
+        "actor" => Ok(Which::Actor),
+        "critic" => Ok(Which::Critic),
+        _ => Err(value_error(format!("there is no network {name:?}; use \"actor\" or \"critic\""))),
+    }
+}
+
+fn arrays<'py>(py: Python<'py>, numbers: Vec<Vec<f32>>) -> Arrays<'py, f32> {
+    numbers.into_iter().map(|numbers| PyArray1::from_vec(py, numbers)).collect()
+}
+
+fn vectors(arrays: &[PyReadonlyArray1<f32>]) -> PyResult<Vec<Vec<f32>>> {
+    arrays.iter().map(|array| Ok(array.as_slice()?.to_vec())).collect()
+}
+
+#[pymethods]
+impl Learner {
+    #[new]
+    fn new(py: Python<'_>, sim: &VecSim, options: &str) -> PyResult<Self> {
+        let options: learner::Options =
+            serde_json::from_str(options).map_err(|error| value_error(format!("options: {error}")))?;
+        let learner = sim.sim().look(py, |sim| sim.learner(options))?;
+        Ok(Self { learner: Guarded::new(py, || learner, to_python)? })
+    }
+
+    fn collect(
+        &mut self,
+        py: Python<'_>,
+        sim: &mut VecSim,
+        #[pyo3(from_py_with = whole)] iteration: i128,
+    ) -> PyResult<Vec<(f32, f32)>> {
+        let iteration = unsigned(py, "iteration", iteration)?;
+        let learner = &mut self.learner;
+        let episodes = sim.run(py, |sim| learner.try_run(|learner| sim.collect(learner, iteration)))?;
+        let mut episodes = episodes.map_err(|error| to_python(py, error))?;
+        episodes.sort_by_key(|episode| (episode.step, episode.env));
+        Ok(episodes.into_iter().map(|episode| (episode.reward, episode.length)).collect())
+    }
+
+    fn update(&mut self, py: Python<'_>, sim: &VecSim, learning_rate: f64) -> PyResult<BTreeMap<&'static str, f64>> {
+        let learner = &mut self.learner;
+        let losses = sim.sim().look(py, |sim| learner.try_run(|learner| sim.learn(learner, learning_rate)))?;
+        let losses = losses.map_err(|error| to_python(py, error))?;
+        Ok(BTreeMap::from([
+            ("value", losses.value),
+            ("surrogate", losses.surrogate),
+            ("entropy", losses.entropy),
+            ("learning_rate", losses.learning_rate),
+        ]))
+    }
+
+    fn network<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Network<'py>> {
+        let NetworkState { weights, first, second, steps } = self.learner.network(which(name)?);
+        Ok((arrays(py, weights), arrays(py, first), arrays(py, second), steps))
+    }
+
+    fn set_network(
+        &mut self,
+        py: Python<'_>,
+        name: &str,
+        weights: Vec<PyReadonlyArray1<f32>>,
+        first: Vec<PyReadonlyArray1<f32>>,
+        second: Vec<PyReadonlyArray1<f32>>,
+        steps: u64,
+    ) -> PyResult<()> {
+        let (which, weights) = (which(name)?, vectors(&weights)?);
+        let state = NetworkState { weights, first: vectors(&first)?, second: vectors(&second)?, steps };
+        let done = self.learner.run(py, |learner| learner.set_network(which, &state))?;
+        done.map_err(|error| to_python(py, error.into()))
+    }
+
+    fn normalizer<'py>(
+        &self,
+        py: Python<'py>,
+        name: &str,
+    ) -> PyResult<Option<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, u64)>> {
+        Ok(self
+            .learner
+            .normalizer(which(name)?)
+            .map(|of| (PyArray1::from_slice(py, &of.mean), PyArray1::from_slice(py, &of.variance), of.count)))
+    }
+
+    fn set_normalizer(
+        &mut self,
+        py: Python<'_>,
+        name: &str,
+        mean: PyReadonlyArray1<f32>,
+        variance: PyReadonlyArray1<f32>,
+        count: u64,
+    ) -> PyResult<()> {
+        let which = which(name)?;
+        let normalizer = Normalizer::from_parts(mean.as_slice()?.to_vec(), variance.as_slice()?.to_vec(), count);
+        let done = self.learner.run(py, |learner| learner.set_normalizer(which, normalizer))?;
+        done.map_err(|error| to_python(py, error.into()))
+    }
+
+    /// Discounted returns so far, and count, mean and variance of each robot's; `None` where rewards are not scaled.
+    fn reward_scale<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyArray1<f32>>, Arrays<'py, f64>)> {
+        self.learner.reward_scale().map(|scale| {
+            let of_robots =
+                [&scale.count, &scale.mean, &scale.variance].map(|numbers| PyArray1::from_slice(py, numbers));
+            (PyArray1::from_vec(py, self.learner.discounted()), of_robots.into())
+        })
+    }
+
+    fn set_reward_scale(
+        &mut self,
+        py: Python<'_>,
+        returns: PyReadonlyArray1<f32>,
+        count: PyReadonlyArray1<f64>,
+        mean: PyReadonlyArray1<f64>,
+        variance: PyReadonlyArray1<f64>,
+    ) -> PyResult<()> {
+        let numbers = |array: &PyReadonlyArray1<f64>| Ok::<_, PyErr>(array.as_slice()?.to_vec());
+        let scale = RewardScale { count: numbers(&count)?, mean: numbers(&mean)?, variance: numbers(&variance)? };
+        let returns = returns.as_slice()?;
+        let done = self.learner.run(py, |learner| learner.set_reward_scale(scale, returns))?;
+        done.map_err(|error| to_python(py, error.into()))
+    }
+
+    /// Returns and control steps of the present episodes.
+    fn episodes<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
+        let (rewards, lengths) = self.learner.episodes();
+        (PyArray1::from_vec(py, rewards), PyArray1::from_vec(py, lengths))
+    }
+
+    fn set_episodes(
+        &mut self,
+        py: Python<'_>,
+        rewards: PyReadonlyArray1<f32>,
+        lengths: PyReadonlyArray1<f32>,
+    ) -> PyResult<()> {
+        let (rewards, lengths) = (rewards.as_slice()?, lengths.as_slice()?);
+        let done = self.learner.run(py, |learner| learner.set_episodes(rewards, lengths))?;
+        done.map_err(|error| to_python(py, error.into()))
+    }
+
+    /// The samples of the iteration.
+    fn rollout<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let samples = self.learner.look(py, learner::Learner::rollout)?;
+        let dict = PyDict::new(py);
+        let numbers = [
+            ("observations", samples.observations),
+            ("actions", samples.actions),
+            ("means", samples.means),
+            ("rewards", samples.rewards),
+            ("log_probs", samples.log_probs),
+            ("values", samples.values),
+            ("returns", samples.returns),
+            ("advantages", samples.advantages),
+        ];
+        for (name, numbers) in numbers {
+            dict.set_item(name, PyArray1::from_vec(py, numbers))?;
+        }
+        dict.set_item("ends", PyArray1::from_vec(py, samples.ends))?;
+        dict.set_item("order", PyArray1::from_vec(py, samples.order))?;
+        Ok(dict)
+    }
+}
