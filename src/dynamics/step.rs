@@ -75,6 +75,8 @@ impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
     fn run(self) {
         let Self { parameters, step: ControlStep { topology, settings, terrain, drive, state, report, work, .. } } =
             self;
+        // a copy, which no store through a reference can change: loops convert its numbers once
+        let settings = &{ *settings };
         report.touched.fill(false);
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
