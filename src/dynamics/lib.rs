@@ -7,6 +7,9 @@
 )]
 #![allow(rustdoc::private_intra_doc_links, reason = "the README explains the private modules too")]
 
+// Each public name has one path: types stand at the root, functions of numbers in `elementary`, of vectors in `math`, and what
+// depends on instruction sets in `lanes`.
+
 mod actuators;
 mod algorithms;
 mod articulation;
@@ -42,7 +45,6 @@ pub use articulation::{
 pub use ground::Plane;
 pub use kernels::{Kernels, Scalar};
 pub use kinematics::point_motion;
-pub use lanes::{Lanes, Real, Simd};
 pub use parameters::Parameters;
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;
