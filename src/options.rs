@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use bevy_ecs::prelude::Resource;
 
-use crate::dynamics::Simd;
+use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 
 /// What a simulation is made of.

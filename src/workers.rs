@@ -8,8 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use bevy_ecs::prelude::*;
 
 use crate::bounds::MAX_THREADS;
-use crate::dynamics::Simd;
-use crate::dynamics::lanes::{self, Kernel, Real, SimdDispatch};
+use crate::dynamics::lanes::{self, Kernel, Real, Simd, SimdDispatch};
 use crate::thread_team::ThreadTeam;
 
 /// Something with rows that can be cut in two.

@@ -8,7 +8,7 @@ use super::{Setup, SetupSet};
 use crate::batch::Batch;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs};
 use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask};
-use crate::dynamics::Simd;
+use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;

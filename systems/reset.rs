@@ -209,7 +209,7 @@ pub(super) fn register(registry: &mut Registry) {
 fn reset_base(p: &BaseRange, state: &mut NewState, rng: &mut EnvRng) {
     state.pose.position[0] += rng.uniform(p.x);
     state.pose.position[1] += rng.uniform(p.y);
-    let (sin, cos) = crate::dynamics::Real::sin_cos(0.5 * rng.uniform(p.yaw));
+    let (sin, cos) = crate::dynamics::lanes::Real::sin_cos(0.5 * rng.uniform(p.yaw));
     state.pose.rotation = [cos, 0.0, 0.0, sin];
     let range = state.morphology.config.reset.base_velocity.range.map(|x| x as f32);
     state.velocity.linear = std::array::from_fn(|_| rng.uniform(range));

@@ -7,7 +7,7 @@ use std::process::Output;
 use polypod::Autoreset;
 use polypod::components::{ActuatorDelay, BasePose, BaseVelocity, Body, EnvId, JointState};
 use polypod::dump::Dump;
-use polypod::dynamics::Simd;
+use polypod::dynamics::lanes::Simd;
 use polypod::engine::Quantity;
 use polypod::{Sim, SimOptions};
 

@@ -2,7 +2,7 @@
 
 use std::process::Output;
 
-use polypod::dynamics::Simd;
+use polypod::dynamics::lanes::Simd;
 use polypod::{Sim, SimOptions};
 
 use crate::common::{ROBOTS, assert_all_same, busy, ended, step};

@@ -2,9 +2,9 @@
 //! lane because another lane needs it changes nothing, at any speed.
 
 use polypod::config::Library;
+use polypod::dynamics::lanes::Simd;
 use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Kernels, Parameters, Report, Simd, State, StepSettings, Topology, Workspace,
-    lanes,
+    ContactSettings, ControlStep, Drive, Kernels, Parameters, Report, State, StepSettings, Topology, Workspace, lanes,
 };
 use polypod::morphology::MorphologyModel;
 

@@ -1,6 +1,6 @@
 //! A training gives the same policy, to the bit, for any number of threads and on every instruction set.
 
-use polypod::dynamics::Simd;
+use polypod::dynamics::lanes::Simd;
 use polypod::learner::{Activation, Algorithm, Learner, Network, Options, Symmetry, Which};
 use polypod::{Sim, SimOptions};
 

@@ -15,7 +15,7 @@ use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState, JointTargets,
 };
 use crate::config::{ConfigError, LoadedRobot, LoadedTask, RobotConfig, TaskConfig, parse_params};
-use crate::dynamics::Simd;
+use crate::dynamics::lanes::Simd;
 use crate::engine::{Motion, Violation};
 use crate::error::Error;
 use crate::files;

@@ -15,7 +15,7 @@ use crate::batch::Batch;
 use crate::bounds::MAX_ACTION;
 use crate::components::{Body, Command, EnvId, EnvRng, Episode, Morphology};
 use crate::config::{LoadedRobot, LoadedTask};
-use crate::dynamics::Simd;
+use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;

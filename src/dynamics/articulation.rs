@@ -153,6 +153,9 @@ pub(super) struct PairGroup {
     pub(super) pairs: std::ops::Range<usize>,
 }
 
+/// The deepest chain of joints that bounds can be solved on.
+pub const MAX_DEPTH: usize = 64;
+
 /// The articulation of one morphology: all that must be equal in the lanes of a pack.
 #[derive(Clone, Debug)]
 pub struct Topology {

@@ -5,7 +5,7 @@
 //! [`blocks`](super::blocks) of three, and the base's six rows are one dense block that is eliminated last.
 //!
 //! The diagonal is split evenly, `M = L^T D L = H^T H` with `H = D^1/2 L`: a constraint row and what its impulse changes are
-//! then the same numbers (see [`contact`](super::contact)), and kinetic energy is half the square of `H u`.
+//! then the same numbers (see [`rows`](super::rows)), and kinetic energy is half the square of `H u`.
 
 use super::articulation::Topology;
 use super::blocks::{BLOCK, Block};

@@ -3,14 +3,16 @@
 
 use super::algorithms::Dynamics;
 use super::articulation::Topology;
-use super::contact::{self, ContactSettings};
+use super::ground;
 use super::kinematics;
 use super::lanes::{self, Lanes, Real};
 use super::math::{Mat3, Spatial, Vec3};
 use super::parameters::Parameters;
+use super::report;
 use super::self_contact;
+use super::settings::ContactSettings;
 use super::state::{Report, State, Workspace};
-use super::step::{self, ControlStep};
+use super::step::ControlStep;
 
 /// A type of number that robots are stepped in: the lanes of an instruction set, or a single number.
 pub trait Kernels: Lanes {
@@ -87,7 +89,7 @@ scalar_kernels! {
         state: &State<Self>,
         report: &mut Report<Self>,
         work: &mut Workspace<Self>
-    ) = step::report_sites;
+    ) = report::report_sites;
 
     /// Puts the colliders where the workspace has their links.
     fn place_colliders(topology: &Topology, parameters: &Parameters<Self>, work: &mut Workspace<Self>)
@@ -104,7 +106,7 @@ scalar_kernels! {
         settings: &ContactSettings,
         state: &State<Self>,
         work: &mut Workspace<Self>
-    ) -> Vec<Self> = contact::candidate_gaps;
+    ) -> Vec<Self> = ground::candidate_gaps;
 
     /// Mass matrix, armature included: symmetric, row-major `[nv, nv]`.
     fn mass_matrix(body: &mut Dynamics<Self>) -> Vec<Self> = Dynamics::mass_matrix;

@@ -7,20 +7,29 @@
 )]
 #![allow(rustdoc::private_intra_doc_links, reason = "the README explains the private modules too")]
 
+// Each public name has one path: types stand at the root, functions of numbers in `elementary`, of vectors in `math`, and what
+// depends on instruction sets in `lanes`.
+
+mod actuators;
 mod algorithms;
 mod articulation;
 mod blocks;
-mod contact;
 pub mod elementary;
 mod factor;
+mod gaps;
+mod ground;
+mod ground_contacts;
+mod joint_bounds;
 mod kernels;
 mod kinematics;
 pub mod lanes;
 pub mod math;
 mod parameters;
 mod proximity;
+mod report;
 mod rows;
 mod self_contact;
+mod settings;
 mod shared_array;
 mod solver;
 mod sparse_rows;
@@ -30,15 +39,15 @@ mod terrain;
 
 pub use algorithms::Dynamics;
 pub use articulation::{
-    Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, PairTopology,
-    Topology,
+    Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, MAX_DEPTH,
+    PairTopology, Topology,
 };
-pub use contact::{ContactSettings, MAX_DEPTH, Plane, SWEEPS};
+pub use ground::Plane;
 pub use kernels::{Kernels, Scalar};
 pub use kinematics::point_motion;
-pub use lanes::{Lanes, Real, Simd};
 pub use parameters::Parameters;
+pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;
 pub use state::{Drive, LinkState, Report, State, Workspace};
-pub use step::{ControlStep, StepSettings};
+pub use step::ControlStep;
 pub use terrain::{HeightGrid, LARGE_GROUP, Terrain};

@@ -4,6 +4,7 @@
 
 use super::lanes::Real;
 use super::math::{Mat3, Vec3, add, add_scaled, dot, mul_vec, mul_vec_transposed, scale, sub};
+use super::settings::{MIN_SQUARED_LENGTH, SEGMENT_HALVINGS};
 
 /// Two shapes nearest to each other: the distance of their surfaces (negative when they overlap), the unit normal from
 /// the second to the first, and the middle between the nearest points.
@@ -52,17 +53,12 @@ impl<S: Real> Proximity<S> {
     }
 }
 
-/// Squared lengths below this count as none, m^2.
-const TINY: f64 = 1e-10;
-/// Halvings in the search for a segment's point nearest to a box: they leave 1/256 of it.
-const HALVINGS: usize = 9;
-
 /// Where two capsules come nearest: places on their axes, whose ends are -1 and 1, on that of the first between `from` and `to`
 /// (the nearest points of two segments: Ericson, Real-Time Collision Detection, 2005, section 5.1.9, with parallel segments taken at
 /// the middle of that part).
 #[inline(always)]
 pub fn nearest_on_capsules<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Capsule<S>) -> [S; 2] {
-    let (one, tiny) = (S::one(), S::splat(TINY));
+    let (one, tiny) = (S::one(), S::splat(MIN_SQUARED_LENGTH));
     let between = sub(&a.centre, &b.centre);
     let (aa, bb, ab) = (dot(&a.half, &a.half), dot(&b.half, &b.half), dot(&a.half, &b.half));
     let (ac, bc) = (dot(&a.half, &between), dot(&b.half, &between));
@@ -99,8 +95,8 @@ fn select<S: Real>(mask: S::Mask, yes: &Vec3<S>, no: &Vec3<S>) -> Vec3<S> {
 fn rounded<S: Real>(on_a: &Vec3<S>, on_b: &Vec3<S>, radius_a: S, radius_b: S) -> Proximity<S> {
     let apart = sub(on_a, on_b);
     let squared = dot(&apart, &apart);
-    let meets = squared.lt(S::splat(TINY));
-    let distance = squared.max(S::splat(TINY)).sqrt();
+    let meets = squared.lt(S::splat(MIN_SQUARED_LENGTH));
+    let distance = squared.max(S::splat(MIN_SQUARED_LENGTH)).sqrt();
     let inverse = S::one() / distance;
     // where the points coincide any direction will do
     let up = [S::zero(), S::zero(), S::one()];
@@ -143,13 +139,13 @@ pub fn nearest_to_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, halves: bool)
         quarter = 0.25;
         t = S::select(first.lt(zero), S::splat(0.5), S::splat(-0.5));
     }
-    for halving in 0..HALVINGS {
+    for halving in 0..SEGMENT_HALVINGS {
         let slope = slope_to_box(a, t, box_half);
         let step = S::splat(quarter);
         let down = S::select(zero.lt(slope), -step, zero);
         t = t + S::select(slope.lt(zero), step, down);
         // the last step is as long as the one before it, which leads to the very end
-        if halving + 2 < HALVINGS {
+        if halving + 2 < SEGMENT_HALVINGS {
             quarter *= 0.5;
         }
     }
@@ -166,8 +162,8 @@ pub fn capsule_and_box<S: Real>(a: &Capsule<S>, t: S, box_half: &Vec3<S>) -> Pro
     let c = clamped(&p, box_half);
     let out = sub(&p, &c);
     let squared = dot(&out, &out);
-    let inside = squared.lt(S::splat(TINY));
-    let distance = squared.max(S::splat(TINY)).sqrt();
+    let inside = squared.lt(S::splat(MIN_SQUARED_LENGTH));
+    let distance = squared.max(S::splat(MIN_SQUARED_LENGTH)).sqrt();
     // inside, the nearest face is the way out
     let depth = [box_half[0] - p[0].abs(), box_half[1] - p[1].abs(), box_half[2] - p[2].abs()];
     let (x_side, y_side, z_side) =

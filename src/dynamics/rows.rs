@@ -9,22 +9,18 @@ use super::blocks::{BLOCK, PathPart};
 use super::factor::Factor;
 use super::lanes::Real;
 use super::math::{Vec3, cross, dot, scale, sub};
+use super::settings::SolverSettings;
 use super::sparse_rows::{JointRows, SparseRows, UnitRows};
 use super::state::LinkState;
 
-/// Compliance of contacts along their normals as a share of the whole robot's. It bounds the impulses of contacts that
-/// cannot be satisfied (a fixed base with its feet in the ground) and lets a standing robot sink by less than a micrometre.
-const SOFTNESS: f64 = 1e-3;
-/// The same between links of one robot. These may press where no joint gives way, which a robot that floats never does
-/// against the ground; the links themselves are ten times as compliant.
-const PAIR_SOFTNESS: f64 = 0.01;
-/// Target speed of an absent contact, m/s. Robots that run away are faster: what keeps it from pushing is that it is not `near`.
-pub(super) const NEVER: f64 = -1e6;
+/// Target speed of an absent contact, m/s. A robot that runs away may be faster: a lane that is not `near` is kept from pushing by its
+/// mask.
+pub(super) const NO_TARGET: f64 = -1e6;
 
 /// A contact: its normal and two tangents.
 #[derive(Clone, Debug)]
 pub(super) struct ContactRows<S: Real> {
-    /// Which impulse it has.
+    /// Place of its impulse in [`State::impulse`](super::state::State::impulse).
     pub(super) contact: usize,
     /// The lanes in which it takes part in the step; in all others it has no impulse, whatever the velocities.
     pub(super) near: S::Mask,
@@ -46,25 +42,25 @@ pub(super) struct ContactRows<S: Real> {
     /// Least allowed separation speed, m/s.
     pub(super) target: S,
     pub(super) impulse: [S; 3],
-    /// How the last visit of a jammed contact changed the first of these.
+    /// Change of the normal impulse in the last visit of a jammed contact, N s.
     pub(super) last_change: S,
-    /// The same for the motion that pushes penetrations out.
+    /// Speed at which a penetration is pushed out, m/s, or the target where there is none.
     pub(super) push: S,
     pub(super) push_impulse: S,
-    /// Whether sweeps look at it.
-    pub(super) awake: bool,
+    /// Whether it takes part in a lane that is still swept over.
+    pub(super) active: bool,
 }
 
-/// The bounds of one joint. But for `limits` and `rubs` its numbers mean nothing unless its block takes part, and those of limits
-/// unless any joint of its block is near one.
+/// The bounds of one joint. `limits` and `has_friction` are always set. The other numbers are set where its block takes part, and those
+/// of limits where any joint of the block is near one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BoundRow<S: Real> {
     /// The lanes in which the joint is near a limit; in all others limits have no impulse, whatever the velocities.
     pub(super) near: S::Mask,
-    /// Whether there are any.
+    /// Whether there are any such lanes.
     pub(super) limits: bool,
     /// Whether the joint has dry friction in any lane.
-    pub(super) rubs: bool,
+    pub(super) has_friction: bool,
     pub(super) diagonal: S,
     pub(super) inverse: S,
     pub(super) lowest: S,
@@ -80,11 +76,11 @@ impl<S: Real> BoundRow<S> {
     /// A joint that is free.
     #[inline(always)]
     pub(super) fn free() -> Self {
-        let (z, big) = (S::zero(), S::splat(-NEVER));
+        let (z, big) = (S::zero(), S::splat(-NO_TARGET));
         Self {
             near: z.lt(z),
             limits: false,
-            rubs: false,
+            has_friction: false,
             diagonal: z,
             inverse: z,
             lowest: -big,
@@ -96,10 +92,16 @@ impl<S: Real> BoundRow<S> {
         }
     }
 
+    /// Impulse of the limit and of dry friction together, N m s.
+    #[inline(always)]
+    pub(super) fn impulse(&self) -> S {
+        if self.limits { self.limit_impulse + self.friction_impulse } else { self.friction_impulse }
+    }
+
     /// Whether it may hold the joint, in any lane.
     #[inline(always)]
     pub(super) fn takes_part(&self) -> bool {
-        self.limits | self.rubs
+        self.limits | self.has_friction
     }
 }
 
@@ -111,13 +113,13 @@ impl<S: Real> BoundRow<S> {
 pub(super) struct BoundBlock<S: Real> {
     /// Whether any lane is near a limit of any joint.
     pub(super) limits: bool,
-    /// Whether that is so or any joint has dry friction, in any lane that is still swept over: else the block takes no part.
+    /// Whether a limit is near or a joint has dry friction in any lane that is still swept over. Other blocks take no part.
     pub(super) active: bool,
     pub(super) rows: UnitRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
-    /// What a change of one row's dry friction takes from that of a later one while neither slides: 0-1, 0-2, 1-2.
-    pub(super) rubbing: [S; 3],
+    /// What a change of one row's friction impulse takes from a later row's while neither slides: 0-1, 0-2, 1-2.
+    pub(super) friction_coupling: [S; 3],
     pub(super) joints: [BoundRow<S>; BLOCK],
 }
 
@@ -165,7 +167,7 @@ impl<S: Real> ContactWork<S> {
             active: false,
             rows: UnitRows::zero(),
             coupling: [z; 3],
-            rubbing: [z; 3],
+            friction_coupling: [z; 3],
             joints: [BoundRow::free(); BLOCK],
         };
         // a robot may have no joints, but every row reads the velocity of a block
@@ -224,6 +226,7 @@ impl<S: Real> ContactWork<S> {
     pub(super) fn build_ground(
         &mut self,
         topology: &Topology,
+        solver: &SolverSettings,
         factor: &Factor<S>,
         links: &[LinkState<S>],
         frame: &[Vec3<S>; 3],
@@ -255,7 +258,7 @@ impl<S: Real> ContactWork<S> {
             rows.base = [[S::zero(); 6]; 3];
         }
         rows.half_solve(topology, factor, further);
-        self.finish(topology, SOFTNESS);
+        self.finish(topology, solver, solver.ground_compliance);
     }
 
     /// Builds the rows of a pair of links that touch at a point: equal and opposite forces along the axes of `frame`.
@@ -263,6 +266,7 @@ impl<S: Real> ContactWork<S> {
     pub(super) fn build_pair(
         &mut self,
         topology: &Topology,
+        solver: &SolverSettings,
         factor: &Factor<S>,
         links: &[LinkState<S>],
         pair: &PairTopology,
@@ -291,17 +295,15 @@ impl<S: Real> ContactWork<S> {
         rows.base = [[S::zero(); 6]; 3];
         rows.half_solve(topology, factor, further);
         self.pair_frames.push(*frame);
-        self.finish(topology, PAIR_SOFTNESS);
+        self.finish(topology, solver, solver.pair_compliance);
     }
 
-    /// Finds the couplings of the rows about to be added; `softness` is a share of the whole robot's compliance.
+    /// Finds the couplings of the rows about to be added. `compliance` along the normal is a share of the whole robot's.
     #[inline(always)]
-    fn finish(&mut self, topology: &Topology, softness: f64) {
+    fn finish(&mut self, topology: &Topology, solver: &SolverSettings, compliance: f64) {
         let one = S::one();
-        let softness = self.compliance * S::splat(softness);
-        // a robot that floats gives way everywhere at least as its whole mass would; what is fixed to the world may not
-        // give way at all: keep the division finite
-        let least = self.compliance * S::splat(0.5);
+        let softness = self.compliance * S::splat(compliance);
+        let least = self.compliance * S::splat(solver.min_tangent_compliance);
         let (row, further) = self.next_mut();
         let product = row.rows.products(topology, further);
         let half = S::splat(0.5);
@@ -322,14 +324,14 @@ impl<S: Real> ContactWork<S> {
     /// speeds `target`, which may push out, and `bounce`.
     #[inline(always)]
     pub(super) fn add(&mut self, near: S::Mask, target: S, bounce: S, warm_start: &[S; 3]) {
-        let (z, never) = (S::zero(), S::splat(NEVER));
+        let (z, no_target) = (S::zero(), S::splat(NO_TARGET));
         self.violation = self.violation.max(S::select(near, target, z));
         let row = &mut self.contacts[self.num_contacts];
         row.near = near;
-        row.target = S::select(near, target.min(z).max(bounce), never);
-        row.push = S::select(near, target, never);
+        row.target = S::select(near, target.min(z).max(bounce), no_target);
+        row.push = S::select(near, target, no_target);
         (row.push_impulse, row.last_change) = (z, z);
-        row.awake = true;
+        row.active = true;
         for d in 0..3 {
             row.impulse[d] = S::select(near, warm_start[d], z);
         }
@@ -362,7 +364,7 @@ impl<S: Real> ContactRows<S> {
             last_change: z,
             push: z,
             push_impulse: z,
-            awake: true,
+            active: true,
         }
     }
 }

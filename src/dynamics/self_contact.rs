@@ -4,21 +4,16 @@
 //! placed only when these meet, then those of two colliders. What is left out is further apart than the margin in every lane.
 
 use super::articulation::Topology;
-use super::contact::{ContactSettings, reach_in_step, separation};
+use super::gaps::{reach_in_step, separation};
 use super::lanes::Real;
 use super::math::{Mat3, Spatial, Vec3, add, add_scaled, cross, dot, mul_mat, mul_vec, scale, splat, sub};
 use super::parameters::BodyNumbers;
 use super::proximity::{
     Capsule, Proximity, capsule_and_box, capsules, may_touch_box, nearest_on_capsules, nearest_to_box,
 };
-use super::rows::NEVER;
+use super::rows::NO_TARGET;
+use super::settings::ContactSettings;
 use super::state::{LinkState, State, Workspace};
-
-/// A pair takes part in a physics step when its links are nearer to each other than this, m, and what they come nearer by in the
-/// step, at their present speed or without constraints.
-const PAIR_MARGIN: f64 = 0.002;
-/// Boxes that are further apart by this are so in spite of all rounding, m.
-const ROUNDING: f64 = 1e-4;
 
 /// A collider in base axes.
 #[derive(Clone, Debug)]
@@ -97,7 +92,7 @@ fn turned_extent<S: Real>(rotation: &Mat3<S>, half: &Vec3<S>) -> Vec3<S> {
 /// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts. `first`: whether the
 /// bodies may be others than those of the physics step before.
 #[inline(always)]
-pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
+pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
     parameters: B,
     settings: &ContactSettings,
@@ -111,12 +106,13 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
     }
     let Workspace { links, factor, colliders, collider_boxes, contact: rows, .. } = work;
     box_links(topology, parameters, links, first, collider_boxes);
-    let inverse_dt = S::one() / dt;
+    let (solver, inverse_dt) = (&settings.solver, S::one() / dt);
+    let rounding = S::splat(solver.pair_rounding);
     for group in &topology.pair_groups {
         let [a, b] = group.links;
         let (a, b) = (&collider_boxes[a], &collider_boxes[b]);
-        let margin = (a.speed + b.speed).mul_add(dt, S::splat(PAIR_MARGIN));
-        let links_near = a.distance(b).lt(margin + S::splat(ROUNDING));
+        let margin = (a.speed + b.speed).mul_add(dt, S::splat(solver.pair_reach));
+        let links_near = a.distance(b).lt(margin + rounding);
         if !S::any(links_near) {
             continue;
         }
@@ -129,13 +125,13 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
         }
         for pair in &topology.pairs[group.pairs.clone()] {
             let [a, b] = pair.colliders;
-            let near = S::and(links_near, colliders[a].distance(&colliders[b]).lt(margin + S::splat(ROUNDING)));
+            let near = S::and(links_near, colliders[a].distance(&colliders[b]).lt(margin + rounding));
             if !S::any(near) {
                 continue;
             }
             let shapes = PairShapes::new(topology, colliders, pair.colliders);
             // at speeds beyond all sense rounding may tell otherwise below: a lane's answer is that of all tests
-            let may_touch = S::and(near, shapes.may_touch(margin + S::splat(ROUNDING)));
+            let may_touch = S::and(near, shapes.may_touch(margin + rounding));
             if !S::any(may_touch) {
                 continue;
             }
@@ -146,12 +142,12 @@ pub fn build_pairs<S: Real, B: BodyNumbers<S>>(
                 let now = sub(&first.velocity.at(&found.point), &second.velocity.at(&found.point));
                 let free = sub(&first.free_velocity.at(&found.point), &second.free_velocity.at(&found.point));
                 let (now, free) = (dot(&found.normal, &now), dot(&found.normal, &free));
-                let near = S::and(may_touch, found.gap.lt(reach_in_step(PAIR_MARGIN, now, free, dt)));
+                let near = S::and(may_touch, found.gap.lt(reach_in_step(solver.pair_reach, now, free, dt)));
                 if !S::any(near) {
                     continue;
                 }
-                rows.build_pair(topology, factor, links, pair, i, &frame(&found.normal), &found.point);
-                rows.add(near, separation(found.gap, settings, inverse_dt), S::splat(NEVER), &state.impulse[i]);
+                rows.build_pair(topology, solver, factor, links, pair, i, &frame(&found.normal), &found.point);
+                rows.add(near, separation(found.gap, settings, inverse_dt), S::splat(NO_TARGET), &state.impulse[i]);
             }
         }
     }

@@ -137,7 +137,7 @@ pub struct LinkState<S> {
     pub position: Vec3<S>,
     /// Spatial velocity.
     pub velocity: Spatial<S>,
-    /// What it would be against the base after the step if there were no constraints.
+    /// Spatial velocity that it would have after the step without constraints, relative to the base.
     pub free_velocity: Spatial<S>,
     /// Motion axis of the joint that moves it.
     pub axis: Spatial<S>,
@@ -145,46 +145,46 @@ pub struct LinkState<S> {
 
 /// What the motion of a link asks for, in base axes about the base origin.
 #[derive(Clone, Debug)]
-pub struct LinkDynamics<S> {
+pub(super) struct LinkDynamics<S> {
     /// Velocity-product acceleration.
-    pub acceleration: Spatial<S>,
+    pub(super) acceleration: Spatial<S>,
     /// Spatial inertia, then that of all it carries.
-    pub inertia: SpatialInertia<S>,
+    pub(super) inertia: SpatialInertia<S>,
     /// Force, then forces summed towards the base.
-    pub force: Spatial<S>,
+    pub(super) force: Spatial<S>,
 }
 
 /// Scratch memory of one worker; its contents mean nothing between steps.
 #[derive(Clone, Debug)]
 pub struct Workspace<S: Real> {
     /// Base axes in world axes.
-    pub base_rotation: Mat3<S>,
+    pub(super) base_rotation: Mat3<S>,
     /// `[links]`.
     pub links: Vec<LinkState<S>>,
     /// Of the base and of one tree that it carries, which the next one takes the place of, `[slots]`.
-    pub dynamics: Vec<LinkDynamics<S>>,
+    pub(super) dynamics: Vec<LinkDynamics<S>>,
     /// Generalised bias force: base (6, base axes) and joints.
-    pub bias_base: [S; 6],
+    pub(super) bias_base: [S; 6],
     /// See `bias_base`.
-    pub bias_joint: Vec<S>,
+    pub(super) bias_joint: Vec<S>,
     /// The factorised mass matrix.
     pub factor: Factor<S>,
     /// Base velocity in base axes: angular, linear.
-    pub velocity_base: [S; 6],
+    pub(super) velocity_base: [S; 6],
     /// Right-hand sides and solutions, `[blocks]`.
-    pub rhs_joint: Vec<[S; BLOCK]>,
+    pub(super) rhs_joint: Vec<[S; BLOCK]>,
     /// Actuator effort before the implicit correction, N m.
-    pub effort: Vec<S>,
+    pub(super) effort: Vec<S>,
     /// What the actuator loses per unit of velocity change; zero when saturated.
-    pub effort_slope: Vec<S>,
+    pub(super) effort_slope: Vec<S>,
     /// Target position of each joint in the current physics step.
-    pub target: Vec<S>,
+    pub(super) target: Vec<S>,
     /// Where the colliders are.
-    pub colliders: Vec<PlacedCollider<S>>,
+    pub(super) colliders: Vec<PlacedCollider<S>>,
     /// What holds all colliders of a link, `[links]`; of no meaning for a link without any.
-    pub collider_boxes: Vec<ColliderBox<S>>,
+    pub(super) collider_boxes: Vec<ColliderBox<S>>,
     /// Rows of active contacts and joint bounds.
-    pub contact: ContactWork<S>,
+    pub(super) contact: ContactWork<S>,
 }
 
 impl<S: Real> Workspace<S> {

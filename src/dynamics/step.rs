@@ -1,8 +1,10 @@
-//! One control step of a pack: actuators, forward dynamics with contact, integration, substep after substep.
+//! One control step of a pack: physics steps, each a sequence of seven calls.
 
-use super::articulation::{EffortTable, Topology};
+use super::actuators::{actuate, select_targets};
+use super::articulation::Topology;
 use super::blocks::{BLOCK, gather};
-use super::contact::{self, ContactSettings};
+use super::ground_contacts::build_ground_contacts;
+use super::joint_bounds::build_joint_bounds;
 use super::kernels::Kernels;
 use super::kinematics;
 use super::lanes::{Kernel, Lanes, Real};
@@ -10,24 +12,13 @@ use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
 use super::parameters::{BodyNumbers, Parameters, UniformParameters};
+use super::report::{report_contacts, report_sites};
 use super::rows::ContactWork;
-use super::self_contact;
-use super::solver;
+use super::self_contact::build_pairs;
+use super::settings::StepSettings;
+use super::solver::solve;
 use super::state::{Drive, Report, State, Workspace};
 use super::terrain::Terrain;
-
-/// What all packs of a simulation share.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StepSettings {
-    /// Physics step, s.
-    pub dt: f64,
-    /// Physics steps per control step.
-    pub decimation: usize,
-    /// Gravity in world axes, m/s^2.
-    pub gravity: [f64; 3],
-    /// Contacts and joint bounds.
-    pub contact: ContactSettings,
-}
 
 /// One control step.
 pub struct ControlStep<'a, S: Real> {
@@ -35,11 +26,11 @@ pub struct ControlStep<'a, S: Real> {
     pub topology: &'a Topology,
     /// Step sizes and solver settings.
     pub settings: &'a StepSettings,
-    /// What the robots stand on where it is not the plane, which is then level.
+    /// Terrain that the robots stand on instead of the settings' plane, which must be level then.
     pub terrain: Option<Terrain<'a, S>>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
-    /// The body of their kind, if they are all [alike](Parameters::is_alike) it: that makes the step faster and changes no bit of it.
+    /// The morphology's body, if all bodies are [alike](Parameters::is_alike) it. The step is then faster, and its bits are the same.
     pub kind: Option<&'a Parameters<f32>>,
     /// What is asked of the actuators.
     pub drive: &'a Drive<S>,
@@ -52,14 +43,14 @@ pub struct ControlStep<'a, S: Real> {
 }
 
 impl<L: Kernels> ControlStep<'_, L> {
-    /// Makes the step, on the lanes' instruction set.
+    /// Makes the step on the lanes' instruction set.
     pub fn run(self) {
         L::control_step(self);
     }
 }
 
 impl<L: Lanes> ControlStep<'_, L> {
-    /// The same, compiled where it is called: [`kernels`](super::kernels) does so once.
+    /// Makes the step in code that is compiled where this is called: [`kernels`](super::kernels) calls it once per lane type.
     pub(super) fn compute(self) {
         let parameters = self.parameters;
         match self.kind {
@@ -71,7 +62,7 @@ impl<L: Lanes> ControlStep<'_, L> {
     }
 }
 
-/// A control step of bodies whose numbers are read as `B` has them.
+/// A control step of bodies whose numbers are read through `B`.
 struct StepOf<'a, S: Real, B> {
     parameters: B,
     step: ControlStep<'a, S>,
@@ -84,6 +75,8 @@ impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
     fn run(self) {
         let Self { parameters, step: ControlStep { topology, settings, terrain, drive, state, report, work, .. } } =
             self;
+        // a copy, which no store through a reference can change: loops convert its numbers once
+        let settings = &{ *settings };
         report.touched.fill(false);
         for substep in 0..settings.decimation {
             select_targets(topology, settings, drive, substep, work);
@@ -93,83 +86,7 @@ impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
     }
 }
 
-/// The position target that each joint's actuator sees in a physics step: the one from `delay` physics steps ago.
-#[inline(always)]
-fn select_targets<S: Real>(
-    topology: &Topology,
-    settings: &StepSettings,
-    drive: &Drive<S>,
-    substep: usize,
-    work: &mut Workspace<S>,
-) {
-    work.target.copy_from_slice(&drive.targets[0]);
-    if !topology.has_delay {
-        return;
-    }
-    for (age, targets) in drive.targets.iter().enumerate().skip(1) {
-        // a target of this age is seen by delays beyond `substep + (age - 1) decimation`
-        let from = S::splat((substep + (age - 1) * settings.decimation) as f64 + 0.5);
-        for j in 0..topology.num_joints() {
-            work.target[j] = S::select(from.lt(drive.delay[j]), targets[j], work.target[j]);
-        }
-    }
-}
-
-/// Effort limit from a table over the joint position.
-#[inline(always)]
-fn table_limit<S: Real>(table: &EffortTable, position: S) -> S {
-    let mut limit = S::zero();
-    for lane in 0..S::LANES {
-        limit.set_lane_f32(lane, table.limit_at(position.lane_f32(lane)));
-    }
-    limit
-}
-
-/// Share of a step by which the PD law's stiffness looks ahead: numerical damping of `LOOK_AHEAD * dt * kp`.
-///
-/// 1 is the backward Euler method, whose damping at 5 ms is a quarter of the legs' own; 0 damps nothing. Values of 0.1
-/// to 0.3 follow a step of the target most closely (measured by `polypod accuracy`).
-const LOOK_AHEAD: f64 = 0.2;
-/// Share of `dt^2 kp` that joins the diagonal: the least that keeps every stiffness and step stable. Newmark's beta
-/// over his gamma = 1/2 + `LOOK_AHEAD`, `(gamma + 1/2)^2 / 4`.
-const STIFFNESS_SHARE: f64 = (1.0 + LOOK_AHEAD) * (1.0 + LOOK_AHEAD) / 4.0;
-
-/// PD and feed-forward effort, limited by the motor's torque-speed line and the effort limit (or its table over the position).
-///
-/// Inside the limits the gains act implicitly: their share of the velocity change goes to `effort_slope` and onto the
-/// mass matrix's diagonal. A saturated actuator gives its limit, explicitly, and so does an explicit one always.
-#[inline(always)]
-fn actuate<S: Real, B: BodyNumbers<S>>(
-    topology: &Topology,
-    parameters: B,
-    drive: &Drive<S>,
-    dt: S,
-    state: &State<S>,
-    work: &mut Workspace<S>,
-) {
-    let (z, one) = (S::zero(), S::one());
-    let (look_ahead, share) = (dt * S::splat(LOOK_AHEAD), dt * S::splat(STIFFNESS_SHARE));
-    for (j, joint) in topology.joints.iter().enumerate() {
-        let (q, v) = (state.joint_position[j], state.joint_velocity[j]);
-        let (kp, kd) = (parameters.stiffness(j), parameters.damping(j));
-        let ahead = if joint.explicit { z } else { look_ahead };
-        let spring = kp.mul_add(v.neg_mul_add(ahead, work.target[j] - q), -(kd * v));
-        let wanted = spring + drive.feedforward[j];
-        let mut limit = parameters.effort_limit(j);
-        if let Some(table) = &joint.effort_table {
-            limit = limit * table_limit(table, q);
-        }
-        let stall = parameters.saturation_effort(j);
-        let speed = v / parameters.motor_velocity_limit(j);
-        let most = (stall * (one - speed)).clamp(z, limit);
-        let least = (stall * (-one - speed)).clamp(-limit, z);
-        let effort = wanted.clamp(least, most);
-        let saturated = S::or(wanted.lt(effort), effort.lt(wanted));
-        work.effort[j] = effort;
-        work.effort_slope[j] = if joint.explicit { z } else { S::select(saturated, z, kp.mul_add(share, kd)) };
-    }
-}
-
+/// One physics step of length `settings.dt`. README.md derives it.
 #[inline(always)]
 fn physics_step<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -182,28 +99,72 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     substep: usize,
     work: &mut Workspace<S>,
 ) {
-    let z = S::zero();
-    let dt = S::splat(settings.dt);
+    update_kinematics(topology, settings, parameters, state, work);
+    actuate(topology, parameters, settings, drive, state, work);
+    factorise(topology, settings, parameters, work);
+    let free_base = find_free_velocity(topology, settings, parameters, drive, state, work);
+    build_constraints(topology, settings, terrain, parameters, state, &free_base, substep, work);
+    solve_constraints(topology, settings, parameters, state, report, substep, work);
+    integrate(topology, settings, state, report, work);
+}
+
+/// Finds poses and velocities of all links, bias forces and the mass matrix.
+#[inline(always)]
+fn update_kinematics<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    settings: &StepSettings,
+    parameters: B,
+    state: &State<S>,
+    work: &mut Workspace<S>,
+) {
     work.base_rotation = quat_to_mat(&state.rotation);
     let gravity = mul_vec_transposed(&work.base_rotation, &splat(&settings.gravity));
     let (position, velocity) = (&state.joint_position, &state.joint_velocity);
     kinematics::equations_of_motion(topology, parameters, position, velocity, &state.angular_velocity, &gravity, work);
+}
 
-    actuate(topology, parameters, drive, dt, state, work);
+/// Factorises the mass matrix, with the damping of joints and the implicit share of the actuators on its diagonal.
+#[inline(always)]
+fn factorise<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    settings: &StepSettings,
+    parameters: B,
+    work: &mut Workspace<S>,
+) {
+    let dt = S::splat(settings.dt);
     for (b, block) in topology.blocks().iter().enumerate() {
-        work.rhs_joint[b] = [z; BLOCK];
         for place in 0..block.len {
             let j = block.joints[place];
             let slope = work.effort_slope[j] + parameters.joint_damping(j);
             let diagonal = &mut work.factor.blocks[b].diagonal[place];
             *diagonal = slope.mul_add(dt, *diagonal);
+        }
+    }
+    work.factor.factorise(topology);
+}
+
+/// Finds the velocity that the robot would have after the step without constraints, and returns the base's in base axes.
+///
+/// Leaves the joints' free velocities in `rhs_joint`, the links' in `links`, the sparse velocity before the step in the contact
+/// workspace's `base`, `joints`, and the free one in its `moved_base`, `moved_joints`.
+#[inline(always)]
+fn find_free_velocity<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    settings: &StepSettings,
+    parameters: B,
+    drive: &Drive<S>,
+    state: &State<S>,
+    work: &mut Workspace<S>,
+) -> Spatial<S> {
+    let (z, dt) = (S::zero(), S::splat(settings.dt));
+    for (b, block) in topology.blocks().iter().enumerate() {
+        work.rhs_joint[b] = [z; BLOCK];
+        for place in 0..block.len {
+            let j = block.joints[place];
             let passive = parameters.joint_damping(j) * state.joint_velocity[j];
             work.rhs_joint[b][place] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
         }
     }
-    work.factor.factorise(topology);
-
-    // the unconstrained velocity, first plain (for the bounds' sake), then as sparse velocity y = H u + H^-T r
     let linear = mul_vec_transposed(&work.base_rotation, &state.linear_velocity);
     let w = state.angular_velocity;
     work.velocity_base = [w[0], w[1], w[2], linear[0], linear[1], linear[2]];
@@ -213,51 +174,79 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     for r in 0..6 {
         impulse[r] = (impulse[r] - work.bias_base[r]) * dt;
     }
+    // as sparse velocity: y = H u + H^-T r
     work.factor.half_solve(topology, &mut impulse, &mut work.rhs_joint);
     work.contact.base = if topology.floating { work.velocity_base } else { [z; 6] };
     gather(topology.blocks(), &state.joint_velocity, &mut work.contact.joints);
-    {
-        let Workspace { factor, contact, .. } = &mut *work;
-        factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
-    }
-    // as constraints leave it alone, aside until they have seen the one before it
-    let ContactWork { base, joints, moved_base, moved_joints, .. } = &mut work.contact;
+    let Workspace { factor, contact, links, rhs_joint, .. } = work;
+    factor.to_sparse(topology, &mut contact.base, &mut contact.joints);
+    let ContactWork { base, joints, moved_base, moved_joints, .. } = contact;
     for r in 0..6 {
         moved_base[r] = base[r] + impulse[r];
     }
     let joints = joints.as_flattened().iter().zip(moved_joints.as_flattened_mut());
-    for ((y, moved), rhs) in joints.zip(work.rhs_joint.as_flattened_mut()) {
+    for ((y, moved), rhs) in joints.zip(rhs_joint.as_flattened_mut()) {
         *moved = *y + *rhs;
         *rhs = *moved;
     }
     let mut free_base = *moved_base;
-    work.factor.to_dense(topology, &mut free_base, &mut work.rhs_joint);
-    // `rhs_joint` now holds the free joint velocities
-    kinematics::free_links(topology, &work.rhs_joint, &mut work.links);
-    let free_base = Spatial::from_array(free_base);
-    contact::build_contacts(topology, parameters, &settings.contact, terrain, dt, state, &free_base, work);
-    self_contact::build_pairs(topology, parameters, &settings.contact, dt, state, substep == 0, work);
+    factor.to_dense(topology, &mut free_base, rhs_joint);
+    kinematics::free_links(topology, rhs_joint, links);
+    Spatial::from_array(free_base)
+}
+
+/// Builds the rows of ground contacts, of contacts between links and of joint bounds. The sparse velocity is the free one afterwards.
+#[inline(always)]
+fn build_constraints<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    settings: &StepSettings,
+    terrain: Option<&Terrain<S>>,
+    parameters: B,
+    state: &State<S>,
+    free_base: &Spatial<S>,
+    substep: usize,
+    work: &mut Workspace<S>,
+) {
+    let (settings, dt) = (&settings.contact, S::splat(settings.dt));
+    // restitution reads the velocity before the step
+    build_ground_contacts(topology, parameters, settings, terrain, dt, state, free_base, work);
+    build_pairs(topology, parameters, settings, dt, state, substep == 0, work);
     work.contact.base = work.contact.moved_base;
     work.contact.joints.copy_from_slice(&work.contact.moved_joints);
-    {
-        let free = std::mem::take(&mut work.rhs_joint);
-        contact::build_bounds(topology, parameters, &settings.contact, dt, state, &free, work);
-        work.rhs_joint = free;
-    }
+    let free_joints = std::mem::take(&mut work.rhs_joint);
+    build_joint_bounds(topology, parameters, settings, dt, state, &free_joints, work);
+    work.rhs_joint = free_joints;
+}
 
-    solver::solve(topology, parameters, &settings.contact, &mut work.contact);
-    contact::report(
-        topology,
-        &settings.contact,
-        S::one() / dt,
-        &work.base_rotation,
-        &work.contact,
-        state,
-        substep,
-        substep + 1 == settings.decimation,
-        report,
-    );
+/// Solves the constraints, stores their impulses for the next warm start, and reports the contact forces.
+#[inline(always)]
+fn solve_constraints<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    settings: &StepSettings,
+    parameters: B,
+    state: &mut State<S>,
+    report: &mut Report<S>,
+    substep: usize,
+    work: &mut Workspace<S>,
+) {
+    solve(topology, parameters, &settings.contact, &mut work.contact);
+    let inverse_dt = S::one() / S::splat(settings.dt);
+    let last = substep + 1 == settings.decimation;
+    let Workspace { base_rotation, contact, .. } = work;
+    report_contacts(topology, &settings.contact, inverse_dt, base_rotation, contact, state, substep, last, report);
+}
 
+/// Takes over the new velocities, and moves positions with them and the push (semi-implicit Euler). Reports joint efforts and
+/// accelerations.
+#[inline(always)]
+fn integrate<S: Real>(
+    topology: &Topology,
+    settings: &StepSettings,
+    state: &mut State<S>,
+    report: &mut Report<S>,
+    work: &mut Workspace<S>,
+) {
+    let (z, dt) = (S::zero(), S::splat(settings.dt));
     let Workspace { factor, contact, effort, effort_slope, base_rotation, .. } = work;
     factor.to_dense(topology, &mut contact.base, &mut contact.joints);
     if contact.pushes() {
@@ -287,24 +276,5 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
         let moved = normalised(&mul_vec(base_rotation, &[m[3], m[4], m[5]]));
         state.position = add_scaled(&state.position, &moved, dt);
         state.rotation = integrate_quat(&state.rotation, &[m[0] * dt, m[1] * dt, m[2] * dt]);
-    }
-}
-
-/// Positions and velocities of the sites at the end of the control step.
-#[inline(always)]
-pub(super) fn report_sites<S: Real, B: BodyNumbers<S>>(
-    topology: &Topology,
-    parameters: B,
-    state: &State<S>,
-    report: &mut Report<S>,
-    work: &mut Workspace<S>,
-) {
-    let rotation = quat_to_mat(&state.rotation);
-    let base = Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) };
-    kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &base, work);
-    for (s, &link) in topology.sites.iter().enumerate() {
-        let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position(s));
-        report.site_position[s] = add(&state.position, &mul_vec(&rotation, &at));
-        report.site_velocity[s] = mul_vec(&rotation, &velocity);
     }
 }

@@ -2,13 +2,8 @@
 
 use super::lanes::Real;
 use super::math::Vec3;
+use super::settings::{HEIGHT_SQUARES, MAX_SLOPE, MIN_DROP};
 
-/// The steepest slope that a contact feels, rise over run: in a grid a wall is a slope within one cell.
-const STEEPEST: f32 = 10.0;
-/// Ground that is this far below the plane of a cell beyond one of its sides falls away there, m.
-const FALLS_AWAY: f64 = 1e-3;
-/// Edge lengths of the squares of which the largest heights are known, m: by [`Near`].
-const SQUARES: [f32; 2] = [0.5, 0.125];
 /// Cells along each side of the squares in which heights are kept together, about as many as a page of memory holds.
 const PAGE: usize = 32;
 /// Points along each side of a page: those at its far edges are its neighbours' first ones too, so that all corners of a cell
@@ -36,7 +31,7 @@ pub struct HeightGrid {
     columns: usize,
     /// The largest height.
     pub highest: f32,
-    /// See [`SQUARES`].
+    /// See [`HEIGHT_SQUARES`].
     squares: [Squares; 2],
 }
 
@@ -116,7 +111,7 @@ impl HeightGrid {
 
     /// Notes the largest heights, after all heights are known.
     pub fn note_squares(&mut self) {
-        self.squares = SQUARES.map(|edge| self.squares_of(((edge / self.cell).round() as usize).max(1)));
+        self.squares = HEIGHT_SQUARES.map(|edge| self.squares_of(((edge / self.cell).round() as usize).max(1)));
         self.highest = self.squares[0].highest.iter().copied().fold(f32::MIN, f32::max);
     }
 
@@ -184,7 +179,7 @@ impl HeightGrid {
     /// The slope of a rise from one point to the next.
     #[inline(always)]
     fn slope(&self, rise: f32) -> f32 {
-        (rise / self.cell).clamp(-STEEPEST, STEEPEST)
+        (rise / self.cell).clamp(-MAX_SLOPE, MAX_SLOPE)
     }
 
     /// Heights, m, and rises from one point to the next, below the first `n` places of a group. Without branches in its
@@ -370,7 +365,7 @@ impl<S: Real> Terrain<'_, S> {
             normal[2].neg_mul_add(distance, place[2]),
         ];
         let ground = lanes::<S>(&self.sample(foot[0], foot[1]).height);
-        let edge = S::and(beyond, (ground + S::splat(FALLS_AWAY)).lt(foot[2]));
+        let edge = S::and(beyond, (ground + S::splat(MIN_DROP)).lt(foot[2]));
         if !S::any(edge) {
             return (distance - radius, normal);
         }
@@ -386,7 +381,7 @@ impl<S: Real> Terrain<'_, S> {
         let length = squared.max(S::splat(1e-12)).sqrt();
         let inverse = one / length;
         // an edge beside the centre is that of a wall, whose plane is no steeper either
-        let rounds = S::and(edge, (length * S::splat(1.0 / f64::from(STEEPEST))).lt(from[2]));
+        let rounds = S::and(edge, (length * S::splat(1.0 / f64::from(MAX_SLOPE))).lt(from[2]));
         let turned = [
             S::select(rounds, from[0] * inverse, normal[0]),
             S::select(rounds, from[1] * inverse, normal[1]),

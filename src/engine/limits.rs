@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::dynamics::Real;
+use crate::dynamics::lanes::Real;
 
 /// Speeds beyond which a state counts as broken.
 #[derive(Serialize, Deserialize, Clone, Copy, Debug)]

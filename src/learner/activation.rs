@@ -1,6 +1,6 @@
 //! Activation functions and their derivatives.
 
-use polypod_dynamics::elementary::exp_of_lanes;
+use polypod_dynamics::elementary::{exp, tanh_positive};
 use polypod_dynamics::lanes::Real;
 use serde::{Deserialize, Serialize};
 
@@ -22,11 +22,10 @@ impl Activation {
     pub(crate) fn apply<L: Real>(self, x: L) -> L {
         let zero = L::zero();
         match self {
-            Self::Elu => L::select(zero.lt(x), x, exp_of_lanes(x.min(zero)) - L::one()),
+            Self::Elu => L::select(zero.lt(x), x, exp(x.min(zero)) - L::one()),
             Self::Relu => L::select(zero.lt(x), x, zero),
             Self::Tanh => {
-                let e = exp_of_lanes(x.abs() * L::broadcast(-2.0));
-                let y = (L::one() - e) / (L::one() + e);
+                let y = tanh_positive(x.abs());
                 L::select(x.lt(zero), -y, y)
             }
         }

@@ -123,8 +123,8 @@ impl<L: Real> Real for Pair<L> {
         self.1.store(&mut to[L::LANES..]);
     }
     #[inline(always)]
-    fn exp2_of_whole(self) -> Self {
-        Self(self.0.exp2_of_whole(), self.1.exp2_of_whole())
+    fn power_of_two(self) -> Self {
+        Self(self.0.power_of_two(), self.1.power_of_two())
     }
 }
 

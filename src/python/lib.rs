@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 use exceptions::{guarded, to_python};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
-use polypod::dynamics::Simd;
+use polypod::dynamics::lanes::Simd;
 use polypod::robot::{self, LoadOptions};
 
 #[pyfunction]

@@ -13,7 +13,8 @@ use super::exceptions::{Guarded, optional_whole, to_python, type_error, unsigned
 use super::vec_sim::tuple;
 use polypod::AVIAN_SUBSTEPS;
 use polypod::Error;
-use polypod::dynamics::{SWEEPS, Simd};
+use polypod::dynamics::SWEEPS;
+use polypod::dynamics::lanes::Simd;
 use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationOptions};
 
 #[pyclass(module = "polypod._core")]

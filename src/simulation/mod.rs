@@ -30,7 +30,8 @@ pub use queries::{LinkPoses, LinkVelocities};
 
 use crate::bounds::{BYTES_PER_LINK, check_num_envs};
 use crate::config::EngineKind;
-use crate::dynamics::{ContactSettings, Plane, Simd, State, StepSettings};
+use crate::dynamics::lanes::Simd;
+use crate::dynamics::{ContactSettings, Plane, State, StepSettings};
 use crate::error::Error;
 use crate::robot::{UNLIMITED, Warning};
 use crate::workers::{Workers, packs_of};

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT};
 use crate::config::{AVIAN_SUBSTEPS, EngineKind};
-use crate::dynamics::{SWEEPS, Simd};
+use crate::dynamics::SWEEPS;
+use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 
 /// SharedArray that a simulation computes with.

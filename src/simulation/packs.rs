@@ -1,10 +1,8 @@
 //! Envs side by side in lanes: the part of a simulation that knows in which type it computes.
 
 use super::rows::{EnvIds, Rows};
-use crate::dynamics::lanes::{self, Real};
-use crate::dynamics::{
-    ControlStep, Drive, Kernels, Parameters, Report, Simd, State, StepSettings, Topology, Workspace,
-};
+use crate::dynamics::lanes::{self, Real, Simd};
+use crate::dynamics::{ControlStep, Drive, Kernels, Parameters, Report, State, StepSettings, Topology, Workspace};
 pub(super) use crate::engine::avian::JointField;
 use crate::workers::Workers;
 

@@ -9,7 +9,7 @@ use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::TermSpec;
 use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
-use crate::dynamics::Simd;
+use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
 use crate::morphology::{Morphologies, MorphologyModel};
 

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DQuat, DVec3};
 use polypod::config::Library;
-use polypod::dynamics::{Dynamics, Parameters, Real, State, Topology, Workspace};
+use polypod::dynamics::lanes::Real;
+use polypod::dynamics::{Dynamics, Parameters, State, Topology, Workspace};
 use polypod::robot::{self, Articulation, Joint, JointKind, Link, Model, Pose};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

@@ -7,7 +7,7 @@ use anyhow::bail;
 use clap::Args;
 use polypod::Error;
 use polypod::dump::{Dump, Replay as Replayed};
-use polypod::dynamics::Simd;
+use polypod::dynamics::lanes::Simd;
 use polypod::engine::{Motion, Quantity, Violation};
 
 /// Arguments of `replay`.

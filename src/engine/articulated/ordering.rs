@@ -4,7 +4,7 @@
 //! the same legs at their limits, are put side by side, in every control step anew, by what the one before had to deal with. What a
 //! robot does depends neither on its lane nor on its neighbours.
 
-use crate::dynamics::Real;
+use crate::dynamics::lanes::Real;
 use crate::robot::BodyGroup;
 
 /// Bits by which what a robot asks for decides its place, in the order of [`Report::demands`](crate::dynamics::Report::demands).

@@ -1,7 +1,8 @@
 //! What bodies have of their own. A pack steps with its morphology's numbers, which a thread has in its cache, and those of its lanes in
 //! their places.
 
-use crate::dynamics::{Lanes, Parameters};
+use crate::dynamics::Parameters;
+use crate::dynamics::lanes::Lanes;
 
 /// Where bodies have more numbers of their own, all are kept, pack by pack.
 const FEW: usize = 64;
@@ -134,8 +135,8 @@ fn with_places(places: &[u32], values: &[f32], count: usize, new: &[(u32, f32)])
 mod tests {
     use super::*;
     use crate::config::Library;
-    use crate::dynamics::Real;
     use crate::dynamics::lanes::Portable;
+    use crate::dynamics::lanes::Real;
     use crate::morphology::MorphologyModel;
 
     /// All numbers of one lane.

@@ -2,8 +2,8 @@
 
 use super::super::{PhysicsRows, StateLimits, StateNumbers, get, get_arrays, history_length, put, state_numbers};
 use crate::components::{ContactImpulse, PerFoot};
-use crate::dynamics::lanes::Kernel;
-use crate::dynamics::{Drive, Lanes, Parameters, Real, Report, State, Workspace};
+use crate::dynamics::lanes::{Kernel, Lanes, Real};
+use crate::dynamics::{Drive, Parameters, Report, State, Workspace};
 use crate::morphology::MorphologyModel;
 
 /// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.

@@ -1,0 +1,317 @@
+//! SIMD lanes: the one place that knows instruction sets, and the only one of the crate with `unsafe` code.
+//!
+//! The kernels of [`dynamics`](super) are written once, over the [`Real`] trait. A value of a `Real` type holds
+//! [`Real::LANES`] independent numbers, one per robot of a pack; no operation mixes lanes, and each operation is one
+//! correctly rounded IEEE 754 operation per lane. A lane's bits therefore depend neither on its position, nor on its
+//! neighbours, nor on the instruction set.
+//!
+//! Kernels are `#[inline(always)]` generic functions entered through [`Lanes::vectorize`], a function compiled for the
+//! instruction set, so that everything is inlined into code that may use it.
+
+mod dispatch;
+mod native;
+mod portable;
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use super::elementary;
+
+pub use dispatch::{Simd, SimdDispatch, SimdError, prefetch};
+#[cfg(target_arch = "aarch64")]
+pub use native::Neon;
+#[cfg(target_arch = "x86_64")]
+pub use native::{Avx2, Avx512};
+pub use portable::Portable;
+
+/// A scalar or a vector of independent numbers on which the kernels compute.
+pub trait Real:
+    Copy
+    + Send
+    + Sync
+    + 'static
+    + std::fmt::Debug
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// The result of a comparison, one truth value per lane.
+    type Mask: Copy + Send + Sync + std::fmt::Debug;
+    /// Number of independent numbers in a value.
+    const LANES: usize;
+    /// Whether a step of bodies that are [alike](super::Parameters::is_alike) reads their common numbers from one copy. Where that is no
+    /// faster, it is not compiled.
+    const READS_ALIKE: bool = false;
+    /// The same number in every lane.
+    fn splat(x: f64) -> Self;
+    /// `self * b + c`, rounded once.
+    fn mul_add(self, b: Self, c: Self) -> Self;
+    /// `c - self * b`, rounded once.
+    fn neg_mul_add(self, b: Self, c: Self) -> Self;
+    /// Correctly rounded square root.
+    fn sqrt(self) -> Self;
+    /// Absolute value.
+    fn abs(self) -> Self;
+    /// Nearest integer, ties to even.
+    fn round(self) -> Self;
+    /// `self < other`, false for NaN.
+    fn lt(self, other: Self) -> Self::Mask;
+    /// `yes` where the mask is true, else `no`.
+    fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
+    /// True if any lane of the mask is true.
+    fn any(mask: Self::Mask) -> bool;
+    /// Logical or.
+    fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// Logical and.
+    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// Reads one lane in single precision.
+    fn lane_f32(&self, lane: usize) -> f32;
+    /// Writes one lane in single precision.
+    fn set_lane_f32(&mut self, lane: usize, value: f32);
+    /// The same number in every lane.
+    fn broadcast(x: f32) -> Self;
+    /// The first [`Real::LANES`] numbers of a slice, one per lane.
+    ///
+    /// # Panics
+    /// If there are fewer.
+    fn load(from: &[f32]) -> Self;
+    /// Writes the lanes to the first numbers of a slice.
+    ///
+    /// # Panics
+    /// If it is shorter than [`Real::LANES`].
+    fn store(self, to: &mut [f32]);
+    /// Two to the power of a whole number from -126 to 127.
+    fn power_of_two(self) -> Self;
+    /// Sine and cosine of an angle in radians.
+    fn sin_cos(self) -> (Self, Self);
+
+    /// Reads one lane.
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> f64 {
+        f64::from(self.lane_f32(lane))
+    }
+    /// Writes one lane.
+    #[inline(always)]
+    fn set_lane(&mut self, lane: usize, value: f64) {
+        self.set_lane_f32(lane, value as f32);
+    }
+    /// `self < other ? self : other` (the second when either is NaN).
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Self::select(self.lt(other), self, other)
+    }
+    /// `other < self ? self : other` (the second when either is NaN).
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Self::select(other.lt(self), self, other)
+    }
+    /// Limits to `[lower, upper]`.
+    #[inline(always)]
+    fn clamp(self, lower: Self, upper: Self) -> Self {
+        self.max(lower).min(upper)
+    }
+    /// Zero in every lane.
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::splat(0.0)
+    }
+    /// One in every lane.
+    #[inline(always)]
+    fn one() -> Self {
+        Self::splat(1.0)
+    }
+}
+
+macro_rules! impl_scalar {
+    ($t:ty, $bits:ty, $signed:ty, $sin_cos:expr) => {
+        impl Real for $t {
+            type Mask = bool;
+            const LANES: usize = 1;
+            #[inline(always)]
+            fn splat(x: f64) -> Self {
+                x as $t
+            }
+            #[inline(always)]
+            fn mul_add(self, b: Self, c: Self) -> Self {
+                <$t>::mul_add(self, b, c)
+            }
+            #[inline(always)]
+            fn neg_mul_add(self, b: Self, c: Self) -> Self {
+                <$t>::mul_add(-self, b, c)
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                <$t>::sqrt(self)
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                <$t>::abs(self)
+            }
+            #[inline(always)]
+            fn round(self) -> Self {
+                self.round_ties_even()
+            }
+            #[inline(always)]
+            fn lt(self, other: Self) -> bool {
+                self < other
+            }
+            #[inline(always)]
+            fn select(mask: bool, yes: Self, no: Self) -> Self {
+                if mask { yes } else { no }
+            }
+            #[inline(always)]
+            fn any(mask: bool) -> bool {
+                mask
+            }
+            #[inline(always)]
+            fn or(a: bool, b: bool) -> bool {
+                a | b
+            }
+            #[inline(always)]
+            fn and(a: bool, b: bool) -> bool {
+                a & b
+            }
+            #[inline(always)]
+            fn lane(&self, _: usize) -> f64 {
+                f64::from(*self)
+            }
+            #[inline(always)]
+            fn set_lane(&mut self, _: usize, value: f64) {
+                *self = value as $t;
+            }
+            #[inline(always)]
+            fn lane_f32(&self, _: usize) -> f32 {
+                *self as f32
+            }
+            #[inline(always)]
+            fn set_lane_f32(&mut self, _: usize, value: f32) {
+                *self = value.into();
+            }
+            #[inline(always)]
+            fn broadcast(x: f32) -> Self {
+                x.into()
+            }
+            #[inline(always)]
+            fn load(from: &[f32]) -> Self {
+                from[0].into()
+            }
+            #[inline(always)]
+            fn store(self, to: &mut [f32]) {
+                to[0] = self as f32;
+            }
+            #[inline(always)]
+            fn power_of_two(self) -> Self {
+                const EXPONENT_SHIFT: u32 = <$t>::MANTISSA_DIGITS - 1;
+                const BIAS: $signed = <$t>::MAX_EXP as $signed - 1;
+                <$t>::from_bits(((self as $signed + BIAS) as $bits) << EXPONENT_SHIFT)
+            }
+            #[inline(always)]
+            fn sin_cos(self) -> (Self, Self) {
+                $sin_cos(self)
+            }
+        }
+    };
+}
+impl_scalar!(f32, u32, i32, elementary::sin_cos);
+impl_scalar!(f64, u64, i64, f64::sin_cos);
+
+/// A computation over lanes of type `S`, with its arguments.
+pub trait Kernel<S: Real> {
+    /// What it returns.
+    type Output;
+    /// The computation; must be `#[inline(always)]`, as must all it calls.
+    fn run(self) -> Self::Output;
+}
+
+/// A lane type that packs of robots are stored in, with the way into code compiled for its instruction set.
+pub trait Lanes: Real {
+    /// Runs a kernel, compiled for this lane type's instruction set.
+    fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output;
+}
+
+/// Lane types whose code needs no instruction set beyond the architecture's.
+macro_rules! run_as_it_is {
+    ($($t:ty),*) => {
+        $(impl Lanes for $t {
+            fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
+                kernel.run()
+            }
+        })*
+    };
+}
+run_as_it_is!(Portable, f32, f64);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Everything<'a, S>(&'a mut [S; 6]);
+    impl<S: Real> Kernel<S> for Everything<'_, S> {
+        type Output = ();
+        #[inline(always)]
+        fn run(self) {
+            let d = self.0;
+            let (a, b, c) = (d[0], d[1], d[2]);
+            let (s, k) = a.sin_cos();
+            d[3] = a.mul_add(b, c) + a.neg_mul_add(b, c) * s - k / b.abs().max(S::splat(0.1));
+            d[4] = S::select(a.lt(b), a.min(c), -b.max(c)) + (a * a).sqrt() + (b * S::splat(3.0)).round();
+            d[5] = S::select(S::or(a.lt(b), S::and(b.lt(c), c.lt(a))), s, k) + elementary::exp(b);
+        }
+    }
+
+    fn run_on<L: Lanes>(inputs: &[[f32; 3]]) -> Vec<[u32; 3]> {
+        let mut out = Vec::new();
+        for chunk in inputs.chunks(L::LANES) {
+            let mut d = [L::zero(); 6];
+            for (lane, x) in chunk.iter().enumerate() {
+                for k in 0..3 {
+                    d[k].set_lane(lane, f64::from(x[k]));
+                }
+            }
+            L::vectorize(Everything(&mut d));
+            for lane in 0..chunk.len() {
+                out.push([3, 4, 5].map(|k: usize| (d[k].lane(lane) as f32).to_bits()));
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        let mut x = 12345u32;
+        let mut next = || {
+            x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (x >> 8) as f32 / 1_048_576.0 - 8.0
+        };
+        let inputs: Vec<[f32; 3]> = (0..1000).map(|_| [next(), next(), next()]).collect();
+        let scalar: Vec<[u32; 3]> = inputs
+            .iter()
+            .map(|x| {
+                let mut d = [x[0], x[1], x[2], 0.0, 0.0, 0.0];
+                Everything(&mut d).run();
+                [d[3].to_bits(), d[4].to_bits(), d[5].to_bits()]
+            })
+            .collect();
+        assert_eq!(scalar, run_on::<Portable>(&inputs));
+        for simd in Simd::available() {
+            let entered: Vec<[u32; 3]> = inputs
+                .iter()
+                .map(|x| {
+                    let mut d = [x[0], x[1], x[2], 0.0, 0.0, 0.0];
+                    simd.dispatch().vectorize(Everything(&mut d));
+                    [d[3].to_bits(), d[4].to_bits(), d[5].to_bits()]
+                })
+                .collect();
+            assert_eq!(scalar, entered, "{simd:?}");
+        }
+        #[cfg(target_arch = "x86_64")]
+        for simd in Simd::available() {
+            match simd {
+                Simd::Avx2 => assert_eq!(scalar, run_on::<Avx2>(&inputs)),
+                Simd::Avx512 => assert_eq!(scalar, run_on::<Avx512>(&inputs)),
+                _ => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! Lanes of native vector registers: AVX-512, AVX2, NEON.
+
+#![allow(unsafe_code)]
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use super::{Kernel, Lanes, Real};
+use crate::elementary;
+
+/// Where the exponent of a single-precision number stands in its bits, and what is added to it there.
+const EXPONENT_SHIFT: i32 = 23;
+/// See [`EXPONENT_SHIFT`].
+const EXPONENT_BIAS: i32 = 127;
+
+/// Defines a lane type over some native vector registers, from the intrinsics of one. Several registers hide the latency of
+/// an operation behind its neighbour's.
+macro_rules! native_lanes {
+    ($(#[$doc:meta])* $name:ident, $reg:ty, $registers:literal x $width:literal, $features:literal, {
+        add: $add:path, sub: $sub:path, mul: $mul:path, div: $div:path, fma: $fma:expr, fnma: $fnma:expr,
+        sqrt: $sqrt:path, round: $round:expr, splat: $splat:path, lt: $lt:expr, select: $select:expr, any: $any:expr,
+        or: $or:expr, and: $and:expr, abs: $abs:expr, neg: $neg:expr, min: $min:expr, max: $max:expr, power_of_two: $power_of_two:expr,
+        mask: $mask:ty
+    }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug)]
+        #[repr(transparent)]
+        pub struct $name([$reg; $registers]);
+
+        native_lanes!(@operator $name, $registers, Add, add, $add);
+        native_lanes!(@operator $name, $registers, Sub, sub, $sub);
+        native_lanes!(@operator $name, $registers, Mul, mul, $mul);
+        native_lanes!(@operator $name, $registers, Div, div, $div);
+        impl Neg for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                native_lanes!(@each $registers, $neg, self)
+            }
+        }
+        impl Real for $name {
+            type Mask = [$mask; $registers];
+            const LANES: usize = $registers * $width;
+            const READS_ALIKE: bool = true;
+            #[inline(always)]
+            fn splat(x: f64) -> Self {
+                // SAFETY: as in `each`
+                Self([unsafe { $splat(x as f32) }; $registers])
+            }
+            #[inline(always)]
+            fn mul_add(self, b: Self, c: Self) -> Self {
+                native_lanes!(@each $registers, $fma, self, b, c)
+            }
+            #[inline(always)]
+            fn neg_mul_add(self, b: Self, c: Self) -> Self {
+                native_lanes!(@each $registers, $fnma, self, b, c)
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                native_lanes!(@each $registers, $sqrt, self)
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                native_lanes!(@each $registers, $abs, self)
+            }
+            #[inline(always)]
+            fn round(self) -> Self {
+                native_lanes!(@each $registers, $round, self)
+            }
+            #[inline(always)]
+            fn lt(self, other: Self) -> Self::Mask {
+                // SAFETY: as in `each`
+                let (mut out, mut i) = ([unsafe { $lt(self.0[0], other.0[0]) }; $registers], 1);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out[i] = unsafe { $lt(self.0[i], other.0[i]) };
+                    i += 1;
+                }
+                out
+            }
+            #[inline(always)]
+            fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
+                let (mut out, mut i) = (no, 0);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out.0[i] = unsafe { $select(mask[i], yes.0[i], no.0[i]) };
+                    i += 1;
+                }
+                out
+            }
+            #[inline(always)]
+            fn any(mask: Self::Mask) -> bool {
+                let (mut all, mut i) = (mask[0], 1);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    all = unsafe { $or(all, mask[i]) };
+                    i += 1;
+                }
+                // SAFETY: as in `each`
+                unsafe { $any(all) }
+            }
+            #[inline(always)]
+            fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                let (mut out, mut i) = (a, 0);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out[i] = unsafe { $or(a[i], b[i]) };
+                    i += 1;
+                }
+                out
+            }
+            #[inline(always)]
+            fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                let (mut out, mut i) = (a, 0);
+                while i < $registers {
+                    // SAFETY: as in `each`
+                    out[i] = unsafe { $and(a[i], b[i]) };
+                    i += 1;
+                }
+                out
+            }
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                native_lanes!(@each $registers, $min, self, other)
+            }
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                native_lanes!(@each $registers, $max, self, other)
+            }
+            #[inline(always)]
+            fn lane_f32(&self, lane: usize) -> f32 {
+                // SAFETY: the registers are so many consecutive f32
+                (unsafe { &*std::ptr::from_ref(self).cast::<[f32; $registers * $width]>() })[lane]
+            }
+            #[inline(always)]
+            fn set_lane_f32(&mut self, lane: usize, value: f32) {
+                // SAFETY: the registers are so many consecutive f32
+                let lanes = unsafe { &mut *std::ptr::from_mut(self).cast::<[f32; $registers * $width]>() };
+                lanes[lane] = value;
+            }
+            #[inline(always)]
+            fn broadcast(x: f32) -> Self {
+                // SAFETY: as in `each`
+                Self([unsafe { $splat(x) }; $registers])
+            }
+            #[inline(always)]
+            fn load(from: &[f32]) -> Self {
+                let mut out = Self::zero();
+                // SAFETY: the registers are so many consecutive f32
+                let lanes = unsafe { &mut *std::ptr::from_mut(&mut out).cast::<[f32; $registers * $width]>() };
+                lanes.copy_from_slice(&from[..$registers * $width]);
+                out
+            }
+            #[inline(always)]
+            fn store(self, to: &mut [f32]) {
+                // SAFETY: the registers are so many consecutive f32
+                let lanes = unsafe { &*std::ptr::from_ref(&self).cast::<[f32; $registers * $width]>() };
+                to[..$registers * $width].copy_from_slice(lanes);
+            }
+            #[inline(always)]
+            fn power_of_two(self) -> Self {
+                native_lanes!(@each $registers, $power_of_two, self)
+            }
+            #[inline(always)]
+            fn sin_cos(self) -> (Self, Self) {
+                elementary::sin_cos(self)
+            }
+        }
+        impl Lanes for $name {
+            fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
+                #[target_feature(enable = $features)]
+                fn compiled<K: Kernel<$name>>(kernel: K) -> K::Output {
+                    kernel.run()
+                }
+                // SAFETY: packs of this type are only built after `Simd` has found the instruction set
+                unsafe { compiled(kernel) }
+            }
+        }
+    };
+    // the operation on each register
+    (@each $registers:literal, $f:expr, $first:expr $(, $other:expr)*) => {{
+        let (mut out, mut i) = ($first, 0);
+        while i < $registers {
+            // SAFETY: reached only through `vectorize`, whose caller has checked the instruction set
+            out.0[i] = unsafe { $f($first.0[i] $(, $other.0[i])*) };
+            i += 1;
+        }
+        out
+    }};
+    (@operator $name:ident, $registers:literal, $trait:ident, $f:ident, $intrinsic:path) => {
+        impl $trait for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn $f(self, other: Self) -> Self {
+                native_lanes!(@each $registers, $intrinsic, self, other)
+            }
+        }
+    };
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::{Add, Div, EXPONENT_BIAS, EXPONENT_SHIFT, Kernel, Lanes, Mul, Neg, Real, Sub, elementary};
+    use std::arch::x86_64::*;
+
+    native_lanes!(
+        /// Sixteen lanes in two AVX registers.
+        Avx2, __m256, 2 x 8, "avx2,fma", {
+            add: _mm256_add_ps, sub: _mm256_sub_ps, mul: _mm256_mul_ps, div: _mm256_div_ps,
+            fma: _mm256_fmadd_ps, fnma: _mm256_fnmadd_ps, sqrt: _mm256_sqrt_ps,
+            round: _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>,
+            splat: _mm256_set1_ps, lt: _mm256_cmp_ps::<_CMP_LT_OQ>,
+            select: |m, a, b| _mm256_blendv_ps(b, a, m), any: |m| _mm256_movemask_ps(m) != 0,
+            or: _mm256_or_ps, and: _mm256_and_ps,
+            abs: |x| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x), neg: |x| _mm256_xor_ps(x, _mm256_set1_ps(-0.0)),
+            // the second operand when either is NaN, as wanted
+            min: _mm256_min_ps, max: _mm256_max_ps,
+            power_of_two: |x| _mm256_castsi256_ps(_mm256_slli_epi32::<{ EXPONENT_SHIFT }>(_mm256_add_epi32(
+                _mm256_cvtps_epi32(x), _mm256_set1_epi32(EXPONENT_BIAS)))),
+            mask: __m256
+        }
+    );
+    native_lanes!(
+        /// Sixteen lanes in an AVX-512 register.
+        Avx512, __m512, 1 x 16, "avx512f,avx512dq,avx512vl,avx2,fma", {
+            add: _mm512_add_ps, sub: _mm512_sub_ps, mul: _mm512_mul_ps, div: _mm512_div_ps,
+            fma: _mm512_fmadd_ps, fnma: _mm512_fnmadd_ps, sqrt: _mm512_sqrt_ps,
+            round: _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>,
+            splat: _mm512_set1_ps, lt: _mm512_cmp_ps_mask::<_CMP_LT_OQ>,
+            select: |m, a, b| _mm512_mask_blend_ps(m, b, a), any: |m| _mm512_mask2int(m) != 0,
+            or: _kor_mask16, and: _kand_mask16,
+            abs: |x| _mm512_andnot_ps(_mm512_set1_ps(-0.0), x), neg: |x| _mm512_xor_ps(x, _mm512_set1_ps(-0.0)),
+            min: _mm512_min_ps, max: _mm512_max_ps,
+            power_of_two: |x| _mm512_castsi512_ps(_mm512_slli_epi32::<{ EXPONENT_SHIFT as u32 }>(_mm512_add_epi32(
+                _mm512_cvtps_epi32(x), _mm512_set1_epi32(EXPONENT_BIAS)))),
+            mask: __mmask16
+        }
+    );
+}
+#[cfg(target_arch = "x86_64")]
+pub use x86::{Avx2, Avx512};
+
+#[cfg(target_arch = "aarch64")]
+mod arm {
+    use super::{Add, Div, EXPONENT_BIAS, EXPONENT_SHIFT, Kernel, Lanes, Mul, Neg, Real, Sub, elementary};
+    use std::arch::aarch64::*;
+
+    native_lanes!(
+        /// Eight lanes in two NEON registers.
+        Neon, float32x4_t, 2 x 4, "neon", {
+            add: vaddq_f32, sub: vsubq_f32, mul: vmulq_f32, div: vdivq_f32,
+            fma: |a, b, c| vfmaq_f32(c, a, b), fnma: |a, b, c| vfmsq_f32(c, a, b), sqrt: vsqrtq_f32,
+            round: vrndnq_f32, splat: vdupq_n_f32, lt: vcltq_f32,
+            select: vbslq_f32, any: |m| vmaxvq_u32(m) != 0,
+            or: vorrq_u32, and: vandq_u32, abs: vabsq_f32, neg: vnegq_f32,
+            // vminq and vmaxq would give NaN when either is
+            min: |a, b| vbslq_f32(vcltq_f32(a, b), a, b), max: |a, b| vbslq_f32(vcltq_f32(b, a), a, b),
+            power_of_two: |x| vreinterpretq_f32_s32(vshlq_n_s32::<{ EXPONENT_SHIFT }>(vaddq_s32(
+                vcvtnq_s32_f32(x), vdupq_n_s32(EXPONENT_BIAS)))),
+            mask: uint32x4_t
+        }
+    );
+}
+#[cfg(target_arch = "aarch64")]
+pub use arm::Neon;

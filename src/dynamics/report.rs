@@ -1,0 +1,153 @@
+//! What a physics step leaves behind: impulses for the next warm start, contact forces, and positions of the sites.
+
+use super::articulation::Topology;
+use super::ground::{Plane, splat_frame};
+use super::kinematics;
+use super::lanes::Real;
+use super::math::{Mat3, Spatial, Vec3, add, add_scaled, mul_vec, mul_vec_transposed, normalised, quat_to_mat, scale};
+use super::parameters::BodyNumbers;
+use super::rows::ContactWork;
+use super::settings::ContactSettings;
+use super::state::{Report, State, Workspace};
+
+/// Stores the impulses for the next warm start, and reports the contact forces of a physics step.
+///
+/// Every physics step reports the sum of normal forces per body, N, and which bodies are `touched` in any lane. The `last` one of a
+/// control step also reports the force on each body in world axes, N, and the [`demands`](Report::demands).
+#[inline(always)]
+pub(super) fn report_contacts<S: Real>(
+    topology: &Topology,
+    settings: &ContactSettings,
+    inverse_dt: S,
+    base_rotation: &Mat3<S>,
+    work: &ContactWork<S>,
+    state: &mut State<S>,
+    substep: usize,
+    last: bool,
+    report: &mut Report<S>,
+) {
+    let z = S::zero();
+    let Report { body_force, normal_force, touched, demands, .. } = report;
+    let normal_force = &mut normal_force[substep];
+    normal_force.fill(z);
+    for (block, shape) in work.bounds.iter().zip(topology.blocks()) {
+        for (row, &j) in block.joints.iter().zip(&shape.joints[..shape.len]) {
+            // adding +0 turns -0 into +0, which alone could depend on a lane's neighbours
+            state.bound_impulse[j] = if row.takes_part() { row.impulse() + z } else { z };
+        }
+    }
+    for &contact in &state.pressing {
+        state.impulse[contact as usize] = [z; 3];
+    }
+    state.pressing.clear();
+    for row in work.contacts() {
+        let impulse = normalised(&row.impulse);
+        state.impulse[row.contact] = impulse;
+        state.pressing.push(row.contact as u32);
+        for &body in bodies(topology, row.contact) {
+            normal_force[body] = impulse[0].mul_add(inverse_dt, normal_force[body]);
+            touched[body] = true;
+        }
+    }
+    if last {
+        sum_forces(topology, settings, inverse_dt, base_rotation, work, body_force);
+        note_demands(topology, work, demands);
+    }
+}
+
+/// Fills [`Report::demands`].
+#[inline(always)]
+fn note_demands<S: Real>(topology: &Topology, work: &ContactWork<S>, demands: &mut [S]) {
+    let one = S::one();
+    demands.fill(S::zero());
+    for row in work.contacts() {
+        for &body in bodies(topology, row.contact) {
+            demands[body] = S::select(row.near, one, demands[body]);
+        }
+    }
+    let (_, blocks) = demands.split_at_mut(topology.num_bodies);
+    for (block, demand) in work.bounds.iter().zip(&mut *blocks) {
+        for row in &block.joints {
+            if row.limits {
+                *demand = S::select(row.near, one, *demand);
+            }
+        }
+    }
+    blocks[work.bounds.len()] = S::select(S::zero().lt(work.violation), one, S::zero());
+}
+
+/// Contact bodies of a contact: one on the ground, two of a pair.
+#[inline(always)]
+fn bodies(topology: &Topology, contact: usize) -> &[usize] {
+    match topology.pair_of(contact) {
+        Some(pair) => &pair.bodies,
+        None => std::slice::from_ref(&topology.contacts[contact].body),
+    }
+}
+
+/// Net contact force of each body in world axes, N.
+#[inline(always)]
+fn sum_forces<S: Real>(
+    topology: &Topology,
+    settings: &ContactSettings,
+    inverse_dt: S,
+    base_rotation: &Mat3<S>,
+    work: &ContactWork<S>,
+    force: &mut [Vec3<S>],
+) {
+    force.fill([S::zero(); 3]);
+    let ground = splat_frame(&settings.ground.unwrap_or(Plane::level(0.0)));
+    let on_ground = work.contacts().len() - work.pair_frames.len();
+    for (c, row) in work.contacts().iter().enumerate() {
+        let f = scale(&normalised(&row.impulse), inverse_dt);
+        if let Some(pair) = topology.pair_of(row.contact) {
+            let frame = in_world(base_rotation, &work.pair_frames[c - on_ground]);
+            let [first, second] = pair.bodies;
+            add_force(&mut force[first], &frame, row.near, &f);
+            add_force(&mut force[second], &frame, row.near, &scale(&f, -S::one()));
+        } else {
+            let body = topology.contacts[row.contact].body;
+            match work.ground_frames.get(c) {
+                Some(frame) => add_force(&mut force[body], &in_world(base_rotation, frame), row.near, &f),
+                None => add_force(&mut force[body], &ground, row.near, &f),
+            }
+        }
+    }
+}
+
+/// Turns axes from base axes into world axes.
+#[inline(always)]
+fn in_world<S: Real>(base_rotation: &Mat3<S>, frame: &[Vec3<S>; 3]) -> [Vec3<S>; 3] {
+    [mul_vec(base_rotation, &frame[0]), mul_vec(base_rotation, &frame[1]), mul_vec(base_rotation, &frame[2])]
+}
+
+/// Adds a force along axes in the lanes that are `near`. In other lanes the axes may be NaN.
+#[inline(always)]
+fn add_force<S: Real>(sum: &mut Vec3<S>, frame: &[Vec3<S>; 3], near: S::Mask, f: &[S; 3]) {
+    let mut new = *sum;
+    for d in 0..3 {
+        new = add_scaled(&new, &frame[d], f[d]);
+    }
+    for (sum, new) in sum.iter_mut().zip(new) {
+        *sum = S::select(near, new, *sum);
+    }
+}
+
+/// Positions and velocities of the sites at the end of the control step.
+#[inline(always)]
+pub(super) fn report_sites<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    parameters: B,
+    state: &State<S>,
+    report: &mut Report<S>,
+    work: &mut Workspace<S>,
+) {
+    let rotation = quat_to_mat(&state.rotation);
+    let base = Spatial { ang: state.angular_velocity, lin: mul_vec_transposed(&rotation, &state.linear_velocity) };
+    kinematics::forward_kinematics(topology, parameters, &state.joint_position, &state.joint_velocity, &base, work);
+    for (s, &link) in topology.sites.iter().enumerate() {
+        let (at, velocity) = kinematics::point_motion(&work.links[link], &parameters.site_position(s));
+        report.site_position[s] = add(&state.position, &mul_vec(&rotation, &at));
+        report.site_velocity[s] = mul_vec(&rotation, &velocity);
+    }
+}
