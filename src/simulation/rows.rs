@@ -74,6 +74,11 @@ impl<'a> Rows<'a> {
         Ok(Self { values, width })
     }
 
+    /// Zero everywhere.
+    pub(super) fn zero() -> Self {
+        Self { values: &[0.0], width: 1 }
+    }
+
     /// One row per env, already checked.
     pub(super) fn per_env(values: &'a [f64], width: usize) -> Self {
         Self { values, width }

@@ -10,32 +10,34 @@ mod workspace;
 use std::cmp::Reverse;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{DivergenceRecord, Engine, PhysicsRows, StateLimits};
-use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, StepSettings, Terrain};
-use crate::morphology::{Morphologies, MorphologyModel};
+use super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run};
+use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, Real, StepSettings, Terrain, Topology};
 use crate::workers::{Pool, SplitRows, Workers};
 use ordering::{DemandBits, PackOrder};
 use parameter_deltas::ParameterDeltas;
 use workspace::PackWorkspace;
 
 /// Neighbouring rows of one morphology, which a thread steps pack by pack.
-struct Task<'a> {
+struct Task<'a, R> {
     morphology: usize,
     /// The first one, among those of the morphology.
     first: usize,
-    rows: PhysicsRows<'a>,
+    rows: R,
     /// See [`Packs::keys`].
     keys: &'a mut [u32],
 }
 
-/// What the robots of a morphology keep from one control step to the next beyond their components.
-struct Bodies<L> {
+/// The robots of a morphology, and what they keep from one control step to the next beyond their rows.
+struct Bodies<L, T> {
     first_env: usize,
     count: usize,
+    topology: Topology,
     nominal: Parameters<L>,
+    /// The same, once.
+    kind: Parameters<f32>,
     /// Whether all bodies are [alike](Parameters::is_alike) the morphology's.
     alike: bool,
-    own: ParameterDeltas<L>,
+    own: ParameterDeltas<L, T>,
     bits: DemandBits,
 }
 
@@ -46,12 +48,12 @@ struct Scratch<L: Kernels> {
     pack_ordering: PackOrder,
 }
 
-/// All robots.
-pub(crate) struct Packs<L: Kernels> {
+/// All robots, in rows of numbers `T`.
+pub(crate) struct Packs<L: Kernels, T> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
     /// Of each morphology.
-    bodies: Vec<Bodies<L>>,
+    bodies: Vec<Bodies<L, T>>,
     /// Morphologies in the order in which their robots are stepped, see [`Packs::share_out`].
     order: Vec<usize>,
     /// Of each env, see [`DemandBits`]. They decide how fast a step is and nothing else.
@@ -59,43 +61,47 @@ pub(crate) struct Packs<L: Kernels> {
     scratch: Pool<Scratch<L>>,
 }
 
-impl<L: Kernels> Packs<L> {
-    /// Robots of some morphologies, `counts[m]` of kind `m` in contiguous blocks.
+impl<L: Kernels, T: Real> Packs<L, T> {
+    /// Robots of some kinds, in contiguous blocks.
     pub(crate) fn new(
         settings: StepSettings,
         terrain: Option<Arc<HeightGrid>>,
-        morphologies: &Morphologies,
-        counts: &[usize],
+        kinds: &[Kind<T>],
         threads: usize,
     ) -> Self {
         let (mut bodies, mut first_env) = (Vec::new(), 0);
-        for (model, &count) in morphologies.0.iter().zip(counts) {
-            let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
-            let (own, bits) =
-                (ParameterDeltas::none(), DemandBits::new(&model.body_groups, model.topology.blocks().len()));
-            bodies.push(Bodies { first_env, count, nominal, alike: true, own, bits });
+        for Kind { topology, nominal, body_groups, count, .. } in kinds {
+            bodies.push(Bodies {
+                first_env,
+                count: *count,
+                topology: (*topology).clone(),
+                nominal: Parameters::from_scalars(topology, nominal),
+                kind: Parameters::from_scalars(topology, nominal),
+                alike: true,
+                own: ParameterDeltas::none(),
+                bits: DemandBits::new(body_groups, topology.blocks().len()),
+            });
             first_env += count;
         }
-        let bench =
-            |(model, of): (&MorphologyModel, &Bodies<L>)| PackWorkspace::new(model, &of.nominal, settings.decimation);
+        let bench = |(kind, of): (&Kind<T>, &Bodies<L, T>)| PackWorkspace::new(kind, &of.nominal, settings.decimation);
         let scratch = Pool::new(threads, || Scratch {
-            benches: morphologies.0.iter().zip(&bodies).map(bench).collect(),
+            benches: kinds.iter().zip(&bodies).map(bench).collect(),
             pack_ordering: PackOrder::default(),
         });
         let mut order: Vec<usize> = (0..bodies.len()).collect();
-        order.sort_by_key(|&morphology| Reverse(morphologies.0[morphology].topology.num_impulses()));
+        order.sort_by_key(|&morphology| Reverse(bodies[morphology].topology.num_impulses()));
         Self { settings, terrain, bodies, order, keys: vec![0; first_env], scratch }
     }
 
     /// The tasks of a control step. The last ones are small, so that threads end together. Robots find their like among those of their
     /// task: the kinds that have the most places to touch something with come first.
-    fn share_out<'a>(
-        bodies: &[Bodies<L>],
+    fn share_out<'a, R: RobotRows>(
+        bodies: &[Bodies<L, T>],
         order: &[usize],
         workers: &Workers,
-        rows: PhysicsRows<'a>,
+        rows: R,
         keys: &'a mut [u32],
-    ) -> Vec<Task<'a>> {
+    ) -> Vec<Task<'a, R>> {
         let mut rest = (rows, keys);
         let mut kinds = Vec::with_capacity(bodies.len());
         for of in bodies {
@@ -121,8 +127,8 @@ impl<L: Kernels> Packs<L> {
     }
 }
 
-impl<L: Kernels> Engine for Packs<L> {
-    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
+impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
+    fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
         if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {
             *alike &= parameters.is_alike(nominal);
@@ -130,47 +136,55 @@ impl<L: Kernels> Engine for Packs<L> {
         }
     }
 
-    fn step(
-        &mut self,
-        morphologies: &Morphologies,
-        workers: &Workers,
-        rows: PhysicsRows,
-        limits: &StateLimits,
-        watched: &[bool],
-    ) -> Vec<DivergenceRecord> {
+    fn set_explicit(&mut self, morphology: usize, explicit: &[bool]) {
+        for (joint, &explicit) in self.bodies[morphology].topology.joints.iter_mut().zip(explicit) {
+            joint.explicit = explicit;
+        }
+    }
+
+    fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
         let Self { settings, terrain, bodies, order, keys, scratch } = self;
         let terrain = terrain.as_deref();
         let found = Mutex::new(Vec::new());
         let tasks = Self::share_out(bodies, order, workers, rows, keys);
         workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys }| {
             scratch.with(|Scratch { benches, pack_ordering }| {
-                let Bodies { first_env, alike, own, bits, .. } = &bodies[morphology];
-                let MorphologyModel { topology, nominal, .. } = &morphologies.0[morphology];
+                let Bodies { first_env, topology, kind, alike, own, bits, .. } = &bodies[morphology];
                 let bench = &mut benches[morphology];
-                let order = if own.may_mix() { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
+                let mix = L::LANES > 1 && own.may_mix();
+                let order = if mix { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
                 for (pack, lanes) in order.chunks(L::LANES).enumerate() {
                     bench.gather(&rows, lanes);
                     // the next ones: where rows are not in the order of memory, the machine does not see them come
                     for &row in order.iter().skip((pack + 1) * L::LANES).take(L::LANES) {
                         rows.prefetch(row);
                     }
-                    let step = ControlStep {
-                        topology,
-                        settings,
-                        terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
-                        parameters: own.of_pack(first, pack, lanes, &mut bench.nominal),
-                        kind: alike.then_some(nominal),
-                        drive: &bench.drive,
-                        state: &mut bench.state,
-                        report: &mut bench.report,
-                        work: &mut bench.work,
+                    let parameters = if run.gains {
+                        own.of_pack(first, pack, lanes, &mut bench.nominal)
+                    } else {
+                        own.of_pack_without_gains(first, pack, lanes, &mut bench.without_gains)
                     };
-                    step.run();
-                    let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
-                    let evidence =
-                        DivergenceRecord::of_writing(broken, morphology, first_env + first, &mut rows, |rows| {
-                            bench.scatter(rows, lanes);
-                        });
+                    let mut left = run.steps;
+                    while left > 0 {
+                        let decimation = left.min(settings.decimation);
+                        let step = ControlStep {
+                            topology,
+                            settings: &StepSettings { decimation, ..*settings },
+                            terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
+                            parameters,
+                            kind: Some(kind).filter(|_| *alike && run.gains),
+                            drive: &bench.drive,
+                            state: &mut bench.state,
+                            report: &mut bench.report,
+                            work: &mut bench.work,
+                        };
+                        step.run();
+                        left -= decimation;
+                    }
+                    let broken = if run.watched[morphology] { bench.first_broken(run.limits, lanes) } else { None };
+                    let evidence = rows.record(broken, morphology, first_env + first, |rows| {
+                        bench.scatter(rows, lanes);
+                    });
                     for (lane, &row) in lanes.iter().enumerate() {
                         keys[row] = bits.key(&bench.report.demands, lane);
                     }
