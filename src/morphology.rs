@@ -61,8 +61,9 @@ impl MorphologyModel {
     /// What is wrong with the URDF or the config, with file, element and remedy.
     pub fn new(loaded: &LoadedRobot) -> Result<Self, Error> {
         let config = loaded.config.clone();
-        let ConfiguredRobot { model, roles, body_groups, articulation, default_position } =
+        let ConfiguredRobot { model, roles, articulation, default_position } =
             ConfiguredRobot::new(loaded, &BTreeMap::new(), true, None)?;
+        let body_groups = body_groups(&config, &model, &roles)?;
         let Articulation { mut topology, parameters, align, shape_pairs } = articulation;
         let actuators = config.actuators_by_slot()?;
         topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
@@ -122,8 +123,6 @@ impl MorphologyModel {
 pub(crate) struct ConfiguredRobot {
     pub(crate) model: Model,
     pub(crate) roles: Roles,
-    /// Group of each contact body.
-    pub(crate) body_groups: Vec<BodyGroup>,
     /// With the feet as sites, legs in the order LF, LH, RF, RH.
     pub(crate) articulation: Articulation,
     /// Joint positions of the default pose, physical order, rad.
@@ -150,7 +149,6 @@ impl ConfiguredRobot {
         options.package_dirs.extend(package_dirs.clone());
         let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
         let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
-        let body_groups = body_groups(config, &model, &roles)?;
         let (default_pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
         let mut default_position = vec![0.0; model.joints.len()];
         for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
@@ -164,7 +162,7 @@ impl ConfiguredRobot {
         for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
             apply_actuator(&mut articulation.topology.joints[j], &mut articulation.parameters, j, actuators[slot].1);
         }
-        Ok(Self { model, roles, body_groups, articulation, default_position })
+        Ok(Self { model, roles, articulation, default_position })
     }
 }
 

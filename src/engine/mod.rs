@@ -23,7 +23,7 @@ pub(crate) use divergence::DivergenceRecord;
 pub use divergence::Motion;
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
-pub(crate) use rows::{ComponentRows, Components, Contacts, RobotRows, RowFamily, get, put};
+pub(crate) use rows::{ComponentRows, Components, Contacts, RobotRows, RowFamily, ask_nothing, get, put};
 
 /// What steps the bodies of all robots; its caller keeps their states in rows.
 pub(crate) trait Engine<F: RowFamily>: Send + Sync {
@@ -43,8 +43,10 @@ pub(crate) trait Engine<F: RowFamily>: Send + Sync {
     fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>);
     /// Sets which joints of a morphology's robots have their gains act on the beginning of each physics step.
     fn set_explicit(&mut self, morphology: usize, explicit: &[bool]);
-    /// Puts a robot where its row has it, as if it had touched nothing before. A step does so by itself for rows that were changed.
-    fn restart(&mut self, _env: usize, _rows: F::Rows<'_>) {}
+    /// Writes state and report of a [resident](RowFamily::RESIDENT) robot to the first of these rows.
+    fn fetch(&self, env: usize, rows: F::Rows<'_>);
+    /// Sets state and report of a resident robot to those of the first row.
+    fn restart(&mut self, env: usize, rows: F::Rows<'_>);
     /// `run.steps` physics steps of all robots. Of each morphology that `run` watches the first env whose new state is broken is returned.
     fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord>;
     /// How far the links' origins are from where forward kinematics has them, at most, m.
@@ -76,7 +78,7 @@ pub(crate) struct Kind<'a, T> {
     pub(crate) shape_pairs: &'a [[usize; 2]],
     /// The numbers of every robot to begin with.
     pub(crate) nominal: &'a Parameters<T>,
-    /// Group of each contact body. It decides how fast a step is and nothing else.
+    /// Group of each contact body, by which robots are put side by side. Resident robots stay where they are and need none.
     pub(crate) body_groups: &'a [BodyGroup],
     /// Contact bodies whose forces are reported in every physics step.
     pub(crate) feet: &'a [usize],
@@ -115,20 +117,24 @@ pub(crate) fn make<F: RowFamily>(
     kinds: &[Kind<F::Number>],
     workers: &Workers,
 ) -> Result<Box<dyn Engine<F>>, EngineError> {
-    let threads = workers.threads();
+    let (resident, threads) = (F::RESIDENT, workers.threads());
     Ok(match choice {
         EngineChoice::Avian(substeps, statics) => {
             Box::new(AvianRobots::new(&settings, substeps, &statics, kinds, workers)?)
         }
-        EngineChoice::ArticulatedDouble => Box::new(Packs::<f64, F::Number>::new(settings, None, kinds, threads)),
+        EngineChoice::ArticulatedDouble => {
+            Box::new(Packs::<f64, F::Number>::new(settings, None, kinds, resident, threads))
+        }
         EngineChoice::Articulated(simd, terrain) => match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Box::new(Packs::<lanes::Avx512, F::Number>::new(settings, terrain, kinds, threads)),
+            Simd::Avx512 => {
+                Box::new(Packs::<lanes::Avx512, F::Number>::new(settings, terrain, kinds, resident, threads))
+            }
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Box::new(Packs::<lanes::Avx2, F::Number>::new(settings, terrain, kinds, threads)),
+            Simd::Avx2 => Box::new(Packs::<lanes::Avx2, F::Number>::new(settings, terrain, kinds, resident, threads)),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Box::new(Packs::<lanes::Neon, F::Number>::new(settings, terrain, kinds, threads)),
-            _ => Box::new(Packs::<lanes::Portable, F::Number>::new(settings, terrain, kinds, threads)),
+            Simd::Neon => Box::new(Packs::<lanes::Neon, F::Number>::new(settings, terrain, kinds, resident, threads)),
+            _ => Box::new(Packs::<lanes::Portable, F::Number>::new(settings, terrain, kinds, resident, threads)),
         },
     })
 }

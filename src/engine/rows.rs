@@ -13,6 +13,10 @@ use crate::workers::SplitRows;
 
 /// Rows of one caller, for any time that an engine borrows them.
 pub(crate) trait RowFamily: 'static {
+    /// Whether robots are at home in the engine, between steps as well. [`Engine::fetch`](super::Engine::fetch) then reads their states
+    /// and [`Engine::restart`](super::Engine::restart) writes them; a step asks its rows for the drive alone. Else robots are at home in
+    /// their rows.
+    const RESIDENT: bool;
     /// Type of the rows' numbers and of the robots' parameters.
     type Number: Real;
     /// The rows.
@@ -36,7 +40,7 @@ pub(crate) trait RobotRows: SplitRows {
     /// Writes poses and velocities of a lane into a row.
     fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize);
 
-    /// Reads what the actuators are asked for, and the external wrench.
+    /// Reads what the actuators are asked for, and the external wrench. What a caller does not ask for is zero beforehand.
     fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize);
 
     /// Impulses of the contacts; of joint limits and dry friction, `[joints]`.
@@ -56,8 +60,11 @@ pub(crate) trait RobotRows: SplitRows {
         lane: usize,
     );
 
+    /// Reads what rows of [resident](RowFamily::RESIDENT) robots hold of the report.
+    fn read_report<L: Real>(&self, _row: usize, _report: &mut Report<L>, _lane: usize) {}
+
     /// Asks for a row's memory.
-    fn prefetch(&self, row: usize);
+    fn prefetch(&self, _row: usize) {}
 
     /// Writes new states. If a row diverged, returns its state before and after the step, where rows keep records. `first_env` is the env
     /// of the first row.
@@ -77,6 +84,7 @@ pub(crate) trait RobotRows: SplitRows {
 pub(crate) struct Components;
 
 impl RowFamily for Components {
+    const RESIDENT: bool = false;
     type Number = f32;
     type Rows<'a> = ComponentRows<'a>;
 }
@@ -248,6 +256,12 @@ impl RobotRows for ComponentRows<'_> {
             after: self.motion(row),
         })
     }
+}
+
+/// Leaves targets and feed-forward efforts zero.
+pub(crate) fn ask_nothing<L: Real>(drive: &mut Drive<L>) {
+    drive.targets.iter_mut().for_each(|targets| targets.fill(L::zero()));
+    drive.feedforward.fill(L::zero());
 }
 
 /// Writes numbers into a lane.

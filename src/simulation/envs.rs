@@ -1,10 +1,9 @@
-//! What a simulation keeps of each env, and how the engine reads and writes it.
+//! What a simulation reads and sets of its envs, which are at home in the engine.
 
 use serde::{Deserialize, Serialize};
-use smallvec::{SmallVec, smallvec};
 
 use super::rows::Rows;
-use crate::dynamics::lanes::{Real, prefetch};
+use crate::dynamics::lanes::Real;
 use crate::dynamics::{Drive, Report, State, Topology};
 use crate::engine::{Contacts, RobotRows, RowFamily, get, put};
 use crate::workers::SplitRows;
@@ -14,47 +13,45 @@ const POSE: usize = 7;
 /// Numbers of a base's velocity: linear and angular.
 const TWIST: usize = 6;
 
-/// State and report of one env. Lists have room in place for a robot of 12 joints.
+/// State and report of one env.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Env {
     /// Generalised positions, see [`Simulation`](super::Simulation).
-    pub(super) qpos: SmallVec<[f64; POSE + 12]>,
+    pub(super) qpos: Vec<f64>,
     /// Generalised velocities.
-    pub(super) qvel: SmallVec<[f64; TWIST + 12]>,
+    pub(super) qvel: Vec<f64>,
     /// Impulses of joint limits and dry friction in the last physics step, N m s, `[joints]`.
-    pub(super) bounds: SmallVec<[f64; 12]>,
+    bounds: Vec<f64>,
     /// Contact impulses of the last physics step.
-    pub(super) contacts: Contacts<f64>,
+    contacts: Contacts<f64>,
     /// Effort of each actuator in the last physics step, N m or N.
-    pub(super) effort: SmallVec<[f64; 12]>,
+    pub(super) effort: Vec<f64>,
     /// Net force on each contact body in the last physics step, N, world axes.
-    pub(super) force: SmallVec<[[f64; 3]; 16]>,
+    pub(super) force: Vec<[f64; 3]>,
 }
 
 impl Env {
-    /// At rest at the world's origin, all joints zero.
+    /// All numbers zero, to be read into.
     pub(super) fn zeros(topology: &Topology) -> Self {
         let joints = topology.num_joints();
-        let base: &[f64] = if topology.floating { &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0] } else { &[] };
-        let mut qpos = SmallVec::from_slice(base);
-        qpos.resize(base.len() + joints, 0.0);
+        let (pose, twist) = if topology.floating { (POSE, TWIST) } else { (0, 0) };
         Self {
-            qpos,
-            qvel: smallvec![0.0; joints + if topology.floating { TWIST } else { 0 }],
-            bounds: smallvec![0.0; joints],
+            qpos: vec![0.0; pose + joints],
+            qvel: vec![0.0; twist + joints],
+            bounds: vec![0.0; joints],
             contacts: Contacts::new(),
-            effort: smallvec![0.0; joints],
-            force: smallvec![[0.0; 3]; topology.num_bodies],
+            effort: vec![0.0; joints],
+            force: vec![[0.0; 3]; topology.num_bodies],
         }
     }
 
-    /// Whether this can take the place of `present`, of a robot of this topology.
-    pub(super) fn fits(&self, present: &Self, topology: &Topology) -> bool {
-        self.qpos.len() == present.qpos.len()
-            && self.qvel.len() == present.qvel.len()
-            && self.bounds.len() == present.bounds.len()
-            && self.effort.len() == present.effort.len()
-            && self.force.len() == present.force.len()
+    /// Whether the lists are as long as those of `other`, and contacts are a robot's of this topology.
+    pub(super) fn fits(&self, other: &Self, topology: &Topology) -> bool {
+        self.qpos.len() == other.qpos.len()
+            && self.qvel.len() == other.qvel.len()
+            && self.bounds.len() == other.bounds.len()
+            && self.effort.len() == other.effort.len()
+            && self.force.len() == other.force.len()
             && self.contacts.iter().all(|c| (c.contact as usize) < topology.num_impulses())
     }
 
@@ -104,21 +101,34 @@ pub(super) enum Actuation<'a> {
 pub(super) struct Envs;
 
 impl RowFamily for Envs {
+    const RESIDENT: bool = true;
     type Number = f64;
     type Rows<'a> = EnvRows<'a>;
 }
 
-/// Envs from `first` on.
+/// What is asked of all envs in a step, from env `first` on, without envs; or one env that is read or set.
 pub(super) struct EnvRows<'a> {
-    pub(super) envs: &'a mut [Env],
-    pub(super) first: usize,
-    pub(super) actuation: Actuation<'a>,
+    envs: &'a mut [Env],
+    first: usize,
+    actuation: Actuation<'a>,
+}
+
+impl<'a> EnvRows<'a> {
+    /// What is asked in a step.
+    pub(super) fn asking(actuation: Actuation<'a>) -> Self {
+        Self { envs: &mut [], first: 0, actuation }
+    }
+
+    /// One env.
+    pub(super) fn of(env: &'a mut Env) -> Self {
+        Self { envs: std::slice::from_mut(env), first: 0, actuation: Actuation::Effort(Rows::zero()) }
+    }
 }
 
 impl SplitRows for EnvRows<'_> {
     fn split_rows(self, n: usize) -> (Self, Self) {
         let Self { envs, first, actuation } = self;
-        let (envs, rest) = envs.split_at_mut(n);
+        let (envs, rest) = envs.split_at_mut(n.min(envs.len()));
         (Self { envs, first, actuation }, Self { envs: rest, first: first + n, actuation })
     }
 }
@@ -143,13 +153,13 @@ impl RobotRows for EnvRows<'_> {
 
     #[inline]
     fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize) {
-        let (asked, to, other) = match self.actuation {
-            Actuation::Targets(asked) => (asked, &mut drive.targets[0], &mut drive.feedforward),
-            Actuation::Effort(asked) => (asked, &mut drive.feedforward, &mut drive.targets[0]),
+        let (asked, to) = match self.actuation {
+            Actuation::Targets(asked) => (asked, &mut drive.targets[0]),
+            Actuation::Effort(asked) => (asked, &mut drive.feedforward),
         };
-        for (joint, (x, none)) in to.iter_mut().zip(other).enumerate() {
-            x.set_lane(lane, asked.get(self.first + row, joint));
-            none.set_lane(lane, 0.0);
+        match asked.row(self.first + row) {
+            &[same] => to.iter_mut().for_each(|x| x.set_lane(lane, same)),
+            row => put(to, row, lane),
         }
     }
 
@@ -181,8 +191,12 @@ impl RobotRows for EnvRows<'_> {
         }
     }
 
-    #[inline]
-    fn prefetch(&self, row: usize) {
-        prefetch(&self.envs[row]);
+    fn read_report<L: Real>(&self, row: usize, report: &mut Report<L>, lane: usize) {
+        let Env { effort, force, .. } = &self.envs[row];
+        put(&mut report.joint_effort, effort, lane);
+        for (body, force) in force.iter().enumerate() {
+            put(&mut report.body_force[body], force, lane);
+            report.touched[body] |= *force != [0.0; 3];
+        }
     }
 }

@@ -31,7 +31,7 @@ use crate::bounds::{BYTES_PER_LINK, check_num_envs};
 use crate::config::EngineKind;
 use crate::dynamics::{ContactSettings, Parameters, Plane, Simd, StepSettings};
 use crate::engine::avian::EngineError;
-use crate::engine::{self, Engine, EngineChoice, Kind, Run, StateLimits};
+use crate::engine::{self, Engine, EngineChoice, Run, StateLimits};
 use crate::error::Error;
 use crate::robot::{UNLIMITED, Warning};
 use crate::workers::{Workers, packs_of};
@@ -69,9 +69,7 @@ pub struct Simulation {
     effort_scale: Vec<f64>,
     settings: StepSettings,
     engine: Box<dyn Engine<Envs>>,
-    /// States, as precise as the engine computes.
-    envs: Vec<Env>,
-    /// The numbers of each env's robot, likewise.
+    /// The numbers of each env's robot, as precise as the engine computes.
     bodies: Vec<Parameters<f64>>,
     workers: Workers,
     simd: Simd,
@@ -136,18 +134,7 @@ impl Simulation {
         } else {
             robot.nominal.clone()
         };
-        let kind = Kind {
-            model: &robot.model,
-            topology,
-            align: &robot.align,
-            shape_pairs: &robot.shape_pairs,
-            nominal: &nominal,
-            body_groups: &robot.body_groups,
-            feet: &[],
-            max_delay: 0,
-            count: n,
-        };
-        let engine = engine::make(choice, settings, &[kind], &workers).map_err(|error| {
+        let engine = engine::make(choice, settings, &[robot.kind(&nominal, n)], &workers).map_err(|error| {
             let element = match error {
                 EngineError::Step(_) => "dt",
                 EngineError::Prismatic(_) | EngineError::Order => "engine",
@@ -165,7 +152,6 @@ impl Simulation {
             fingerprint: snapshot::fingerprint(&robot, &settings, options.engine(), options.avian_substeps),
             settings,
             engine,
-            envs: vec![Env::zeros(topology); n],
             bodies: vec![nominal; n],
             workers,
             simd,
@@ -182,7 +168,7 @@ impl Simulation {
 
     /// Number of envs.
     pub fn num_envs(&self) -> usize {
-        self.envs.len()
+        self.bodies.len()
     }
 
     /// Number of joints that move.
@@ -270,12 +256,23 @@ impl Simulation {
 
     /// Generalised positions, `[num_envs, nq]`.
     pub fn qpos(&self) -> Vec<f64> {
-        self.envs.iter().flat_map(|env| env.qpos.iter().copied()).collect()
+        self.collect(self.nq(), |env| &env.qpos)
     }
 
     /// Generalised velocities, `[num_envs, nv]`.
     pub fn qvel(&self) -> Vec<f64> {
-        self.envs.iter().flat_map(|env| env.qvel.iter().copied()).collect()
+        self.collect(self.nv(), |env| &env.qvel)
+    }
+
+    /// A list of numbers of all envs, `[num_envs, width]`.
+    fn collect(&self, width: usize, list: impl Fn(&Env) -> &[f64]) -> Vec<f64> {
+        let mut out = Vec::with_capacity(self.num_envs() * width);
+        let mut env = Env::zeros(&self.robot.topology);
+        for index in 0..self.num_envs() {
+            self.engine.fetch(index, EnvRows::of(&mut env));
+            out.extend(list(&env));
+        }
+        out
     }
 
     /// A number as the engine keeps it.
@@ -313,22 +310,20 @@ impl Simulation {
                 rotations.push(unit);
             }
         }
-        let round = self.rounding();
+        let mut env = Env::zeros(&self.robot.topology);
         for row in 0..envs.len() {
-            let index = envs.get(row);
-            let env = &mut self.envs[index];
+            self.engine.fetch(envs.get(row), EnvRows::of(&mut env));
             env.forget_impulses();
             if let Some(qpos) = qpos {
-                env.qpos.iter_mut().enumerate().for_each(|(k, q)| *q = round(qpos.get(row, k)));
+                env.qpos.iter_mut().enumerate().for_each(|(k, q)| *q = qpos.get(row, k));
                 if let Some(rotation) = rotations.get(row) {
-                    env.qpos[3..7].copy_from_slice(&rotation.map(round));
+                    env.qpos[3..7].copy_from_slice(rotation);
                 }
             }
             if let Some(qvel) = qvel {
-                env.qvel.iter_mut().enumerate().for_each(|(k, v)| *v = round(qvel.get(row, k)));
+                env.qvel.iter_mut().enumerate().for_each(|(k, v)| *v = qvel.get(row, k));
             }
-            let rows = EnvRows { envs: &mut self.envs, first: 0, actuation: Actuation::Effort(Rows::zero()) };
-            self.engine.restart(index, rows);
+            self.engine.restart(envs.get(row), EnvRows::of(&mut env));
         }
         Ok(())
     }
@@ -373,9 +368,8 @@ impl Simulation {
         let explicit: Vec<bool> =
             self.explicit.iter().map(|&explicit| control.implicit.map_or(explicit, |implicit| !implicit)).collect();
         self.engine.set_explicit(0, &explicit);
-        let rows = EnvRows { envs: &mut self.envs, first: 0, actuation };
         let run = Run { steps: n, gains, limits: &StateLimits::default(), watched: &[false] };
-        self.engine.step(&self.workers, rows, run);
+        self.engine.step(&self.workers, EnvRows::asking(actuation), run);
         self.steps += n as u64;
         Ok(())
     }
@@ -384,7 +378,9 @@ impl Simulation {
     pub fn contact_forces(&self) -> Vec<f64> {
         let links = self.num_links();
         let mut out = vec![[0.0; 3]; self.num_envs() * links];
-        for (env, out) in self.envs.iter().zip(out.chunks_exact_mut(links)) {
+        let mut env = Env::zeros(&self.robot.topology);
+        for (index, out) in out.chunks_exact_mut(links).enumerate() {
+            self.engine.fetch(index, EnvRows::of(&mut env));
             for (body, force) in self.robot.model.bodies.iter().zip(&env.force) {
                 out[body.link].iter_mut().zip(force).for_each(|(sum, f)| *sum += f);
             }
@@ -400,6 +396,6 @@ impl Simulation {
 
     /// Effort of each actuator in the last physics step, N m or N, `[num_envs, joints]`.
     pub fn joint_torque(&self) -> Vec<f64> {
-        self.envs.iter().flat_map(|env| env.effort.iter().copied()).collect()
+        self.collect(self.num_joints(), |env| &env.effort)
     }
 }

@@ -5,6 +5,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::Simulation;
+use super::envs::{Env, EnvRows};
 use super::parameters::LinkId;
 use super::rows::Rows;
 use crate::dynamics::math::{Spatial, mul_vec, mul_vec_transposed, quat_to_mat};
@@ -39,11 +40,12 @@ impl Simulation {
         let topology = &self.robot.topology;
         let rows = MatrixRows { data: &mut out, width };
         self.workers.for_each_chunk(rows, self.num_envs(), |first, count, mut rows| {
-            let mut state = State::zeros(topology);
+            let (mut state, mut row) = (State::zeros(topology), Env::zeros(topology));
             let mut work = Workspace::new(topology);
             for i in 0..count {
                 let env = first + i;
-                self.envs[env].read(&mut state, 0);
+                self.engine.fetch(env, EnvRows::of(&mut row));
+                row.read(&mut state, 0);
                 // single precision leaves a quaternion a little off
                 let length = state.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
                 state.rotation = state.rotation.map(|x| x / length);

@@ -9,9 +9,10 @@ use super::rows::Rows;
 use crate::config::Library;
 use crate::dynamics::math::Spatial;
 use crate::dynamics::{ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
+use crate::engine::Kind;
 use crate::error::Error;
 use crate::morphology::ConfiguredRobot;
-use crate::robot::{self, Articulation, BodyGroup, LoadOptions, Model};
+use crate::robot::{self, Articulation, LoadOptions, Model};
 
 /// One kind of robot, in double precision.
 pub(super) struct Robot {
@@ -23,8 +24,6 @@ pub(super) struct Robot {
     pub(super) align: Vec<DMat3>,
     /// Collision shapes that may touch each other, counted body after body.
     pub(super) shape_pairs: Vec<[usize; 2]>,
-    /// Group of each contact body, where roles are known.
-    pub(super) body_groups: Vec<BodyGroup>,
     /// Joint positions to begin with, rad or m.
     pub(super) default_position: Vec<f64>,
 }
@@ -58,24 +57,24 @@ impl Robot {
         let position: Vec<f64> = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
         let reference = options.self_collision.unwrap_or(false).then_some(&position[..]);
         let articulation = Articulation::new(&model, !options.fixed_base, &[], reference);
-        let body_groups = vec![BodyGroup::Other; model.bodies.len()];
-        Ok(Self::assemble(model, articulation, body_groups, position))
+        Ok(Self::assemble(model, articulation, position))
     }
 
     fn of_library(options: &SimulationOptions) -> Result<Self, Error> {
         let loaded = Library::new(Vec::new()).robot(&options.robot)?;
         let robot = ConfiguredRobot::new(&loaded, &options.package_dirs, !options.fixed_base, options.self_collision)?;
-        Ok(Self::assemble(robot.model, robot.articulation, robot.body_groups, robot.default_position))
+        Ok(Self::assemble(robot.model, robot.articulation, robot.default_position))
     }
 
-    fn assemble(
-        model: Model,
-        articulation: Articulation,
-        body_groups: Vec<BodyGroup>,
-        default_position: Vec<f64>,
-    ) -> Self {
+    fn assemble(model: Model, articulation: Articulation, default_position: Vec<f64>) -> Self {
         let Articulation { topology, parameters: nominal, align, shape_pairs } = articulation;
-        Self { model, topology, nominal, align, shape_pairs, body_groups, default_position }
+        Self { model, topology, nominal, align, shape_pairs, default_position }
+    }
+
+    /// What an engine knows of it; `nominal` are the numbers of `count` of them.
+    pub(super) fn kind<'a>(&'a self, nominal: &'a Parameters<f64>, count: usize) -> Kind<'a, f64> {
+        let Self { model, topology, align, shape_pairs, .. } = self;
+        Kind { model, topology, align, shape_pairs, nominal, body_groups: &[], feet: &[], max_delay: 0, count }
     }
 
     /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base

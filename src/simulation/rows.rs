@@ -96,6 +96,12 @@ impl<'a> Rows<'a> {
         }
     }
 
+    /// Row `i`, or the single number.
+    #[inline]
+    pub(super) fn row(&self, i: usize) -> &'a [f64] {
+        if self.values.len() <= self.width { self.values } else { &self.values[i * self.width..(i + 1) * self.width] }
+    }
+
     /// The first three numbers of row `i`.
     pub(super) fn vector(&self, i: usize) -> [f64; 3] {
         std::array::from_fn(|k| self.get(i, k))

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
-use super::envs::Env;
+use super::envs::{Env, EnvRows};
 use super::options::Precision;
 use super::robot::Robot;
 use crate::config::EngineKind;
@@ -48,8 +48,10 @@ impl Simulation {
     /// When it cannot be encoded.
     pub fn snapshot(&self) -> Result<Vec<u8>, Error> {
         let unwritable = |error: postcard::Error| Error::Snapshot(error.to_string());
+        let mut envs = vec![Env::zeros(&self.robot.topology); self.num_envs()];
+        envs.iter_mut().enumerate().for_each(|(index, env)| self.engine.fetch(index, EnvRows::of(env)));
         let engine = self.engine.save().map_err(unwritable)?;
-        let snapshot = Snapshot { steps: self.steps, envs: self.envs.clone(), bodies: self.bodies.clone(), engine };
+        let snapshot = Snapshot { steps: self.steps, envs, bodies: self.bodies.clone(), engine };
         sealed::seal(&self.header(), &snapshot).map_err(unwritable)
     }
 
@@ -60,8 +62,9 @@ impl Simulation {
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // nothing is written before all is checked
-        let envs_fit = snapshot.envs.len() == self.num_envs()
-            && snapshot.envs.iter().zip(&self.envs).all(|(env, ours)| env.fits(ours, &self.robot.topology));
+        let (topology, zeros) = (&self.robot.topology, Env::zeros(&self.robot.topology));
+        let envs_fit =
+            snapshot.envs.len() == self.num_envs() && snapshot.envs.iter().all(|env| env.fits(&zeros, topology));
         let bodies_fit = snapshot.bodies.len() == self.num_envs()
             && snapshot.bodies.iter().zip(&self.bodies).all(|(body, ours)| body.has_sizes_of(ours));
         // steps are counted on from there
@@ -71,8 +74,9 @@ impl Simulation {
         }
         let unreadable = |error: postcard::Error| Error::Snapshot(format!("its engine's part cannot be read: {error}"));
         self.engine.check(&snapshot.engine).map_err(unreadable)?;
-        (self.steps, self.envs) = (snapshot.steps, snapshot.envs);
-        for (env, mut body) in snapshot.bodies.into_iter().enumerate() {
+        self.steps = snapshot.steps;
+        for (env, (mut state, mut body)) in snapshot.envs.into_iter().zip(snapshot.bodies).enumerate() {
+            self.engine.restart(env, EnvRows::of(&mut state));
             // lists that did not change stay shared
             body.share(&self.bodies[env]);
             self.engine.upload(env, &body);

@@ -1,13 +1,15 @@
-//! The articulated engine: robots of a morphology are gathered into packs, stepped side by side, and scattered back to their components.
+//! The articulated engine: robots of a morphology are stepped side by side in packs.
 //!
-//! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
-//! that broke is noticed together with what it came from, see [`DivergenceRecord`].
+//! Robots that are at home in their rows are gathered into packs before a step and scattered back after it. In between the pack holds the
+//! new states and the rows still the old ones. There a state that broke is noticed together with what it came from, see
+//! [`DivergenceRecord`]. Resident robots stay in their packs.
 
 mod ordering;
 mod parameter_deltas;
 mod workspace;
 
 use std::cmp::Reverse;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run};
@@ -15,21 +17,34 @@ use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, Real, StepSe
 use crate::workers::{Pool, SplitRows, Workers};
 use ordering::{DemandBits, PackOrder};
 use parameter_deltas::ParameterDeltas;
-use workspace::PackWorkspace;
+use workspace::{Pack, PackWorkspace};
 
 /// Neighbouring rows of one morphology, which a thread steps pack by pack.
-struct Task<'a, R> {
+struct Task<'a, L: Real, R> {
     morphology: usize,
     /// The first one, among those of the morphology.
     first: usize,
     rows: R,
     /// See [`Packs::keys`].
     keys: &'a mut [u32],
+    resident: Resident<'a, L>,
+}
+
+/// Packs of resident robots; none where robots are at home in their rows. Rows are cut where packs end.
+struct Resident<'a, L: Real>(&'a mut [Pack<L>]);
+
+impl<L: Real> SplitRows for Resident<'_, L> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let (first, rest) = self.0.split_at_mut(n.div_ceil(L::LANES).min(self.0.len()));
+        (Self(first), Self(rest))
+    }
 }
 
 /// The robots of a morphology, and what they keep from one control step to the next beyond their rows.
 struct Bodies<L, T> {
     first_env: usize,
+    /// Where its packs begin in [`Packs::resident`].
+    first_pack: usize,
     count: usize,
     topology: Topology,
     nominal: Parameters<L>,
@@ -58,6 +73,8 @@ pub(crate) struct Packs<L: Kernels, T> {
     order: Vec<usize>,
     /// Of each env, see [`DemandBits`]. They decide how fast a step is and nothing else.
     keys: Vec<u32>,
+    /// Of all resident robots, the packs of one morphology after the other's.
+    resident: Vec<Pack<L>>,
     scratch: Pool<Scratch<L>>,
 }
 
@@ -67,12 +84,15 @@ impl<L: Kernels, T: Real> Packs<L, T> {
         settings: StepSettings,
         terrain: Option<Arc<HeightGrid>>,
         kinds: &[Kind<T>],
+        resident: bool,
         threads: usize,
     ) -> Self {
-        let (mut bodies, mut first_env) = (Vec::new(), 0);
-        for Kind { topology, nominal, body_groups, count, .. } in kinds {
+        let (mut bodies, mut first_env, mut packs) = (Vec::new(), 0, Vec::new());
+        for kind in kinds {
+            let Kind { topology, nominal, body_groups, count, .. } = kind;
             bodies.push(Bodies {
                 first_env,
+                first_pack: packs.len(),
                 count: *count,
                 topology: (*topology).clone(),
                 nominal: Parameters::from_scalars(topology, nominal),
@@ -82,6 +102,9 @@ impl<L: Kernels, T: Real> Packs<L, T> {
                 bits: DemandBits::new(body_groups, topology.blocks().len()),
             });
             first_env += count;
+            if resident {
+                packs.resize(packs.len() + count.div_ceil(L::LANES), Pack::new(kind, 1));
+            }
         }
         let bench = |(kind, of): (&Kind<T>, &Bodies<L, T>)| PackWorkspace::new(kind, &of.nominal, settings.decimation);
         let scratch = Pool::new(threads, || Scratch {
@@ -90,7 +113,15 @@ impl<L: Kernels, T: Real> Packs<L, T> {
         });
         let mut order: Vec<usize> = (0..bodies.len()).collect();
         order.sort_by_key(|&morphology| Reverse(bodies[morphology].topology.num_impulses()));
-        Self { settings, terrain, bodies, order, keys: vec![0; first_env], scratch }
+        Self { settings, terrain, bodies, order, keys: vec![0; first_env], resident: packs, scratch }
+    }
+
+    /// The pack of a resident robot, and its lanes: idle lanes shadow the last robot of a morphology.
+    fn place(&self, env: usize) -> (usize, Range<usize>) {
+        let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
+        let Bodies { first_env, first_pack, count, .. } = &self.bodies[morphology];
+        let (row, lane) = (env - first_env, (env - first_env) % L::LANES);
+        (first_pack + row / L::LANES, lane..if row + 1 == *count { L::LANES } else { lane + 1 })
     }
 
     /// The tasks of a control step. The last ones are small, so that threads end together. Robots find their like among those of their
@@ -101,8 +132,9 @@ impl<L: Kernels, T: Real> Packs<L, T> {
         workers: &Workers,
         rows: R,
         keys: &'a mut [u32],
-    ) -> Vec<Task<'a, R>> {
-        let mut rest = (rows, keys);
+        resident: &'a mut [Pack<L>],
+    ) -> Vec<Task<'a, L, R>> {
+        let mut rest = (rows, keys, Resident(resident));
         let mut kinds = Vec::with_capacity(bodies.len());
         for of in bodies {
             let (mine, more) = rest.split_rows(of.count);
@@ -117,8 +149,8 @@ impl<L: Kernels, T: Real> Packs<L, T> {
             while let Some(kind) = rest {
                 let packs = workers.share(left, 1).min((count - first).div_ceil(L::LANES));
                 let n = (packs * L::LANES).min(count - first);
-                let ((rows, keys), more) = kind.split_rows(n);
-                tasks.push(Task { morphology, first, rows, keys });
+                let ((rows, keys, resident), more) = kind.split_rows(n);
+                tasks.push(Task { morphology, first, rows, keys, resident });
                 (left, first) = (left - packs, first + n);
                 rest = Some(more).filter(|_| first < count);
             }
@@ -131,7 +163,7 @@ impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
     fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
         if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {
-            *alike &= parameters.is_alike(nominal);
+            *alike = *alike && parameters.is_alike(nominal);
             own.set_row(env - *first_env, *count, parameters, nominal);
         }
     }
@@ -142,27 +174,47 @@ impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
         }
     }
 
+    fn fetch(&self, env: usize, mut rows: F::Rows<'_>) {
+        let (pack, lanes) = self.place(env);
+        self.resident[pack].write_row(&mut rows, 0, lanes.start);
+    }
+
+    fn restart(&mut self, env: usize, rows: F::Rows<'_>) {
+        let (pack, lanes) = self.place(env);
+        self.resident[pack].restart(&rows, 0, lanes);
+    }
+
     fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
-        let Self { settings, terrain, bodies, order, keys, scratch } = self;
+        let Self { settings, terrain, bodies, order, keys, resident, scratch } = self;
         let terrain = terrain.as_deref();
         let found = Mutex::new(Vec::new());
-        let tasks = Self::share_out(bodies, order, workers, rows, keys);
-        workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys }| {
+        let tasks = Self::share_out(bodies, order, workers, rows, keys, resident);
+        workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys, resident }| {
             scratch.with(|Scratch { benches, pack_ordering }| {
                 let Bodies { first_env, topology, kind, alike, own, bits, .. } = &bodies[morphology];
-                let bench = &mut benches[morphology];
-                let mix = L::LANES > 1 && own.may_mix();
+                let PackWorkspace { nominal, without_gains, work, pack: visitors } = &mut benches[morphology];
+                let mix = !F::RESIDENT && own.may_mix();
                 let order = if mix { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
-                for (pack, lanes) in order.chunks(L::LANES).enumerate() {
-                    bench.gather(&rows, lanes);
-                    // the next ones: where rows are not in the order of memory, the machine does not see them come
-                    for &row in order.iter().skip((pack + 1) * L::LANES).take(L::LANES) {
-                        rows.prefetch(row);
-                    }
+                for (index, lanes) in order.chunks(L::LANES).enumerate() {
+                    let pack = match resident.0.get_mut(index) {
+                        Some(pack) => {
+                            pack.gather_drive(&rows, lanes);
+                            pack.make_room(run.steps.min(settings.decimation));
+                            pack
+                        }
+                        None => {
+                            visitors.gather(&rows, lanes);
+                            // the next ones: where rows are not in the order of memory, the machine does not see them come
+                            for &row in order.iter().skip((index + 1) * L::LANES).take(L::LANES) {
+                                rows.prefetch(row);
+                            }
+                            &mut *visitors
+                        }
+                    };
                     let parameters = if run.gains {
-                        own.of_pack(first, pack, lanes, &mut bench.nominal)
+                        own.of_pack(first, index, lanes, nominal)
                     } else {
-                        own.of_pack_without_gains(first, pack, lanes, &mut bench.without_gains)
+                        own.of_pack_without_gains(first, index, lanes, without_gains)
                     };
                     let mut left = run.steps;
                     while left > 0 {
@@ -170,23 +222,25 @@ impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
                         let step = ControlStep {
                             topology,
                             settings: &StepSettings { decimation, ..*settings },
-                            terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
+                            terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
                             parameters,
                             kind: Some(kind).filter(|_| *alike && run.gains),
-                            drive: &bench.drive,
-                            state: &mut bench.state,
-                            report: &mut bench.report,
-                            work: &mut bench.work,
+                            drive: &pack.drive,
+                            state: &mut pack.state,
+                            report: &mut pack.report,
+                            work: &mut *work,
                         };
                         step.run();
                         left -= decimation;
                     }
-                    let broken = if run.watched[morphology] { bench.first_broken(run.limits, lanes) } else { None };
-                    let evidence = rows.record(broken, morphology, first_env + first, |rows| {
-                        bench.scatter(rows, lanes);
-                    });
+                    pack.note_touching();
+                    if F::RESIDENT {
+                        continue;
+                    }
+                    let broken = if run.watched[morphology] { pack.first_broken(run.limits, lanes) } else { None };
+                    let evidence = rows.record(broken, morphology, first_env + first, |rows| pack.scatter(rows, lanes));
                     for (lane, &row) in lanes.iter().enumerate() {
-                        keys[row] = bits.key(&bench.report.demands, lane);
+                        keys[row] = bits.key(&pack.report.demands, lane);
                     }
                     if let Some(evidence) = evidence {
                         found.lock().unwrap_or_else(PoisonError::into_inner).push(evidence);

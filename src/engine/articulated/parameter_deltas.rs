@@ -29,25 +29,19 @@ impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
     /// Takes over the numbers of the body in one of `count` rows; `nominal` are the morphology's.
     pub(super) fn set_row(&mut self, row: usize, count: usize, body: &Parameters<T>, nominal: &Parameters<L>) {
         if let Self::Few { places, values } = self {
-            let new = new_places(places, body, nominal);
+            let new = set_known(places, row_of(values, row, places.len()), body, nominal);
+            if new.is_empty() {
+                return;
+            }
             if places.len() + new.len() > FEW {
                 self.keep_all(count, nominal);
-            } else if !new.is_empty() {
+            } else {
                 (*places, *values) = with_places(places, values, count, &new);
             }
         }
         match self {
             Self::Few { places, values } => {
-                let row = &mut values[row * places.len()..(row + 1) * places.len()];
-                let (mut place, mut known) = (0, 0);
-                nominal.any_with(body, |_, &x| {
-                    if places.get(known) == Some(&place) {
-                        row[known] = x;
-                        known += 1;
-                    }
-                    place += 1;
-                    known == row.len()
-                });
+                set_known(places, row_of(values, row, places.len()), body, nominal);
             }
             Self::All(packs) => {
                 let lane = row % L::LANES;
@@ -119,19 +113,30 @@ impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
     }
 }
 
-/// Further places where a body differs, with the morphology's numbers, but no more than make too many.
-fn new_places<L: Lanes, T: Real>(known: &[u32], body: &Parameters<T>, nominal: &Parameters<L>) -> Vec<(u32, T)> {
+fn row_of<T>(values: &mut [T], row: usize, width: usize) -> &mut [T] {
+    &mut values[row * width..(row + 1) * width]
+}
+
+/// Writes a body's numbers at the known places to its row. Returns further places where it differs, with the morphology's numbers, but no
+/// more than make too many.
+fn set_known<L: Lanes, T: Real>(
+    places: &[u32],
+    row: &mut [T],
+    body: &Parameters<T>,
+    nominal: &Parameters<L>,
+) -> Vec<(u32, T)> {
     let mut new = Vec::new();
-    let (mut place, mut passed) = (0, 0);
+    let (mut place, mut known) = (0, 0);
     nominal.any_with(body, |shared, &x| {
         let shared = T::splat(shared.lane(0));
-        if known.get(passed) == Some(&place) {
-            passed += 1;
+        if places.get(known) == Some(&place) {
+            row[known] = x;
+            known += 1;
         } else if shared.lane(0).to_bits() != x.lane(0).to_bits() {
             new.push((place, shared));
         }
         place += 1;
-        known.len() + new.len() > FEW
+        places.len() + new.len() > FEW
     });
     new
 }

@@ -1,22 +1,20 @@
-//! Packs between components and kernel: robots are gathered into lanes and scattered back.
+//! Packs between rows and kernel: robots are read into lanes and written back.
 
-use super::super::{Kind, RobotRows, StateLimits, StateNumbers, get, history_length, put, state_numbers};
+use std::ops::Range;
+
+use super::super::{Kind, RobotRows, StateLimits, StateNumbers, ask_nothing, get, history_length, put, state_numbers};
 use crate::components::ContactImpulse;
 use crate::dynamics::lanes::Kernel;
 use crate::dynamics::{Drive, Lanes, Parameters, Real, Report, State, Workspace};
 
-/// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
-pub(super) struct PackWorkspace<L: Real> {
+/// One pack: robots side by side in lanes. The numbers of their bodies are elsewhere.
+#[derive(Clone)]
+pub(super) struct Pack<L: Real> {
     /// Where the envs' origins are on the terrain, m.
     pub(super) origin: [L; 2],
-    /// Of a body as the morphology has it.
-    pub(super) nominal: Parameters<L>,
-    /// The same without gains.
-    pub(super) without_gains: Parameters<L>,
     pub(super) state: State<L>,
     pub(super) drive: Drive<L>,
     pub(super) report: Report<L>,
-    pub(super) work: Workspace<L>,
     /// Which of the state's impulses are pressing.
     presses: Vec<bool>,
     /// The contact bodies that are feet.
@@ -25,52 +23,109 @@ pub(super) struct PackWorkspace<L: Real> {
     touching: Vec<usize>,
 }
 
+/// Where a thread steps one pack of a morphology after the other.
+pub(super) struct PackWorkspace<L: Real> {
+    /// Of a body as the morphology has it.
+    pub(super) nominal: Parameters<L>,
+    /// The same without gains.
+    pub(super) without_gains: Parameters<L>,
+    pub(super) work: Workspace<L>,
+    /// A pack whose robots are at home in rows; its contents mean nothing between two.
+    pub(super) pack: Pack<L>,
+}
+
 impl<L: Lanes> PackWorkspace<L> {
     /// For a kind whose numbers are `nominal` in every lane.
     pub(super) fn new<T>(kind: &Kind<T>, nominal: &Parameters<L>, decimation: usize) -> Self {
-        let topology = kind.topology;
-        let state = State::zeros(topology);
         Self {
-            origin: [L::zero(); 2],
             nominal: nominal.clone(),
             without_gains: nominal.clone(),
-            presses: vec![false; state.impulse.len()],
-            feet: kind.feet.to_vec(),
-            touching: Vec::new(),
-            state,
+            work: Workspace::new(kind.topology),
+            pack: Pack::new(kind, decimation),
+        }
+    }
+}
+
+impl<L: Lanes> Pack<L> {
+    /// At rest at the world's origin.
+    pub(super) fn new<T>(kind: &Kind<T>, decimation: usize) -> Self {
+        let topology = kind.topology;
+        Self {
+            origin: [L::zero(); 2],
+            state: State::zeros(topology),
             drive: Drive::zeros(topology, history_length(kind.max_delay, decimation)),
             report: Report::zeros(topology, decimation),
-            work: Workspace::new(topology),
+            presses: vec![false; topology.num_impulses()],
+            feet: kind.feet.to_vec(),
+            touching: Vec::new(),
         }
     }
 
-    /// Reads rows into the lanes; lanes beyond them shadow the last row.
+    /// Reads rows into the lanes; lanes beyond them shadow the last row, so that they cost and break nothing.
     pub(super) fn gather(&mut self, rows: &impl RobotRows, order: &[usize]) {
         for &contact in &self.state.pressing {
             self.state.impulse[contact as usize] = [L::zero(); 3];
         }
         self.presses.fill(false);
         self.state.pressing.clear();
+        ask_nothing(&mut self.drive);
         for lane in 0..L::LANES {
-            // idle lanes shadow the last robot
             let row = order[lane.min(order.len() - 1)];
-            let state = &mut self.state;
-            rows.read_motion(row, state, lane);
-            put(&mut self.origin, &rows.origin(row), lane);
-            let (contacts, bounds) = rows.impulses(row);
-            for ContactImpulse { contact, impulse } in contacts {
-                let contact = *contact as usize;
-                if let (Some(all), Some(presses)) = (state.impulse.get_mut(contact), self.presses.get_mut(contact)) {
-                    put(all, impulse, lane);
-                    if !std::mem::replace(presses, true) {
-                        state.pressing.push(contact as u32);
-                    }
-                }
-            }
-            put(&mut state.bound_impulse, bounds, lane);
+            self.read_row(rows, row, lane);
             rows.read_drive(row, &mut self.drive, lane);
         }
         self.state.pressing.sort_unstable();
+    }
+
+    /// Reads what is asked of the robots in rows alone.
+    pub(super) fn gather_drive(&mut self, rows: &impl RobotRows, order: &[usize]) {
+        ask_nothing(&mut self.drive);
+        for lane in 0..L::LANES {
+            rows.read_drive(order[lane.min(order.len() - 1)], &mut self.drive, lane);
+        }
+    }
+
+    /// Makes room for the normal forces of so many physics steps.
+    pub(super) fn make_room(&mut self, steps: usize) {
+        let Report { normal_force, body_force, .. } = &mut self.report;
+        if normal_force.len() < steps {
+            normal_force.resize(steps, vec![L::zero(); body_force.len()]);
+        }
+    }
+
+    /// Reads state and report of a row into some lanes, and leaves the others as they are.
+    pub(super) fn restart(&mut self, rows: &impl RobotRows, row: usize, lanes: Range<usize>) {
+        self.presses.fill(false);
+        for &contact in &self.state.pressing {
+            self.presses[contact as usize] = true;
+            for lane in lanes.clone() {
+                put(&mut self.state.impulse[contact as usize], &[0.0; 3], lane);
+            }
+        }
+        for lane in lanes {
+            self.read_row(rows, row, lane);
+            rows.read_report(row, &mut self.report, lane);
+        }
+        self.state.pressing.sort_unstable();
+        self.note_touching();
+    }
+
+    #[inline]
+    fn read_row(&mut self, rows: &impl RobotRows, row: usize, lane: usize) {
+        let state = &mut self.state;
+        rows.read_motion(row, state, lane);
+        put(&mut self.origin, &rows.origin(row), lane);
+        let (contacts, bounds) = rows.impulses(row);
+        for ContactImpulse { contact, impulse } in contacts {
+            let contact = *contact as usize;
+            if let (Some(all), Some(presses)) = (state.impulse.get_mut(contact), self.presses.get_mut(contact)) {
+                put(all, impulse, lane);
+                if !std::mem::replace(presses, true) {
+                    state.pressing.push(contact as u32);
+                }
+            }
+        }
+        put(&mut state.bound_impulse, bounds, lane);
     }
 
     /// The first of the lanes' rows whose new state is not finite or beyond the limits.
@@ -83,25 +138,37 @@ impl<L: Lanes> PackWorkspace<L> {
         rows.map(|(_, &row)| row).min()
     }
 
-    /// Writes the lanes to rows.
-    pub(super) fn scatter<R: RobotRows>(&mut self, rows: &mut R, order: &[usize]) {
-        let Self { state, report, feet, touching, .. } = self;
+    /// Finds the bodies that [`write_row`](Self::write_row) reports, after a step.
+    pub(super) fn note_touching(&mut self) {
+        let Self { report, feet, touching, .. } = self;
         touching.clear();
         touching.extend((0..report.touched.len()).filter(|body| report.touched[*body] && !feet.contains(body)));
+    }
+
+    /// Writes the lanes to rows.
+    pub(super) fn scatter(&self, rows: &mut impl RobotRows, order: &[usize]) {
         for (lane, &row) in order.iter().enumerate() {
-            rows.write_motion(row, state, lane);
-            let (contacts, bounds) = rows.impulses_mut(row);
-            contacts.clear();
-            for &contact in &state.pressing {
-                let impulse = state.impulse[contact as usize].map(|x| x.lane(lane));
-                // those of the lane's own alone
-                if impulse != [0.0; 3] {
-                    contacts.push(ContactImpulse { contact, impulse: impulse.map(R::Number::splat) });
-                }
-            }
-            get(&state.bound_impulse, bounds, lane);
-            rows.write_report(row, report, feet, touching, lane);
+            self.write_row(rows, row, lane);
         }
+    }
+
+    /// Writes a lane to a row.
+    #[inline]
+    pub(super) fn write_row<R: RobotRows>(&self, rows: &mut R, row: usize, lane: usize) {
+        let state = &self.state;
+        rows.write_motion(row, state, lane);
+        let (contacts, bounds) = rows.impulses_mut(row);
+        contacts.clear();
+        for &contact in &state.pressing {
+            let mut impulse = [R::Number::zero(); 3];
+            get(&state.impulse[contact as usize], &mut impulse, lane);
+            // those of the lane's own alone
+            if impulse.iter().any(|x| x.lane(0) != 0.0) {
+                contacts.push(ContactImpulse { contact, impulse });
+            }
+        }
+        get(&state.bound_impulse, bounds, lane);
+        rows.write_report(row, &self.report, &self.feet, &self.touching, lane);
     }
 }
 

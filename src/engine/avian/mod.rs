@@ -61,7 +61,7 @@ pub(crate) struct Settings {
 }
 
 /// Robots of one kind, one in each env.
-pub(crate) struct Engine {
+struct Worlds {
     topology: Topology,
     chunks: Vec<Chunk>,
     /// Envs in each chunk but the last.
@@ -86,16 +86,20 @@ struct Chunk {
 
 /// What is known of an env between steps.
 struct Env {
-    /// Where its origin is in the world, m.
+    /// Where its origin is in the world, m. A state that is set afterwards is about it.
     origin: DVec3,
+    /// What was set, or what its bodies came to since.
     state: State<f64>,
     parameters: Parameters<f64>,
+    /// Mean effort of each actuator in the last physics step, N m.
     effort: Vec<f64>,
+    /// Mean force on each contact body in the last physics step, N, world axes.
     force: Vec<[f64; 3]>,
+    /// Sum of the normal forces of each contact body's contacts in the last physics step, N.
     normal_force: Vec<f64>,
 }
 
-impl Engine {
+impl Worlds {
     /// The robots of a kind in up to `num_chunks` worlds, each among the same `statics`; `nominal` are their numbers.
     pub(crate) fn new<T>(
         kind: &Kind<T>,
@@ -150,34 +154,22 @@ impl Engine {
         (&mut self.chunks[env / self.per_chunk], env % self.per_chunk)
     }
 
-    /// The state of an env: what was set, or what its bodies came to since.
-    pub(crate) fn state(&self, env: usize) -> &State<f64> {
+    /// What is known of an env.
+    fn env(&self, env: usize) -> &Env {
         let (chunk, i) = self.at(env);
-        &chunk.envs[i].state
+        &chunk.envs[i]
+    }
+
+    /// The same. Numbers that the world also has are set by methods of their own.
+    fn env_mut(&mut self, env: usize) -> &mut Env {
+        let (chunk, i) = self.at_mut(env);
+        &mut chunk.envs[i]
     }
 
     /// Puts all links where forward kinematics has them; contacts and joints begin anew.
     pub(crate) fn set_state(&mut self, env: usize, state: &State<f64>) {
         let (chunk, i) = (&mut self.chunks[env / self.per_chunk], env % self.per_chunk);
         chunk.set_state(&self.topology, i, state);
-    }
-
-    /// Where an env's origin is, m. A state that is set afterwards is about it.
-    pub(crate) fn set_origin(&mut self, env: usize, [x, y]: [f32; 2]) {
-        let (chunk, i) = self.at_mut(env);
-        chunk.envs[i].origin = DVec3::new(f64::from(x), f64::from(y), 0.0);
-    }
-
-    /// See [`set_origin`](Self::set_origin).
-    pub(crate) fn origin(&self, env: usize) -> [f32; 2] {
-        let (chunk, i) = self.at(env);
-        chunk.envs[i].origin.truncate().as_vec2().to_array()
-    }
-
-    /// The numbers of an env.
-    pub(crate) fn parameters(&self, env: usize) -> &Parameters<f64> {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].parameters
     }
 
     /// Sets the numbers of an env; positions stay, and so do the velocities of the links' origins.
@@ -198,24 +190,6 @@ impl Engine {
     pub(crate) fn set_wrench(&mut self, env: usize, force: [f32; 3], torque: [f32; 3]) {
         let (chunk, i) = self.at_mut(env);
         chunk.joints.wrenches[i] = Wrench { force: Vec3::from_array(force), torque: Vec3::from_array(torque) };
-    }
-
-    /// Mean effort of each actuator in the last physics step, N m.
-    pub(crate) fn effort(&self, env: usize) -> &[f64] {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].effort
-    }
-
-    /// Mean force on each contact body in the last physics step, N, world axes.
-    pub(crate) fn force(&self, env: usize) -> &[[f64; 3]] {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].force
-    }
-
-    /// Sum of the normal forces of each contact body's contacts in the last physics step, N.
-    pub(crate) fn normal_force(&self, env: usize) -> &[f64] {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].normal_force
     }
 
     /// How far the links' origins are from where forward kinematics of the state has them, at most, m.

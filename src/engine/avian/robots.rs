@@ -3,8 +3,12 @@
 //! The engine keeps the robots between control steps. What a reset or a push has written into a robot's row is set
 //! there first, and the robot's contacts begin anew; a robot whose row is as the engine left it goes on.
 
-use super::super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run, StateLimits, state_numbers};
-use super::{EngineError, Settings};
+use glam::DVec2;
+
+use super::super::{
+    DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run, StateLimits, ask_nothing, history_length, state_numbers,
+};
+use super::{EngineError, Env, Settings, Worlds};
 use crate::dynamics::{Drive, Parameters, Real, Report, Scalar, State, StepSettings, Topology, Workspace};
 use crate::obstacles::Part;
 use crate::workers::{SplitRows, Workers};
@@ -18,7 +22,7 @@ pub(crate) struct AvianRobots {
 struct Block {
     first_env: usize,
     count: usize,
-    engine: super::Engine,
+    worlds: Worlds,
     topology: Topology,
     explicit: Vec<bool>,
     work: Workspace<f64>,
@@ -64,14 +68,14 @@ impl AvianRobots {
 
 impl<F: RowFamily> Engine<F> for AvianRobots {
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
-        let robots = self.blocks.iter().flat_map(|block| (0..block.count).map(|env| block.engine.save(env)));
+        let robots = self.blocks.iter().flat_map(|block| (0..block.count).map(|env| block.worlds.save(env)));
         robots.collect()
     }
 
     fn check(&self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         for block in &self.blocks {
             let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-            block.engine.saved(mine)?;
+            block.worlds.saved(mine)?;
             envs = rest;
         }
         if envs.is_empty() { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
@@ -81,7 +85,7 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         Engine::<F>::check(self, envs)?;
         for block in &mut self.blocks {
             let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-            block.engine.load(mine)?;
+            block.worlds.load(mine)?;
             envs = rest;
         }
         Ok(())
@@ -91,7 +95,7 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         let (block, row) = self.at(env);
         if let Some(block) = self.blocks.get_mut(block) {
             let parameters = Parameters::from_scalars(&block.topology, parameters);
-            block.engine.set_parameters(row, &parameters);
+            block.worlds.set_parameters(row, &parameters);
         }
     }
 
@@ -99,10 +103,26 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         self.blocks[morphology].explicit.copy_from_slice(explicit);
     }
 
+    fn fetch(&self, env: usize, mut rows: F::Rows<'_>) {
+        let (block, row) = self.at(env);
+        let block = &self.blocks[block];
+        let mut report = Report::zeros(&block.topology, 1);
+        let env = block.worlds.env(row);
+        report.joint_effort.copy_from_slice(&env.effort);
+        report.body_force.copy_from_slice(&env.force);
+        rows.write_motion(0, &env.state, 0);
+        rows.write_report(0, &report, &block.feet, &block.others, 0);
+    }
+
     fn restart(&mut self, env: usize, rows: F::Rows<'_>) {
         let (block, row) = self.at(env);
-        let (_, rows) = rows.split_rows(env - row);
-        self.blocks[block].place(row, &rows);
+        let block = &mut self.blocks[block];
+        rows.read_motion(0, &mut block.state, 0);
+        rows.read_report(0, &mut block.report, 0);
+        block.worlds.set_state(row, &block.state);
+        let env = block.worlds.env_mut(row);
+        env.effort.copy_from_slice(&block.report.joint_effort);
+        env.force.copy_from_slice(&block.report.body_force);
     }
 
     fn step(&mut self, workers: &Workers, mut rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
@@ -110,17 +130,22 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         for (morphology, block) in self.blocks.iter_mut().enumerate() {
             let (mut mine, more) = rows.split_rows(block.count);
             rows = more;
-            block.gather(&mine);
+            if !F::RESIDENT {
+                block.gather(&mine);
+            }
+            block.gather_drive(&mine);
             block.step(workers, run);
-            let broken = if run.watched[morphology] { block.first_broken(run.limits) } else { None };
-            found.extend(mine.record(broken, morphology, block.first_env, |rows| block.scatter(rows)));
+            if !F::RESIDENT {
+                let broken = if run.watched[morphology] { block.first_broken(run.limits) } else { None };
+                found.extend(mine.record(broken, morphology, block.first_env, |rows| block.scatter(rows)));
+            }
         }
         found
     }
 
     fn link_drift(&self, env: usize) -> f64 {
         let (block, row) = self.at(env);
-        self.blocks[block].engine.drift(row)
+        self.blocks[block].worlds.drift(row)
     }
 }
 
@@ -137,11 +162,11 @@ impl Block {
         let nominal = Parameters::from_scalars(&topology, kind.nominal);
         let &StepSettings { dt, decimation, gravity, .. } = settings;
         let of_worlds = Settings { dt, substeps, gravity, ground: settings.contact.ground };
-        let (count, ages) = (kind.count, super::super::history_length(kind.max_delay, decimation));
+        let (count, ages) = (kind.count, history_length(kind.max_delay, decimation));
         Ok(Self {
             first_env,
             count,
-            engine: super::Engine::new(kind, &nominal, &of_worlds, statics, chunks)?,
+            worlds: Worlds::new(kind, &nominal, &of_worlds, statics, chunks)?,
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
             work: Workspace::new(&topology),
             report: Report::zeros(&topology, decimation),
@@ -157,32 +182,33 @@ impl Block {
         })
     }
 
-    /// Puts a robot where its row has it.
-    fn place(&mut self, row: usize, rows: &impl RobotRows) {
-        self.engine.set_origin(row, rows.origin(row));
-        rows.read_motion(row, &mut self.state, 0);
-        self.engine.set_state(row, &self.state);
-    }
-
-    /// Places the robots whose rows are not what the engine left, and takes over what is asked of all.
+    /// Sets the robots whose rows are not what the engine left.
     fn gather<R: RobotRows>(&mut self, rows: &R) {
         for row in 0..self.count {
             rows.read_motion(row, &mut self.state, 0);
-            let (ours, theirs) = (self.engine.state(row), &self.state);
+            let (Env { state: ours, origin: at, .. }, theirs) = (self.worlds.env(row), &self.state);
+            let origin = DVec2::from_array(rows.origin(row).map(f64::from)).extend(0.0);
             let same = equal::<R::Number>(&ours.position, &theirs.position)
                 && equal::<R::Number>(&ours.rotation, &theirs.rotation)
                 && equal::<R::Number>(&ours.linear_velocity, &theirs.linear_velocity)
                 && equal::<R::Number>(&ours.angular_velocity, &theirs.angular_velocity)
                 && equal::<R::Number>(&ours.joint_position, &theirs.joint_position)
                 && equal::<R::Number>(&ours.joint_velocity, &theirs.joint_velocity)
-                && self.engine.origin(row) == rows.origin(row);
+                && *at == origin;
             if !same {
-                self.place(row, rows);
+                self.worlds.env_mut(row).origin = origin;
+                self.worlds.set_state(row, &self.state);
             }
-            let drive = &mut self.drives[row];
+        }
+    }
+
+    /// Takes over what is asked of the robots.
+    fn gather_drive(&mut self, rows: &impl RobotRows) {
+        for (row, drive) in self.drives.iter_mut().enumerate() {
+            ask_nothing(drive);
             rows.read_drive(row, drive, 0);
             let [force, torque] = [drive.base_force, drive.base_torque].map(|v| v.map(|x| x as f32));
-            self.engine.set_wrench(row, force, torque);
+            self.worlds.set_wrench(row, force, torque);
         }
     }
 
@@ -193,7 +219,7 @@ impl Block {
             if step + 1 == run.steps {
                 self.remember_velocities();
             }
-            self.engine.step(workers, &self.explicit, run.gains, 1);
+            self.worlds.step(workers, &self.explicit, run.gains, 1);
             self.note_forces(substep);
         }
     }
@@ -206,7 +232,7 @@ impl Block {
                 let late = delay[joint].round() as usize;
                 let seen = |age: &usize| substep + (age - 1) * self.decimation < late;
                 let age = (1..targets.len()).rev().find(seen).unwrap_or(0);
-                self.engine.set_drive(row, joint, targets[age][joint], feedforward[joint]);
+                self.worlds.set_drive(row, joint, targets[age][joint], feedforward[joint]);
             }
         }
     }
@@ -214,14 +240,14 @@ impl Block {
     fn remember_velocities(&mut self) {
         let joints = self.topology.num_joints();
         for (row, before) in self.before.chunks_exact_mut(joints.max(1)).enumerate() {
-            before.copy_from_slice(&self.engine.state(row).joint_velocity);
+            before.copy_from_slice(&self.worlds.env(row).state.joint_velocity);
         }
     }
 
     fn note_forces(&mut self, substep: usize) {
         for row in 0..self.count {
             let first = (row * self.decimation + substep) * self.topology.num_bodies;
-            for (to, normal) in self.normal[first..].iter_mut().zip(self.engine.normal_force(row)) {
+            for (to, normal) in self.normal[first..].iter_mut().zip(&self.worlds.env(row).normal_force) {
                 *to = *normal as f32;
             }
         }
@@ -230,7 +256,8 @@ impl Block {
     /// The first robot whose new state is not finite or beyond the limits.
     fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
         (0..self.count).find(|&row| {
-            let numbers = state_numbers(self.engine.state(row), self.engine.effort(row));
+            let Env { state, effort, .. } = self.worlds.env(row);
+            let numbers = state_numbers(state, effort);
             limits.violation(numbers, |x| x as f32).is_some()
         })
     }
@@ -238,21 +265,21 @@ impl Block {
     fn scatter(&mut self, rows: &mut impl RobotRows) {
         let (joints, bodies) = (self.topology.num_joints(), self.topology.num_bodies);
         for row in 0..self.count {
-            let (state, report) = (self.engine.state(row), &mut self.report);
+            let (Env { state, parameters, effort, force, .. }, report) = (self.worlds.env(row), &mut self.report);
             rows.write_motion(row, state, 0);
-            report.joint_effort.copy_from_slice(self.engine.effort(row));
+            report.joint_effort.copy_from_slice(effort);
             let before = &self.before[row * joints..(row + 1) * joints];
             for ((to, new), old) in report.joint_acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
                 *to = (new - old) / self.dt;
             }
-            report.body_force.copy_from_slice(self.engine.force(row));
+            report.body_force.copy_from_slice(force);
             for (step, normal) in report.normal_force.iter_mut().enumerate() {
                 let first = (row * self.decimation + step) * bodies;
                 for (to, &from) in normal.iter_mut().zip(&self.normal[first..]) {
                     *to = f64::from(from);
                 }
             }
-            f64::report_sites(&self.topology, self.engine.parameters(row), state, report, &mut self.work);
+            f64::report_sites(&self.topology, parameters, state, report, &mut self.work);
             rows.write_report(row, report, &self.feet, &self.others, 0);
         }
     }

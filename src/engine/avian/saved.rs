@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::world::{Tangents, push_contacts};
-use super::{Chunk, Engine};
+use super::{Chunk, Worlds};
 
 /// One robot, to the bit.
 #[derive(Serialize, Deserialize)]
@@ -59,7 +59,7 @@ struct SavedPoint {
     tangent: [f32; 2],
 }
 
-impl Engine {
+impl Worlds {
     /// The robot of an env, as bytes.
     pub(crate) fn save(&self, env: usize) -> Result<Vec<u8>, postcard::Error> {
         let (chunk, i) = self.at(env);
