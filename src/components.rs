@@ -270,11 +270,11 @@ pub struct JointEffort {
 
 /// A contact's impulse.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ContactImpulse {
+pub struct ContactImpulse<T = f32> {
     /// Which contact candidate, or after those which pair of links.
     pub contact: u32,
     /// Along the normal and two tangents, N s.
-    pub impulse: [f32; 3],
+    pub impulse: [T; 3],
 }
 
 /// Impulses of the last physics step, from which the solver of the next one starts.
@@ -332,14 +332,18 @@ impl ContactForces {
     #[inline(always)]
     pub fn set(
         &mut self,
-        feet: &PerFoot<usize>,
+        feet: &[usize],
         others: &[usize],
         net: impl Fn(usize) -> [f32; 3],
         normal: impl Fn(usize, usize) -> f32,
     ) {
-        self.feet = feet.map(&net);
+        for (to, &foot) in self.feet.iter_mut().zip(feet) {
+            *to = net(foot);
+        }
         for (step, to) in self.feet_normal.iter_mut().enumerate() {
-            *to = feet.map(|foot| normal(step, foot));
+            for (to, &foot) in to.iter_mut().zip(feet) {
+                *to = normal(step, foot);
+            }
         }
         self.others.clear();
         let decimation = self.feet_normal.len();

@@ -1,6 +1,7 @@
 //! What a kind of robot is: its URDF and its config brought together, ready for the engine and the task.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use bevy_ecs::prelude::Resource;
 use glam::DMat3;
@@ -60,22 +61,13 @@ impl MorphologyModel {
     /// What is wrong with the URDF or the config, with file, element and remedy.
     pub fn new(loaded: &LoadedRobot) -> Result<Self, Error> {
         let config = loaded.config.clone();
-        let options = robot::LoadOptions {
-            package_dirs: config.package_dirs.clone(),
-            locked_joints: config.locked_joints.clone(),
-        };
-        let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
-        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
+        let ConfiguredRobot { model, roles, articulation, default_position } =
+            ConfiguredRobot::new(loaded, &BTreeMap::new(), true, None)?;
         let body_groups = body_groups(&config, &model, &roles)?;
-        let default_pose = config.default_pose_by_slot()?;
+        let Articulation { mut topology, parameters, align, shape_pairs } = articulation;
         let actuators = config.actuators_by_slot()?;
-
-        let mut default_position = vec![0.0; model.joints.len()];
-        for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
-            default_position[joint] = default_pose[slot];
-        }
-        let self_collision = config.self_collisions.then_some(&default_position[..]);
-        let (topology, nominal, align, shape_pairs) = articulation(&model, &roles, &actuators, self_collision);
+        topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
+        let nominal = Parameters::from_scalars(&topology, &parameters);
         let lowest_foot = lowest_foot(&model, &roles, &default_position);
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
@@ -127,6 +119,53 @@ impl MorphologyModel {
     }
 }
 
+/// A robot of the library as physics knows it: its URDF with the actuators of its config.
+pub(crate) struct ConfiguredRobot {
+    pub(crate) model: Model,
+    pub(crate) roles: Roles,
+    /// With the feet as sites, legs in the order LF, LH, RF, RH.
+    pub(crate) articulation: Articulation,
+    /// Joint positions of the default pose, physical order, rad.
+    pub(crate) default_position: Vec<f64>,
+}
+
+impl ConfiguredRobot {
+    /// Reads the URDF, finds the joints' roles and applies the config. `package_dirs` come on top of the config's; `floating`, or with the
+    /// base fixed to the world. Without `self_collision` the config says whether links collide.
+    ///
+    /// # Errors
+    /// What is wrong with the URDF or the config, with file, element and remedy.
+    pub(crate) fn new(
+        loaded: &LoadedRobot,
+        package_dirs: &BTreeMap<String, PathBuf>,
+        floating: bool,
+        self_collision: Option<bool>,
+    ) -> Result<Self, Error> {
+        let config = &loaded.config;
+        let mut options = robot::LoadOptions {
+            package_dirs: config.package_dirs.clone(),
+            locked_joints: config.locked_joints.clone(),
+        };
+        options.package_dirs.extend(package_dirs.clone());
+        let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
+        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
+        let (default_pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
+        let mut default_position = vec![0.0; model.joints.len()];
+        for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
+            default_position[joint] = default_pose[slot];
+        }
+        let sites: Vec<Site> = (0..4)
+            .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
+            .collect();
+        let reference = self_collision.unwrap_or(config.self_collisions).then_some(&default_position[..]);
+        let mut articulation = Articulation::new(&model, floating, &sites, reference);
+        for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
+            apply_actuator(&mut articulation.topology.joints[j], &mut articulation.parameters, j, actuators[slot].1);
+        }
+        Ok(Self { model, roles, articulation, default_position })
+    }
+}
+
 fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec<BodyGroup>, Error> {
     let mut groups = robot::body_groups(model, roles);
     let named = [
@@ -155,29 +194,8 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
     Ok(groups)
 }
 
-/// The engine's view of a model, with the config's actuators.
-fn articulation(
-    model: &Model,
-    roles: &Roles,
-    actuators: &[(&str, &ActuatorConfig); 12],
-    self_collision: Option<&[f64]>,
-) -> (Topology, Parameters<f32>, Vec<DMat3>, Vec<[usize; 2]>) {
-    let sites: Vec<Site> = (0..4)
-        .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
-        .collect();
-    let Articulation { mut topology, parameters: mut p, align, shape_pairs } =
-        Articulation::new(model, true, &sites, self_collision);
-    topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
-    for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
-        let actuator = actuators[slot].1;
-        apply_actuator(&mut topology.joints[j], &mut p, j, actuator);
-    }
-    let nominal = Parameters::from_scalars(&topology, &p);
-    (topology, nominal, align, shape_pairs)
-}
-
 /// Gives joint `j` the actuator of a config, but for its delay.
-pub(crate) fn apply_actuator(joint: &mut JointTopology, p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
+fn apply_actuator(joint: &mut JointTopology, p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
     joint.effort_table = effort_table(&actuator.effort_table);
     joint.explicit = actuator.explicit;
     p.stiffness[j] = actuator.stiffness;

@@ -11,9 +11,12 @@ use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId, EnvOrigin,
     ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
 };
-use crate::engine::{self, Engine, PhysicsRows};
+use crate::config::EngineKind;
+use crate::dynamics::{ContactSettings, Plane, StepSettings};
+use crate::engine::{self, ComponentRows, Components, Engine, EngineChoice, Kind, Run};
 use crate::error::Error;
 use crate::morphology::Morphologies;
+use crate::obstacles;
 use crate::rows::Rows;
 use crate::workers::Workers;
 use crate::world::Ground;
@@ -34,7 +37,7 @@ impl Plugin for PhysicsPlugin {
 
 /// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
 #[derive(Resource)]
-pub struct PhysicsEngine(Box<dyn Engine>);
+pub struct PhysicsEngine(Box<dyn Engine<Components>>);
 
 fn make_engine(
     mut commands: Commands,
@@ -45,7 +48,32 @@ fn make_engine(
     ground: Res<Ground>,
     workers: Res<Workers>,
 ) -> Result {
-    let engine = engine::make(simd.0, &task.config, &morphologies, &blocks.0, &ground, &workers).map_err(|error| {
+    let config = &task.config;
+    let (on_plane, level) = (ground.layout.is_none(), Plane::level(ground.height));
+    let (choice, plane) = match config.physics.engine {
+        EngineKind::Articulated => (EngineChoice::Articulated(simd.0, ground.terrain.clone()), Some(level)),
+        EngineKind::Avian => {
+            let obstacles = config.scene.obstacles.iter().flat_map(obstacles::parts);
+            let terrain = config.scene.terrain.as_ref().and_then(obstacles::terrain);
+            let statics = obstacles.chain(terrain).collect();
+            (EngineChoice::Avian(config.physics.avian_substeps as usize, statics), on_plane.then_some(level))
+        }
+    };
+    let settings = StepSettings {
+        dt: config.sim.dt,
+        decimation: config.sim.decimation as usize,
+        gravity: ground.gravity,
+        contact: ContactSettings {
+            iterations: config.physics.solver_iterations as usize,
+            correction: config.physics.depenetration_rate,
+            max_depenetration_velocity: config.physics.max_depenetration_velocity,
+            ground: plane,
+            ..ContactSettings::default()
+        },
+    };
+    let kinds: Vec<Kind<f32>> =
+        morphologies.0.iter().zip(&blocks.0).map(|(kind, &count)| Kind::of_morphology(kind, count)).collect();
+    let engine = engine::make(choice, settings, &kinds, &workers).map_err(|error| {
         let remedy = "use \"articulated\", or another sim.dt or robot";
         Error::argument("physics.engine", error.to_string(), remedy)
     })?;
@@ -88,7 +116,6 @@ pub(super) fn upload_bodies(
 /// One control step of physics.
 pub(super) fn step_physics(
     workers: Res<Workers>,
-    morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
     mut engine: ResMut<PhysicsEngine>,
@@ -97,9 +124,22 @@ pub(super) fn step_physics(
 ) -> Result {
     let (poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet) = robots.write()?;
     let origins = envs.read()?;
-    let rows =
-        PhysicsRows { origins, poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet };
-    let records = engine.0.step(&morphologies, &workers, rows, &task.limits, broken.watched());
+    let rows = ComponentRows {
+        origins,
+        poses,
+        velocities,
+        joints,
+        targets,
+        delays,
+        wrenches,
+        efforts,
+        impulses,
+        forces,
+        feet,
+    };
+    let steps = task.config.sim.decimation as usize;
+    let run = Run { steps, gains: true, limits: &task.limits, watched: broken.watched() };
+    let records = engine.0.step(&workers, rows, run);
     broken.note(records);
     Ok(())
 }

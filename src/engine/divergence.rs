@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::PhysicsRows;
 use super::limits::{StateLimits, Violation};
 use crate::components::{
     ActuatorDelay, BasePose, BaseVelocity, ConstraintImpulses, ExternalWrench, JointEffort, JointState, JointTargets,
@@ -48,28 +47,4 @@ pub(crate) struct DivergenceRecord {
     pub(crate) delay: ActuatorDelay,
     pub(crate) wrench: ExternalWrench,
     pub(crate) after: Motion,
-}
-
-impl DivergenceRecord {
-    /// Writes new states to the rows of a morphology, whose envs begin at `first_env`. If a row diverged, returns its state before and
-    /// after the step.
-    pub(crate) fn of_writing(
-        broken: Option<usize>,
-        morphology: usize,
-        first_env: usize,
-        rows: &mut PhysicsRows,
-        write: impl FnOnce(&mut PhysicsRows),
-    ) -> Option<Self> {
-        let before = broken.map(|row| (row, rows.motion(row)));
-        write(rows);
-        before.map(|(row, before)| Self {
-            morphology,
-            env: first_env + row,
-            before,
-            targets: rows.targets[row].clone(),
-            delay: rows.delays[row].clone(),
-            wrench: rows.wrenches[row],
-            after: rows.motion(row),
-        })
-    }
 }

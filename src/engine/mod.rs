@@ -4,17 +4,18 @@ pub(crate) mod articulated;
 pub(crate) mod avian;
 mod divergence;
 mod limits;
+mod rows;
 
-use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, EnvOrigin, ExternalWrench, Feet,
-    JointEffort, JointState, JointTargets,
-};
-use crate::config::{EngineKind, TaskConfig};
-use crate::dynamics::lanes::{self, Real, Simd, prefetch};
-use crate::dynamics::{ContactSettings, Parameters, Plane, State, StepSettings};
-use crate::morphology::Morphologies;
-use crate::workers::{SplitRows, Workers};
-use crate::world::Ground;
+use std::sync::Arc;
+
+use glam::DMat3;
+
+use crate::dynamics::lanes::{self, Simd};
+use crate::dynamics::{HeightGrid, Parameters, State, StepSettings, Topology};
+use crate::morphology::MorphologyModel;
+use crate::obstacles::Part;
+use crate::robot::{BodyGroup, Model};
+use crate::workers::Workers;
 use articulated::Packs;
 use avian::{AvianRobots, EngineError};
 
@@ -22,79 +23,125 @@ pub(crate) use divergence::DivergenceRecord;
 pub use divergence::Motion;
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
+pub(crate) use rows::{ComponentRows, Components, Contacts, RobotRows, RowFamily, ask_nothing, get, put};
 
-pub(crate) trait Engine: Send + Sync {
-    /// What decides how the envs go on, beyond their components, as bytes; of each env.
+/// What steps the bodies of all robots; its caller keeps their states in rows.
+pub(crate) trait Engine<F: RowFamily>: Send + Sync {
+    /// What decides how the envs go on, beyond their rows, as bytes; of each env.
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
         Ok(Vec::new())
     }
     /// Whether these bytes are such.
-    fn check(&self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
-        Ok(())
+    fn check(&self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
+        if envs.is_empty() { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
     }
-    /// Takes them up, once the components and the robots' numbers are set; bytes that [`Engine::check`] refuses change nothing.
+    /// Takes them up, once the rows and the robots' numbers are set; bytes that [`Engine::check`] refuses change nothing.
     fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         Ok(())
     }
     /// Takes over a robot's numbers.
-    fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
-    /// One control step of all robots. Of each morphology in `watched` the first env whose new state is broken is
-    /// returned.
-    fn step(
-        &mut self,
-        morphologies: &Morphologies,
-        workers: &Workers,
-        rows: PhysicsRows,
-        limits: &StateLimits,
-        watched: &[bool],
-    ) -> Vec<DivergenceRecord>;
-}
-
-/// The components that the engine reads and writes, row `i` belonging to env `i`.
-pub(crate) struct PhysicsRows<'a> {
-    pub(crate) origins: &'a [EnvOrigin],
-    pub(crate) poses: &'a mut [BasePose],
-    pub(crate) velocities: &'a mut [BaseVelocity],
-    pub(crate) joints: &'a mut [JointState],
-    pub(crate) targets: &'a mut [JointTargets],
-    pub(crate) delays: &'a mut [ActuatorDelay],
-    pub(crate) wrenches: &'a mut [ExternalWrench],
-    pub(crate) efforts: &'a mut [JointEffort],
-    pub(crate) impulses: &'a mut [ConstraintImpulses],
-    pub(crate) forces: &'a mut [ContactForces],
-    pub(crate) feet: &'a mut [Feet],
-}
-
-impl SplitRows for PhysicsRows<'_> {
-    fn split_rows(self, n: usize) -> (Self, Self) {
-        let (origins, origins2) = self.origins.split_at(n);
-        let (poses, poses2) = self.poses.split_at_mut(n);
-        let (velocities, velocities2) = self.velocities.split_at_mut(n);
-        let (joints, joints2) = self.joints.split_at_mut(n);
-        let (targets, targets2) = self.targets.split_at_mut(n);
-        let (delays, delays2) = self.delays.split_at_mut(n);
-        let (wrenches, wrenches2) = self.wrenches.split_at_mut(n);
-        let (efforts, efforts2) = self.efforts.split_at_mut(n);
-        let (impulses, impulses2) = self.impulses.split_at_mut(n);
-        let (forces, forces2) = self.forces.split_at_mut(n);
-        let (feet, feet2) = self.feet.split_at_mut(n);
-        (
-            Self { origins, poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet },
-            Self {
-                origins: origins2,
-                poses: poses2,
-                velocities: velocities2,
-                joints: joints2,
-                targets: targets2,
-                delays: delays2,
-                wrenches: wrenches2,
-                efforts: efforts2,
-                impulses: impulses2,
-                forces: forces2,
-                feet: feet2,
-            },
-        )
+    fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>);
+    /// Sets which joints of a morphology's robots have their gains act on the beginning of each physics step.
+    fn set_explicit(&mut self, morphology: usize, explicit: &[bool]);
+    /// Writes state and report of a [resident](RowFamily::RESIDENT) robot to the first of these rows.
+    fn fetch(&self, env: usize, rows: F::Rows<'_>);
+    /// Sets state and report of a resident robot to those of the first row.
+    fn restart(&mut self, env: usize, rows: F::Rows<'_>);
+    /// `run.steps` physics steps of all robots. Of each morphology that `run` watches the first env whose new state is broken is returned.
+    fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord>;
+    /// How far the links' origins are from where forward kinematics has them, at most, m.
+    fn link_drift(&self, _env: usize) -> f64 {
+        0.0
     }
+}
+
+/// What one [`Engine::step`] does.
+#[derive(Clone, Copy)]
+pub(crate) struct Run<'a> {
+    /// Number of physics steps.
+    pub(crate) steps: usize,
+    /// Whether the gains pull to the targets. Without them the feed-forward efforts act alone.
+    pub(crate) gains: bool,
+    /// When a state is broken.
+    pub(crate) limits: &'a StateLimits,
+    /// Whether broken states are looked for, `[morphologies]`.
+    pub(crate) watched: &'a [bool],
+}
+
+/// What an engine knows of one kind of robot; `T` is the type of its rows' numbers.
+pub(crate) struct Kind<'a, T> {
+    pub(crate) model: &'a Model,
+    pub(crate) topology: &'a Topology,
+    /// Turns a link's URDF axes into those of the engine, `[links]`.
+    pub(crate) align: &'a [DMat3],
+    /// Collision shapes that may touch each other, counted body after body.
+    pub(crate) shape_pairs: &'a [[usize; 2]],
+    /// The numbers of every robot to begin with.
+    pub(crate) nominal: &'a Parameters<T>,
+    /// Group of each contact body, by which robots are put side by side. Resident robots stay where they are and need none.
+    pub(crate) body_groups: &'a [BodyGroup],
+    /// Contact bodies whose forces are reported in every physics step.
+    pub(crate) feet: &'a [usize],
+    /// Largest delay of a target, physics steps.
+    pub(crate) max_delay: u32,
+    /// Number of robots.
+    pub(crate) count: usize,
+}
+
+impl<'a> Kind<'a, f32> {
+    /// `count` robots of a morphology.
+    pub(crate) fn of_morphology(morphology: &'a MorphologyModel, count: usize) -> Self {
+        let MorphologyModel { model, topology, align, shape_pairs, nominal, body_groups, feet, .. } = morphology;
+        let max_delay = morphology.max_delay();
+        Self { model, topology, align, shape_pairs, nominal, body_groups, feet, max_delay, count }
+    }
+}
+
+/// Which engine, and in which numbers it computes.
+pub(crate) enum EngineChoice {
+    /// In single precision on an instruction set; robots stand on the terrain, or else on the plane of the settings.
+    Articulated(Simd, Option<Arc<HeightGrid>>),
+    /// In double precision, one robot at a time.
+    ArticulatedDouble,
+    /// With so many substeps, and with what stands on the plane of the settings.
+    Avian(usize, Vec<Part>),
+}
+
+/// The engine of a choice for robots of some kinds, which are in contiguous blocks of rows.
+///
+/// # Errors
+/// What Avian's engine cannot simulate.
+pub(crate) fn make<F: RowFamily>(
+    choice: EngineChoice,
+    settings: StepSettings,
+    kinds: &[Kind<F::Number>],
+    workers: &Workers,
+) -> Result<Box<dyn Engine<F>>, EngineError> {
+    let (resident, threads) = (F::RESIDENT, workers.threads());
+    Ok(match choice {
+        EngineChoice::Avian(substeps, statics) => {
+            Box::new(AvianRobots::new(&settings, substeps, &statics, kinds, workers)?)
+        }
+        EngineChoice::ArticulatedDouble => {
+            Box::new(Packs::<f64, F::Number>::new(settings, None, kinds, resident, threads))
+        }
+        EngineChoice::Articulated(simd, terrain) => match simd {
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => {
+                Box::new(Packs::<lanes::Avx512, F::Number>::new(settings, terrain, kinds, resident, threads))
+            }
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => Box::new(Packs::<lanes::Avx2, F::Number>::new(settings, terrain, kinds, resident, threads)),
+            #[cfg(target_arch = "aarch64")]
+            Simd::Neon => Box::new(Packs::<lanes::Neon, F::Number>::new(settings, terrain, kinds, resident, threads)),
+            _ => Box::new(Packs::<lanes::Portable, F::Number>::new(settings, terrain, kinds, resident, threads)),
+        },
+    })
+}
+
+/// Control steps of targets that an actuator can still see.
+pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
+    1 + (max_delay as usize).div_ceil(decimation)
 }
 
 /// The numbers of a state that have a limit.
@@ -109,120 +156,4 @@ pub(crate) fn state_numbers<'a, L>(state: &'a State<L>, effort: &'a [L]) -> Stat
         &state.joint_velocity,
         effort,
     ]
-}
-
-impl PhysicsRows<'_> {
-    /// Reads poses and velocities of a row into a lane.
-    #[inline]
-    pub(crate) fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize) {
-        put(&mut state.position, &self.poses[row].position, lane);
-        put(&mut state.rotation, &self.poses[row].rotation, lane);
-        put(&mut state.linear_velocity, &self.velocities[row].linear, lane);
-        put(&mut state.angular_velocity, &self.velocities[row].angular, lane);
-        put(&mut state.joint_position, &self.joints[row].position, lane);
-        put(&mut state.joint_velocity, &self.joints[row].velocity, lane);
-    }
-
-    /// Writes poses and velocities of a lane into a row.
-    #[inline]
-    pub(crate) fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize) {
-        get(&state.position, &mut self.poses[row].position, lane);
-        get(&state.rotation, &mut self.poses[row].rotation, lane);
-        get(&state.linear_velocity, &mut self.velocities[row].linear, lane);
-        get(&state.angular_velocity, &mut self.velocities[row].angular, lane);
-        get(&state.joint_position, &mut self.joints[row].position, lane);
-        get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
-    }
-
-    /// Asks for a row's memory.
-    #[inline]
-    pub(crate) fn prefetch(&self, row: usize) {
-        prefetch(&self.origins[row]);
-        prefetch(&self.poses[row]);
-        prefetch(&self.velocities[row]);
-        prefetch(&self.joints[row]);
-        prefetch(&self.targets[row]);
-        prefetch(&self.delays[row]);
-        prefetch(&self.wrenches[row]);
-        prefetch(&self.efforts[row]);
-        prefetch(&self.impulses[row]);
-        prefetch(&self.forces[row]);
-        prefetch(&self.feet[row]);
-    }
-
-    pub(crate) fn motion(&self, row: usize) -> Motion {
-        Motion {
-            pose: self.poses[row],
-            velocity: self.velocities[row],
-            joints: self.joints[row].clone(),
-            effort: self.efforts[row].clone(),
-            impulses: self.impulses[row].clone(),
-        }
-    }
-}
-
-/// The engine that a task asks for, on an instruction set, for `counts[m]` robots of kind `m`.
-///
-/// # Errors
-/// What Avian's engine cannot simulate.
-pub(crate) fn make(
-    simd: Simd,
-    config: &TaskConfig,
-    morphologies: &Morphologies,
-    counts: &[usize],
-    ground: &Ground,
-    workers: &Workers,
-) -> Result<Box<dyn Engine>, EngineError> {
-    if config.physics.engine == EngineKind::Avian {
-        return Ok(Box::new(AvianRobots::new(config, morphologies, counts, ground, workers)?));
-    }
-    let settings = StepSettings {
-        dt: config.sim.dt,
-        decimation: config.sim.decimation as usize,
-        gravity: ground.gravity,
-        contact: ContactSettings {
-            iterations: config.physics.solver_iterations as usize,
-            correction: config.physics.depenetration_rate,
-            max_depenetration_velocity: config.physics.max_depenetration_velocity,
-            ground: Some(Plane::level(ground.height)),
-            ..ContactSettings::default()
-        },
-    };
-    let (threads, terrain) = (workers.threads(), ground.terrain.clone());
-    let engine: Box<dyn Engine> = match simd {
-        #[cfg(target_arch = "x86_64")]
-        Simd::Avx512 => Box::new(Packs::<lanes::Avx512>::new(settings, terrain, morphologies, counts, threads)),
-        #[cfg(target_arch = "x86_64")]
-        Simd::Avx2 => Box::new(Packs::<lanes::Avx2>::new(settings, terrain, morphologies, counts, threads)),
-        #[cfg(target_arch = "aarch64")]
-        Simd::Neon => Box::new(Packs::<lanes::Neon>::new(settings, terrain, morphologies, counts, threads)),
-        _ => Box::new(Packs::<lanes::Portable>::new(settings, terrain, morphologies, counts, threads)),
-    };
-    Ok(engine)
-}
-
-/// Control steps of targets that an actuator can still see.
-pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
-    1 + (max_delay as usize).div_ceil(decimation)
-}
-
-#[inline]
-pub(crate) fn put<L: Real>(to: &mut [L], from: &[f32], lane: usize) {
-    for (x, &y) in to.iter_mut().zip(from) {
-        x.set_lane_f32(lane, y);
-    }
-}
-
-#[inline]
-pub(crate) fn get<L: Real>(from: &[L], to: &mut [f32], lane: usize) {
-    for (y, x) in from.iter().zip(to) {
-        *x = y.lane_f32(lane);
-    }
-}
-
-#[inline]
-pub(crate) fn get_arrays<L: Real, const N: usize>(from: &[[L; N]], to: &mut [[f32; N]], lane: usize) {
-    for (y, x) in from.iter().zip(to) {
-        get(y, x, lane);
-    }
 }

@@ -15,9 +15,8 @@
 //! # Ok::<(), polypod::Error>(())
 //! ```
 
-mod avian;
+mod envs;
 mod options;
-mod packs;
 mod parameters;
 mod queries;
 mod robot;
@@ -31,13 +30,18 @@ pub use queries::{LinkPoses, LinkVelocities};
 use crate::bounds::{BYTES_PER_LINK, check_num_envs};
 use crate::config::EngineKind;
 use crate::dynamics::lanes::Simd;
-use crate::dynamics::{ContactSettings, Plane, State, StepSettings};
+use crate::dynamics::{ContactSettings, Parameters, Plane, StepSettings};
+use crate::engine::avian::EngineError;
+use crate::engine::{self, Engine, EngineChoice, Run, StateLimits};
 use crate::error::Error;
 use crate::robot::{UNLIMITED, Warning};
 use crate::workers::{Workers, packs_of};
-use packs::{Actuation, JointField, Packs};
+use envs::{Actuation, Env, EnvRows, Envs};
 use robot::Robot;
 use rows::{EnvIds, Rows};
+
+/// Physics steps that the articulated engine makes in one go; its reports grow with it.
+const MAX_RUN: usize = 32;
 
 /// What the actuators do during a [`Simulation::step`]. Rows are one number, `[joints]` or `[num_envs, joints]`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -65,11 +69,14 @@ pub struct Simulation {
     /// Largest entry of each joint's effort table, 1 without one.
     effort_scale: Vec<f64>,
     settings: StepSettings,
-    packs: Box<dyn Packs>,
+    engine: Box<dyn Engine<Envs>>,
+    /// The numbers of each env's robot, as precise as the engine computes.
+    bodies: Vec<Parameters<f64>>,
     workers: Workers,
     simd: Simd,
     precision: Precision,
-    num_envs: usize,
+    /// Whether numbers are rounded to single precision.
+    rounds: bool,
     default_qpos: Vec<f64>,
     steps: u64,
     /// Of all that decides what a step does, but for the state and the envs' numbers.
@@ -89,9 +96,10 @@ impl Simulation {
             let length = n.iter().map(|x| x * x).sum::<f64>().sqrt();
             n.map(|x| x / length)
         });
+        let avian = options.engine() == EngineKind::Avian;
         let settings = StepSettings {
             dt: options.dt,
-            decimation: 1,
+            decimation: if avian { 1 } else { MAX_RUN },
             gravity: options.gravity,
             contact: ContactSettings {
                 iterations: options.solver_iterations,
@@ -115,12 +123,25 @@ impl Simulation {
             _ => options.num_envs,
         };
         let workers = Workers::for_pieces(options.threads, pieces, simd);
-        let (topology, n, chunks) = (&robot.topology, options.num_envs, workers.num_chunks());
-        let packs = match (options.engine(), options.precision) {
-            (EngineKind::Avian, _) => avian::packs(&robot, &settings, options.avian_substeps, n, workers.threads())?,
-            (EngineKind::Articulated, Precision::Single) => packs::single(simd, topology, &robot.nominal, n, chunks),
-            (EngineKind::Articulated, Precision::Double) => packs::double(topology, &robot.nominal, n, chunks),
+        let choice = match (options.engine(), options.precision) {
+            (EngineKind::Avian, _) => EngineChoice::Avian(options.avian_substeps, Vec::new()),
+            (EngineKind::Articulated, Precision::Single) => EngineChoice::Articulated(simd, None),
+            (EngineKind::Articulated, Precision::Double) => EngineChoice::ArticulatedDouble,
         };
+        let (topology, n) = (&robot.topology, options.num_envs);
+        let rounds = !avian && options.precision == Precision::Single;
+        let nominal = if rounds {
+            Parameters::from_scalars(topology, &Parameters::<f32>::from_scalars(topology, &robot.nominal))
+        } else {
+            robot.nominal.clone()
+        };
+        let engine = engine::make(choice, settings, &[robot.kind(&nominal, n)], &workers).map_err(|error| {
+            let element = match error {
+                EngineError::Step(_) => "dt",
+                EngineError::Prismatic(_) | EngineError::Order => "engine",
+            };
+            Error::argument(element, error.to_string(), "use \"articulated\", or another step or robot")
+        })?;
         let mut sim = Self {
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
             effort_scale: topology
@@ -131,11 +152,12 @@ impl Simulation {
                 .collect(),
             fingerprint: snapshot::fingerprint(&robot, &settings, options.engine(), options.avian_substeps),
             settings,
-            packs,
+            engine,
+            bodies: vec![nominal; n],
             workers,
             simd,
             precision: options.precision,
-            num_envs: n,
+            rounds,
             default_qpos,
             steps: 0,
             robot,
@@ -147,7 +169,7 @@ impl Simulation {
 
     /// Number of envs.
     pub fn num_envs(&self) -> usize {
-        self.num_envs
+        self.bodies.len()
     }
 
     /// Number of joints that move.
@@ -235,34 +257,29 @@ impl Simulation {
 
     /// Generalised positions, `[num_envs, nq]`.
     pub fn qpos(&self) -> Vec<f64> {
-        self.collect(self.nq(), |state, out| {
-            if self.is_floating() {
-                out.extend(state.position);
-                out.extend(state.rotation);
-            }
-            out.extend(&state.joint_position);
-        })
+        self.collect(self.nq(), |env| &env.qpos)
     }
 
     /// Generalised velocities, `[num_envs, nv]`.
     pub fn qvel(&self) -> Vec<f64> {
-        self.collect(self.nv(), |state, out| {
-            if self.is_floating() {
-                out.extend(state.linear_velocity);
-                out.extend(state.angular_velocity);
-            }
-            out.extend(&state.joint_velocity);
-        })
+        self.collect(self.nv(), |env| &env.qvel)
     }
 
-    fn collect(&self, width: usize, f: impl Fn(&State<f64>, &mut Vec<f64>)) -> Vec<f64> {
-        let mut out = Vec::with_capacity(self.num_envs * width);
-        let mut state = State::zeros(&self.robot.topology);
-        for env in 0..self.num_envs {
-            self.packs.read_state(env, &mut state);
-            f(&state, &mut out);
+    /// A list of numbers of all envs, `[num_envs, width]`.
+    fn collect(&self, width: usize, list: impl Fn(&Env) -> &[f64]) -> Vec<f64> {
+        let mut out = Vec::with_capacity(self.num_envs() * width);
+        let mut env = Env::zeros(&self.robot.topology);
+        for index in 0..self.num_envs() {
+            self.engine.fetch(index, EnvRows::of(&mut env));
+            out.extend(list(&env));
         }
         out
+    }
+
+    /// A number as the engine keeps it.
+    fn rounding(&self) -> impl Fn(f64) -> f64 + Copy + use<> {
+        let rounds = self.rounds;
+        move |x| if rounds { f64::from(x as f32) } else { x }
     }
 
     /// Sets positions (`[n, nq]`), velocities (`[n, nv]`) or both in the `n` envs `env_ids`, or in all; one row serves for
@@ -276,13 +293,12 @@ impl Simulation {
         qpos: Option<&[f64]>,
         qvel: Option<&[f64]>,
     ) -> Result<(), Error> {
-        let envs = EnvIds::new(env_ids, self.num_envs)?;
+        let envs = EnvIds::new(env_ids, self.num_envs())?;
         let (nq, nv) = (self.nq(), self.nv());
         let qpos = qpos.map(|values| Rows::vectors("qpos", values, nq, envs.len())).transpose()?;
         let qvel = qvel.map(|values| Rows::vectors("qvel", values, nv, envs.len())).transpose()?;
-        let floating = self.is_floating();
         let mut rotations = Vec::new();
-        if let Some(rows) = qpos.filter(|_| floating) {
+        if let Some(rows) = qpos.filter(|_| self.is_floating()) {
             for row in 0..envs.len() {
                 let given = std::array::from_fn(|k| rows.get(row, 3 + k));
                 let unit = self.unit_quaternion(given).ok_or_else(|| {
@@ -295,30 +311,20 @@ impl Simulation {
                 rotations.push(unit);
             }
         }
-        let mut state = State::zeros(&self.robot.topology);
+        let mut env = Env::zeros(&self.robot.topology);
         for row in 0..envs.len() {
-            let env = envs.get(row);
-            self.packs.read_state(env, &mut state);
-            state.impulse.fill([0.0; 3]);
-            state.pressing.clear();
-            state.bound_impulse.fill(0.0);
+            self.engine.fetch(envs.get(row), EnvRows::of(&mut env));
+            env.forget_impulses();
             if let Some(qpos) = qpos {
-                if floating {
-                    state.position = qpos.vector(row);
-                    state.rotation = rotations[row];
+                env.qpos.iter_mut().enumerate().for_each(|(k, q)| *q = qpos.get(row, k));
+                if let Some(rotation) = rotations.get(row) {
+                    env.qpos[3..7].copy_from_slice(rotation);
                 }
-                let first = nq - state.joint_position.len();
-                state.joint_position.iter_mut().enumerate().for_each(|(j, q)| *q = qpos.get(row, first + j));
             }
             if let Some(qvel) = qvel {
-                if floating {
-                    state.linear_velocity = qvel.vector(row);
-                    state.angular_velocity = std::array::from_fn(|k| qvel.get(row, 3 + k));
-                }
-                let first = nv - state.joint_velocity.len();
-                state.joint_velocity.iter_mut().enumerate().for_each(|(j, v)| *v = qvel.get(row, first + j));
+                env.qvel.iter_mut().enumerate().for_each(|(k, v)| *v = qvel.get(row, k));
             }
-            self.packs.write_state(env, &state);
+            self.engine.restart(envs.get(row), EnvRows::of(&mut env));
         }
         Ok(())
     }
@@ -345,29 +351,26 @@ impl Simulation {
         if n == 0 {
             return Err(Error::argument("n", "0 steps", "pass at least 1"));
         }
-        let (joints, envs) = (self.num_joints(), self.num_envs);
-        let (actuation, values, element) = match (control.torque, control.targets) {
+        let (values, element) = match (control.torque, control.targets) {
             (Some(_), Some(_)) => {
                 return Err(Error::argument("torque", "given together with targets", "pass one of them"));
             }
-            (Some(torque), None) => (Actuation::Effort, torque, "torque"),
-            (None, Some(targets)) => (Actuation::Targets, targets, "targets"),
-            (None, None) => (Actuation::Effort, &[0.0][..], "torque"),
+            (Some(torque), None) => (torque, "torque"),
+            (None, Some(targets)) => (targets, "targets"),
+            (None, None) => (&[0.0][..], "torque"),
         };
-        let asked = Rows::of_joints(element, values, joints, envs)?;
+        let asked = Rows::of_joints(element, values, self.num_joints(), self.num_envs())?;
         self.set_gains(None, control.kp, control.kd)?;
         if let Some(limit) = control.effort_limit {
             self.set_effort_limit(None, limit)?;
         }
-        let field = match actuation {
-            Actuation::Effort => JointField::Effort,
-            Actuation::Targets => JointField::Target,
-        };
-        self.packs.write_joints(&EnvIds::All(envs), field, &asked);
-        for (joint, &explicit) in self.robot.topology.joints.iter_mut().zip(&self.explicit) {
-            joint.explicit = control.implicit.map_or(explicit, |implicit| !implicit);
-        }
-        self.packs.step(&self.robot.topology, &self.settings, &self.workers, actuation, n);
+        let gains = control.targets.is_some();
+        let actuation = if gains { Actuation::Targets(asked) } else { Actuation::Effort(asked) };
+        let explicit: Vec<bool> =
+            self.explicit.iter().map(|&explicit| control.implicit.map_or(explicit, |implicit| !implicit)).collect();
+        self.engine.set_explicit(0, &explicit);
+        let run = Run { steps: n, gains, limits: &StateLimits::default(), watched: &[false] };
+        self.engine.step(&self.workers, EnvRows::asking(actuation), run);
         self.steps += n as u64;
         Ok(())
     }
@@ -375,35 +378,25 @@ impl Simulation {
     /// Net force on each link in the last physics step, N, world axes, `[num_envs, links, 3]`: from whatever touches it.
     pub fn contact_forces(&self) -> Vec<f64> {
         let links = self.num_links();
-        let mut out = vec![0.0; self.num_envs * links * 3];
-        let bodies = &self.robot.model.bodies;
-        let (mut effort, mut force) = (vec![0.0; self.num_joints()], vec![[0.0; 3]; bodies.len()]);
-        for env in 0..self.num_envs {
-            self.packs.read_report(env, &mut effort, &mut force);
-            for (body, force) in bodies.iter().zip(&force) {
-                let at = 3 * (env * links + body.link);
-                out[at..at + 3].iter_mut().zip(force).for_each(|(sum, f)| *sum += f);
+        let mut out = vec![[0.0; 3]; self.num_envs() * links];
+        let mut env = Env::zeros(&self.robot.topology);
+        for (index, out) in out.chunks_exact_mut(links).enumerate() {
+            self.engine.fetch(index, EnvRows::of(&mut env));
+            for (body, force) in self.robot.model.bodies.iter().zip(&env.force) {
+                out[body.link].iter_mut().zip(force).for_each(|(sum, f)| *sum += f);
             }
         }
-        out
+        out.into_flattened()
     }
 
     /// How far the origin of any link is from where the base's pose and the joints' positions put it, at most, m,
     /// `[num_envs]`. Only the engine `avian` lets joints come apart.
     pub fn link_drift(&self) -> Vec<f64> {
-        (0..self.num_envs).map(|env| self.packs.link_drift(env)).collect()
+        (0..self.num_envs()).map(|env| self.engine.link_drift(env)).collect()
     }
 
     /// Effort of each actuator in the last physics step, N m or N, `[num_envs, joints]`.
     pub fn joint_torque(&self) -> Vec<f64> {
-        let joints = self.num_joints();
-        let mut out = Vec::with_capacity(self.num_envs * joints);
-        let mut effort = vec![0.0; joints];
-        let mut force = vec![[0.0; 3]; self.robot.topology.num_bodies];
-        for env in 0..self.num_envs {
-            self.packs.read_report(env, &mut effort, &mut force);
-            out.extend(&effort);
-        }
-        out
+        self.collect(self.num_joints(), |env| &env.effort)
     }
 }

@@ -4,10 +4,9 @@ use glam::{DMat3, DVec3};
 
 use super::Simulation;
 use super::options::check_non_negative;
-use super::packs::JointField;
 use super::rows::{EnvIds, Rows};
 use crate::config::{ConfigError, ConfigErrorKind, did_you_mean};
-use crate::dynamics::Parameters;
+use crate::dynamics::{Parameters, SharedArray};
 use crate::error::Error;
 use crate::robot::{UNLIMITED, symmetric};
 
@@ -31,6 +30,9 @@ impl From<usize> for LinkId<'_> {
         Self::Index(index)
     }
 }
+
+/// A list of numbers of joints.
+type JointList = fn(&mut Parameters<f64>) -> &mut SharedArray<f64>;
 
 impl Simulation {
     /// Index of a link.
@@ -61,13 +63,32 @@ impl Simulation {
         Err(ConfigError::invalid(file, "link", problem, remedy).of_kind(ConfigErrorKind::UnknownName).into())
     }
 
-    fn edit(&mut self, envs: &EnvIds, mut f: impl FnMut(usize, &mut Parameters<f64>)) {
-        let mut parameters = Parameters::zeros(&self.robot.topology);
+    /// `change(row, numbers)` of the robots in some envs. It rounds what it sets.
+    fn edit(&mut self, envs: &EnvIds, mut change: impl FnMut(usize, &mut Parameters<f64>)) {
         for row in 0..envs.len() {
             let env = envs.get(row);
-            self.packs.read_parameters(env, &mut parameters);
-            f(row, &mut parameters);
-            self.packs.write_parameters(env, &parameters);
+            change(row, &mut self.bodies[env]);
+            self.engine.upload(env, &self.bodies[env]);
+        }
+    }
+
+    /// Sets a number of every joint in some envs. Numbers that a caller repeats with every step cost no upload.
+    fn edit_joints(&mut self, envs: &EnvIds, list: JointList, rows: &Rows) {
+        let round = self.rounding();
+        for row in 0..envs.len() {
+            let env = envs.get(row);
+            let body = &mut self.bodies[env];
+            let mut changes = false;
+            for joint in 0..list(body).len() {
+                let new = round(rows.get(row, joint));
+                if list(body)[joint] != new {
+                    list(body)[joint] = new;
+                    changes = true;
+                }
+            }
+            if changes {
+                self.engine.upload(env, body);
+            }
         }
     }
 
@@ -82,16 +103,17 @@ impl Simulation {
         link: impl Into<LinkId<'a>>,
         mass: &[f64],
     ) -> Result<(), Error> {
-        let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs)?);
+        let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs())?);
         let rows = Rows::vectors("mass", mass, 1, envs.len())?;
         if let Some(bad) = mass.iter().find(|m| **m <= 0.0) {
             return Err(Error::argument("mass", format!("{bad} kg"), "pass positive masses"));
         }
+        let round = self.rounding();
         self.edit(&envs, |row, p| {
             let mass = rows.get(row, 0);
             let scale = mass / p.mass[link];
-            p.inertia[link] = p.inertia[link].map(|x| x * scale);
-            p.mass[link] = mass;
+            p.inertia[link] = p.inertia[link].map(|x| round(x * scale));
+            p.mass[link] = round(mass);
         });
         Ok(())
     }
@@ -106,10 +128,10 @@ impl Simulation {
         link: impl Into<LinkId<'a>>,
         com: &[f64],
     ) -> Result<(), Error> {
-        let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs)?);
+        let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs())?);
         let rows = Rows::vectors("com", com, 3, envs.len())?;
-        let align = self.robot.align[link];
-        self.edit(&envs, |row, p| p.com[link] = (align * DVec3::from_array(rows.vector(row))).to_array());
+        let (align, round) = (self.robot.align[link], self.rounding());
+        self.edit(&envs, |row, p| p.com[link] = (align * DVec3::from_array(rows.vector(row))).to_array().map(round));
         Ok(())
     }
 
@@ -124,7 +146,7 @@ impl Simulation {
         link: impl Into<LinkId<'a>>,
         inertia: &[f64],
     ) -> Result<(), Error> {
-        let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs)?);
+        let (link, envs) = (self.link_index(link)?, EnvIds::new(env_ids, self.num_envs())?);
         let rows = Rows::vectors("inertia", inertia, 6, envs.len())?;
         for row in 0..envs.len() {
             let given = std::array::from_fn(|k| rows.get(row, k));
@@ -136,10 +158,10 @@ impl Simulation {
                 ));
             }
         }
-        let align = self.robot.align[link];
+        let (align, round) = (self.robot.align[link], self.rounding());
         self.edit(&envs, |row, p| {
             let given = matrix(std::array::from_fn(|k| rows.get(row, k)));
-            p.inertia[link] = symmetric(align * given * align.transpose());
+            p.inertia[link] = symmetric(align * given * align.transpose()).map(round);
         });
         Ok(())
     }
@@ -155,15 +177,16 @@ impl Simulation {
         static_friction: &[f64],
         dynamic_friction: Option<&[f64]>,
     ) -> Result<(), Error> {
-        let envs = EnvIds::new(env_ids, self.num_envs)?;
+        let envs = EnvIds::new(env_ids, self.num_envs())?;
         let dynamic_friction = dynamic_friction.unwrap_or(static_friction);
         check_non_negative("static friction", static_friction)?;
         check_non_negative("dynamic friction", dynamic_friction)?;
         let sticking = Rows::vectors("static friction", static_friction, 1, envs.len())?;
         let sliding = Rows::vectors("dynamic friction", dynamic_friction, 1, envs.len())?;
+        let round = self.rounding();
         self.edit(&envs, |row, p| {
-            p.static_friction = sticking.get(row, 0);
-            p.dynamic_friction = sliding.get(row, 0);
+            p.static_friction = round(sticking.get(row, 0));
+            p.dynamic_friction = round(sliding.get(row, 0));
         });
         Ok(())
     }
@@ -178,7 +201,7 @@ impl Simulation {
         kp: Option<&[f64]>,
         kd: Option<&[f64]>,
     ) -> Result<(), Error> {
-        let envs = EnvIds::new(env_ids, self.num_envs)?;
+        let envs = EnvIds::new(env_ids, self.num_envs())?;
         let joints = self.num_joints();
         let rows = |element, values: Option<_>| match values {
             Some(values) => {
@@ -188,10 +211,11 @@ impl Simulation {
             None => Ok(None),
         };
         let (kp, kd) = (rows("kp", kp)?, rows("kd", kd)?);
-        for (field, rows) in [(JointField::Stiffness, kp), (JointField::Damping, kd)] {
-            if let Some(rows) = rows {
-                self.packs.write_joints(&envs, field, &rows);
-            }
+        if let Some(rows) = kp {
+            self.edit_joints(&envs, |p| &mut p.stiffness, &rows);
+        }
+        if let Some(rows) = kd {
+            self.edit_joints(&envs, |p| &mut p.damping, &rows);
         }
         Ok(())
     }
@@ -202,7 +226,7 @@ impl Simulation {
     /// # Errors
     /// A negative limit, another number of values, no such env.
     pub fn set_effort_limit(&mut self, env_ids: Option<&[usize]>, limit: &[f64]) -> Result<(), Error> {
-        let envs = EnvIds::new(env_ids, self.num_envs)?;
+        let envs = EnvIds::new(env_ids, self.num_envs())?;
         let joints = self.num_joints();
         let limit: Vec<f64> = limit.iter().map(|&x| if x > UNLIMITED { UNLIMITED } else { x }).collect();
         check_non_negative("effort_limit", &limit)?;
@@ -211,7 +235,7 @@ impl Simulation {
             .flat_map(|row| (0..joints).map(move |j| (row, j)))
             .map(|(row, j)| rows.get(row, j) / self.effort_scale[j])
             .collect();
-        self.packs.write_joints(&envs, JointField::EffortLimit, &Rows::per_env(&scaled, joints));
+        self.edit_joints(&envs, |p| &mut p.effort_limit, &Rows::per_env(&scaled, joints));
         Ok(())
     }
 
@@ -220,10 +244,10 @@ impl Simulation {
     /// # Errors
     /// A negative value, another number of values, no such env.
     pub fn set_armature(&mut self, env_ids: Option<&[usize]>, armature: &[f64]) -> Result<(), Error> {
-        let envs = EnvIds::new(env_ids, self.num_envs)?;
+        let envs = EnvIds::new(env_ids, self.num_envs())?;
         check_non_negative("armature", armature)?;
         let rows = Rows::of_joints("armature", armature, self.num_joints(), envs.len())?;
-        self.packs.write_joints(&envs, JointField::Armature, &rows);
+        self.edit_joints(&envs, |p| &mut p.armature, &rows);
         Ok(())
     }
 }

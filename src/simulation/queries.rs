@@ -5,10 +5,11 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::Simulation;
+use super::envs::{Env, EnvRows};
 use super::parameters::LinkId;
 use super::rows::Rows;
 use crate::dynamics::math::{Spatial, mul_vec, mul_vec_transposed, quat_to_mat};
-use crate::dynamics::{Dynamics, Parameters, Scalar, State, Workspace, point_motion};
+use crate::dynamics::{Dynamics, Scalar, State, Workspace, point_motion};
 use crate::error::Error;
 use crate::workers::MatrixRows;
 
@@ -35,23 +36,22 @@ type Bodies<'a> = Dynamics<'a, f64>;
 impl Simulation {
     /// `f(dynamics of an env, env, its row)` for every env; the rows, `[num_envs, width]`.
     fn query(&self, width: usize, f: impl Fn(&mut Bodies, usize, &mut [f64]) + Sync) -> Vec<f64> {
-        let mut out = vec![0.0; self.num_envs * width];
+        let mut out = vec![0.0; self.num_envs() * width];
         let topology = &self.robot.topology;
         let rows = MatrixRows { data: &mut out, width };
-        self.workers.for_each_chunk(rows, self.num_envs, |first, count, mut rows| {
-            let mut state = State::zeros(topology);
-            let mut parameters = Parameters::zeros(topology);
+        self.workers.for_each_chunk(rows, self.num_envs(), |first, count, mut rows| {
+            let (mut state, mut row) = (State::zeros(topology), Env::zeros(topology));
             let mut work = Workspace::new(topology);
             for i in 0..count {
                 let env = first + i;
-                self.packs.read_state(env, &mut state);
-                self.packs.read_parameters(env, &mut parameters);
+                self.engine.fetch(env, EnvRows::of(&mut row));
+                row.read(&mut state, 0);
                 // single precision leaves a quaternion a little off
                 let length = state.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
                 state.rotation = state.rotation.map(|x| x / length);
                 let mut dynamics = Dynamics {
                     topology,
-                    parameters: &parameters,
+                    parameters: &self.bodies[env],
                     state: &state,
                     gravity: self.settings.gravity,
                     work: &mut work,
@@ -116,9 +116,9 @@ impl Simulation {
     /// Another number of values, or one that is not finite.
     pub fn forward_dynamics(&self, force: &[f64]) -> Result<Vec<f64>, Error> {
         let (nv, joints) = (self.nv(), self.num_joints());
-        let of_joints = force.len() == joints || (force.len() == joints * self.num_envs && force.len() != nv);
+        let of_joints = force.len() == joints || (force.len() == joints * self.num_envs() && force.len() != nv);
         let width = if of_joints { joints } else { nv };
-        let rows = Rows::vectors("force", force, width, self.num_envs)?;
+        let rows = Rows::vectors("force", force, width, self.num_envs())?;
         Ok(self.query(nv, |body, env, out| {
             let force: Vec<f64> =
                 (0..nv).map(|k| (k + width).checked_sub(nv).map_or(0.0, |k| rows.get(env, k))).collect();
@@ -132,7 +132,7 @@ impl Simulation {
     /// Another number of values, or one that is not finite.
     pub fn inverse_dynamics(&self, qacc: &[f64]) -> Result<Vec<f64>, Error> {
         let nv = self.nv();
-        let rows = Rows::vectors("qacc", qacc, nv, self.num_envs)?;
+        let rows = Rows::vectors("qacc", qacc, nv, self.num_envs())?;
         Ok(self.query(nv, |body, env, out| {
             let qacc: Vec<f64> = (0..nv).map(|k| rows.get(env, k)).collect();
             out.copy_from_slice(&f64::inverse_dynamics(body, &qacc));

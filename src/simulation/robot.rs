@@ -9,8 +9,9 @@ use super::rows::Rows;
 use crate::config::Library;
 use crate::dynamics::math::Spatial;
 use crate::dynamics::{ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
+use crate::engine::Kind;
 use crate::error::Error;
-use crate::morphology::apply_actuator;
+use crate::morphology::ConfiguredRobot;
 use crate::robot::{self, Articulation, LoadOptions, Model};
 
 /// One kind of robot, in double precision.
@@ -29,14 +30,7 @@ pub(super) struct Robot {
 
 impl Robot {
     pub(super) fn new(options: &SimulationOptions) -> Result<Self, Error> {
-        let mut robot = if options.is_urdf_path() {
-            let load = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
-            let model = robot::load(Path::new(&options.robot), &load)?;
-            let position = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
-            Self::assemble(model, position, !options.fixed_base, options.self_collision.unwrap_or(false))
-        } else {
-            Self::of_library(options)?
-        };
+        let mut robot = if options.is_urdf_path() { Self::of_urdf(options)? } else { Self::of_library(options)? };
         let depth = robot.topology.max_depth();
         if depth > MAX_DEPTH {
             let problem = format!("{}: a chain of {depth} moving joints", robot.model.source.display());
@@ -57,32 +51,30 @@ impl Robot {
         Ok(robot)
     }
 
-    fn assemble(model: Model, default_position: Vec<f64>, floating: bool, self_collision: bool) -> Self {
-        let reference = self_collision.then_some(&default_position[..]);
-        let Articulation { topology, parameters, align, shape_pairs } =
-            Articulation::new(&model, floating, &[], reference);
-        Self { model, topology, nominal: parameters, align, shape_pairs, default_position }
+    fn of_urdf(options: &SimulationOptions) -> Result<Self, Error> {
+        let load = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
+        let model = robot::load(Path::new(&options.robot), &load)?;
+        let position: Vec<f64> = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
+        let reference = options.self_collision.unwrap_or(false).then_some(&position[..]);
+        let articulation = Articulation::new(&model, !options.fixed_base, &[], reference);
+        Ok(Self::assemble(model, articulation, position))
     }
 
     fn of_library(options: &SimulationOptions) -> Result<Self, Error> {
         let loaded = Library::new(Vec::new()).robot(&options.robot)?;
-        let config = &loaded.config;
-        let mut package_dirs = config.package_dirs.clone();
-        package_dirs.extend(options.package_dirs.clone());
-        let load = LoadOptions { package_dirs, locked_joints: config.locked_joints.clone() };
-        let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &load)?;
-        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
-        let (pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
-        let mut position = vec![0.0; model.joints.len()];
-        for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
-            position[j] = pose[slot];
-        }
-        let self_collision = options.self_collision.unwrap_or(config.self_collisions);
-        let mut robot = Self::assemble(model, position, !options.fixed_base, self_collision);
-        for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
-            apply_actuator(&mut robot.topology.joints[j], &mut robot.nominal, j, actuators[slot].1);
-        }
-        Ok(robot)
+        let robot = ConfiguredRobot::new(&loaded, &options.package_dirs, !options.fixed_base, options.self_collision)?;
+        Ok(Self::assemble(robot.model, robot.articulation, robot.default_position))
+    }
+
+    fn assemble(model: Model, articulation: Articulation, default_position: Vec<f64>) -> Self {
+        let Articulation { topology, parameters: nominal, align, shape_pairs } = articulation;
+        Self { model, topology, nominal, align, shape_pairs, default_position }
+    }
+
+    /// What an engine knows of it; `nominal` are the numbers of `count` of them.
+    pub(super) fn kind<'a>(&'a self, nominal: &'a Parameters<f64>, count: usize) -> Kind<'a, f64> {
+        let Self { model, topology, align, shape_pairs, .. } = self;
+        Kind { model, topology, align, shape_pairs, nominal, body_groups: &[], feet: &[], max_delay: 0, count }
     }
 
     /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base

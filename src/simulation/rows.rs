@@ -74,6 +74,11 @@ impl<'a> Rows<'a> {
         Ok(Self { values, width })
     }
 
+    /// Zero everywhere.
+    pub(super) fn zero() -> Self {
+        Self { values: &[0.0], width: 1 }
+    }
+
     /// One row per env, already checked.
     pub(super) fn per_env(values: &'a [f64], width: usize) -> Self {
         Self { values, width }
@@ -89,6 +94,12 @@ impl<'a> Rows<'a> {
         } else {
             self.values[i * self.width + k]
         }
+    }
+
+    /// Row `i`, or the single number.
+    #[inline]
+    pub(super) fn row(&self, i: usize) -> &'a [f64] {
+        if self.values.len() <= self.width { self.values } else { &self.values[i * self.width..(i + 1) * self.width] }
     }
 
     /// The first three numbers of row `i`.

@@ -3,50 +3,26 @@
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
+use super::envs::{Env, EnvRows};
 use super::options::Precision;
 use super::robot::Robot;
 use crate::config::EngineKind;
-use crate::dynamics::{Parameters, State, StepSettings, Topology};
+use crate::dynamics::{Parameters, StepSettings};
 use crate::error::Error;
 use crate::hash::fnv1a;
 use crate::sealed::{self, Header};
 
 const KIND: &str = "polypod snapshot of a simulation";
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
     steps: u64,
     envs: Vec<Env>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct Env {
-    position: [f64; 3],
-    rotation: [f64; 4],
-    linear_velocity: [f64; 3],
-    angular_velocity: [f64; 3],
-    joint_position: Vec<f64>,
-    joint_velocity: Vec<f64>,
-    impulse: Vec<[f64; 3]>,
-    bound_impulse: Vec<f64>,
-    parameters: Parameters<f64>,
-    effort: Vec<f64>,
-    force: Vec<[f64; 3]>,
-    /// What the engine has beyond that.
-    engine: Vec<u8>,
-}
-
-impl Env {
-    /// Whether all lists are as long as a robot's of this topology.
-    fn fits(&self, topology: &Topology, state: &State<f64>, parameters: &Parameters<f64>) -> bool {
-        let joints = [&self.joint_position, &self.joint_velocity, &self.bound_impulse, &self.effort];
-        joints.into_iter().all(|list| list.len() == topology.num_joints())
-            && self.impulse.len() == state.impulse.len()
-            && self.force.len() == topology.num_bodies
-            && self.parameters.has_sizes_of(parameters)
-    }
+    bodies: Vec<Parameters<f64>>,
+    /// What the engine keeps of each env beyond that.
+    engine: Vec<Vec<u8>>,
 }
 
 /// A hash of what decides a step but for the state and the envs' own numbers. `substeps` are those of the engine `avian`.
@@ -62,7 +38,7 @@ impl Simulation {
     fn header(&self) -> Header {
         let precision = if self.precision == Precision::Double { "double" } else { "single" };
         let robots = format!("{}, {precision} precision", self.robot.model.name);
-        Header::new(KIND, FORMAT, robots, self.fingerprint, self.num_envs)
+        Header::new(KIND, FORMAT, robots, self.fingerprint, self.num_envs())
     }
 
     /// State, time, contact warm starts and all numbers of all envs: restoring them and stepping gives, bit for bit, what
@@ -72,34 +48,11 @@ impl Simulation {
     /// When it cannot be encoded.
     pub fn snapshot(&self) -> Result<Vec<u8>, Error> {
         let unwritable = |error: postcard::Error| Error::Snapshot(error.to_string());
-        let topology = &self.robot.topology;
-        let mut state = State::zeros(topology);
-        let envs = (0..self.num_envs)
-            .map(|env| {
-                self.packs.read_state(env, &mut state);
-                let mut parameters = Parameters::zeros(topology);
-                self.packs.read_parameters(env, &mut parameters);
-                let (mut effort, mut force) = (vec![0.0; topology.num_joints()], vec![[0.0; 3]; topology.num_bodies]);
-                self.packs.read_report(env, &mut effort, &mut force);
-                let State { position, rotation, linear_velocity, angular_velocity, .. } = state;
-                Ok(Env {
-                    position,
-                    rotation,
-                    linear_velocity,
-                    angular_velocity,
-                    joint_position: state.joint_position.clone(),
-                    joint_velocity: state.joint_velocity.clone(),
-                    impulse: state.impulse.clone(),
-                    bound_impulse: state.bound_impulse.clone(),
-                    parameters,
-                    effort,
-                    force,
-                    engine: self.packs.save(env)?,
-                })
-            })
-            .collect::<Result<_, postcard::Error>>()
-            .map_err(unwritable)?;
-        sealed::seal(&self.header(), &Snapshot { steps: self.steps, envs }).map_err(unwritable)
+        let mut envs = vec![Env::zeros(&self.robot.topology); self.num_envs()];
+        envs.iter_mut().enumerate().for_each(|(index, env)| self.engine.fetch(index, EnvRows::of(env)));
+        let engine = self.engine.save().map_err(unwritable)?;
+        let snapshot = Snapshot { steps: self.steps, envs, bodies: self.bodies.clone(), engine };
+        sealed::seal(&self.header(), &snapshot).map_err(unwritable)
     }
 
     /// Goes back to a snapshot of a simulation with the same robot, options and number of envs.
@@ -109,39 +62,26 @@ impl Simulation {
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // nothing is written before all is checked
-        let topology = &self.robot.topology;
-        let (state, parameters) = (State::zeros(topology), Parameters::zeros(topology));
-        let fits = |env: &Env| env.fits(topology, &state, &parameters);
+        let (topology, zeros) = (&self.robot.topology, Env::zeros(&self.robot.topology));
+        let envs_fit =
+            snapshot.envs.len() == self.num_envs() && snapshot.envs.iter().all(|env| env.fits(&zeros, topology));
+        let bodies_fit = snapshot.bodies.len() == self.num_envs()
+            && snapshot.bodies.iter().zip(&self.bodies).all(|(body, ours)| body.has_sizes_of(ours));
         // steps are counted on from there
-        let too_many = snapshot.steps > u64::MAX / 2;
-        if too_many || snapshot.envs.len() != self.num_envs || !snapshot.envs.iter().all(fits) {
+        if snapshot.steps > u64::MAX / 2 || !envs_fit || !bodies_fit {
             let problem = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
             return Err(Error::Snapshot(problem.into()));
         }
-        let engine: Vec<&[u8]> = snapshot.envs.iter().map(|env| &env.engine[..]).collect();
         let unreadable = |error: postcard::Error| Error::Snapshot(format!("its engine's part cannot be read: {error}"));
-        self.packs.check_saved(&engine).map_err(unreadable)?;
-        let mut engine = Vec::with_capacity(snapshot.envs.len());
-        for (env, from) in snapshot.envs.into_iter().enumerate() {
-            let mut state = State {
-                position: from.position,
-                rotation: from.rotation,
-                linear_velocity: from.linear_velocity,
-                angular_velocity: from.angular_velocity,
-                joint_position: from.joint_position,
-                joint_velocity: from.joint_velocity,
-                impulse: from.impulse,
-                pressing: Vec::new(),
-                bound_impulse: from.bound_impulse,
-            };
-            state.find_pressing();
-            self.packs.write_state(env, &state);
-            self.packs.write_parameters(env, &from.parameters);
-            self.packs.write_report(env, &from.effort, &from.force);
-            engine.push(from.engine);
-        }
-        self.packs.load(&engine).map_err(unreadable)?;
+        self.engine.check(&snapshot.engine).map_err(unreadable)?;
         self.steps = snapshot.steps;
-        Ok(())
+        for (env, (mut state, mut body)) in snapshot.envs.into_iter().zip(snapshot.bodies).enumerate() {
+            self.engine.restart(env, EnvRows::of(&mut state));
+            // lists that did not change stay shared
+            body.share(&self.bodies[env]);
+            self.engine.upload(env, &body);
+            self.bodies[env] = body;
+        }
+        self.engine.load(&snapshot.engine).map_err(unreadable)
     }
 }

@@ -1,41 +1,59 @@
-//! The articulated engine: robots of a morphology are gathered into packs, stepped side by side, and scattered back to their components.
+//! The articulated engine: robots of a morphology are stepped side by side in packs.
 //!
-//! Between step and scatter the pack holds the new states and the components still the old ones: that is where a state
-//! that broke is noticed together with what it came from, see [`DivergenceRecord`].
+//! Robots that are at home in their rows are gathered into packs before a step and scattered back after it. In between the pack holds the
+//! new states and the rows still the old ones. There a state that broke is noticed together with what it came from, see
+//! [`DivergenceRecord`]. Resident robots stay in their packs.
 
 mod ordering;
 mod parameter_deltas;
 mod workspace;
 
 use std::cmp::Reverse;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{DivergenceRecord, Engine, PhysicsRows, StateLimits};
-use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, StepSettings, Terrain};
-use crate::morphology::{Morphologies, MorphologyModel};
+use super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run};
+use crate::dynamics::lanes::Real;
+use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, StepSettings, Terrain, Topology};
 use crate::workers::{Pool, SplitRows, Workers};
 use ordering::{DemandBits, PackOrder};
 use parameter_deltas::ParameterDeltas;
-use workspace::PackWorkspace;
+use workspace::{Pack, PackWorkspace};
 
 /// Neighbouring rows of one morphology, which a thread steps pack by pack.
-struct Task<'a> {
+struct Task<'a, L: Real, R> {
     morphology: usize,
     /// The first one, among those of the morphology.
     first: usize,
-    rows: PhysicsRows<'a>,
+    rows: R,
     /// See [`Packs::keys`].
     keys: &'a mut [u32],
+    resident: Resident<'a, L>,
 }
 
-/// What the robots of a morphology keep from one control step to the next beyond their components.
-struct Bodies<L> {
+/// Packs of resident robots; none where robots are at home in their rows. Rows are cut where packs end.
+struct Resident<'a, L: Real>(&'a mut [Pack<L>]);
+
+impl<L: Real> SplitRows for Resident<'_, L> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let (first, rest) = self.0.split_at_mut(n.div_ceil(L::LANES).min(self.0.len()));
+        (Self(first), Self(rest))
+    }
+}
+
+/// The robots of a morphology, and what they keep from one control step to the next beyond their rows.
+struct Bodies<L, T> {
     first_env: usize,
+    /// Where its packs begin in [`Packs::resident`].
+    first_pack: usize,
     count: usize,
+    topology: Topology,
     nominal: Parameters<L>,
+    /// The same, once.
+    kind: Parameters<f32>,
     /// Whether all bodies are [alike](Parameters::is_alike) the morphology's.
     alike: bool,
-    own: ParameterDeltas<L>,
+    own: ParameterDeltas<L, T>,
     bits: DemandBits,
 }
 
@@ -46,57 +64,78 @@ struct Scratch<L: Kernels> {
     pack_ordering: PackOrder,
 }
 
-/// All robots.
-pub(crate) struct Packs<L: Kernels> {
+/// All robots, in rows of numbers `T`.
+pub(crate) struct Packs<L: Kernels, T> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
     /// Of each morphology.
-    bodies: Vec<Bodies<L>>,
+    bodies: Vec<Bodies<L, T>>,
     /// Morphologies in the order in which their robots are stepped, see [`Packs::share_out`].
     order: Vec<usize>,
     /// Of each env, see [`DemandBits`]. They decide how fast a step is and nothing else.
     keys: Vec<u32>,
+    /// Of all resident robots, the packs of one morphology after the other's.
+    resident: Vec<Pack<L>>,
     scratch: Pool<Scratch<L>>,
 }
 
-impl<L: Kernels> Packs<L> {
-    /// Robots of some morphologies, `counts[m]` of kind `m` in contiguous blocks.
+impl<L: Kernels, T: Real> Packs<L, T> {
+    /// Robots of some kinds, in contiguous blocks.
     pub(crate) fn new(
         settings: StepSettings,
         terrain: Option<Arc<HeightGrid>>,
-        morphologies: &Morphologies,
-        counts: &[usize],
+        kinds: &[Kind<T>],
+        resident: bool,
         threads: usize,
     ) -> Self {
-        let (mut bodies, mut first_env) = (Vec::new(), 0);
-        for (model, &count) in morphologies.0.iter().zip(counts) {
-            let nominal = Parameters::from_scalars(&model.topology, &model.nominal);
-            let (own, bits) =
-                (ParameterDeltas::none(), DemandBits::new(&model.body_groups, model.topology.blocks().len()));
-            bodies.push(Bodies { first_env, count, nominal, alike: true, own, bits });
+        let (mut bodies, mut first_env, mut packs) = (Vec::new(), 0, Vec::new());
+        for kind in kinds {
+            let Kind { topology, nominal, body_groups, count, .. } = kind;
+            bodies.push(Bodies {
+                first_env,
+                first_pack: packs.len(),
+                count: *count,
+                topology: (*topology).clone(),
+                nominal: Parameters::from_scalars(topology, nominal),
+                kind: Parameters::from_scalars(topology, nominal),
+                alike: true,
+                own: ParameterDeltas::none(),
+                bits: DemandBits::new(body_groups, topology.blocks().len()),
+            });
             first_env += count;
+            if resident {
+                packs.resize(packs.len() + count.div_ceil(L::LANES), Pack::new(kind, 1));
+            }
         }
-        let bench =
-            |(model, of): (&MorphologyModel, &Bodies<L>)| PackWorkspace::new(model, &of.nominal, settings.decimation);
+        let bench = |(kind, of): (&Kind<T>, &Bodies<L, T>)| PackWorkspace::new(kind, &of.nominal, settings.decimation);
         let scratch = Pool::new(threads, || Scratch {
-            benches: morphologies.0.iter().zip(&bodies).map(bench).collect(),
+            benches: kinds.iter().zip(&bodies).map(bench).collect(),
             pack_ordering: PackOrder::default(),
         });
         let mut order: Vec<usize> = (0..bodies.len()).collect();
-        order.sort_by_key(|&morphology| Reverse(morphologies.0[morphology].topology.num_impulses()));
-        Self { settings, terrain, bodies, order, keys: vec![0; first_env], scratch }
+        order.sort_by_key(|&morphology| Reverse(bodies[morphology].topology.num_impulses()));
+        Self { settings, terrain, bodies, order, keys: vec![0; first_env], resident: packs, scratch }
+    }
+
+    /// The pack of a resident robot, and its lanes: idle lanes shadow the last robot of a morphology.
+    fn place(&self, env: usize) -> (usize, Range<usize>) {
+        let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
+        let Bodies { first_env, first_pack, count, .. } = &self.bodies[morphology];
+        let (row, lane) = (env - first_env, (env - first_env) % L::LANES);
+        (first_pack + row / L::LANES, lane..if row + 1 == *count { L::LANES } else { lane + 1 })
     }
 
     /// The tasks of a control step. The last ones are small, so that threads end together. Robots find their like among those of their
     /// task: the kinds that have the most places to touch something with come first.
-    fn share_out<'a>(
-        bodies: &[Bodies<L>],
+    fn share_out<'a, R: RobotRows>(
+        bodies: &[Bodies<L, T>],
         order: &[usize],
         workers: &Workers,
-        rows: PhysicsRows<'a>,
+        rows: R,
         keys: &'a mut [u32],
-    ) -> Vec<Task<'a>> {
-        let mut rest = (rows, keys);
+        resident: &'a mut [Pack<L>],
+    ) -> Vec<Task<'a, L, R>> {
+        let mut rest = (rows, keys, Resident(resident));
         let mut kinds = Vec::with_capacity(bodies.len());
         for of in bodies {
             let (mine, more) = rest.split_rows(of.count);
@@ -111,8 +150,8 @@ impl<L: Kernels> Packs<L> {
             while let Some(kind) = rest {
                 let packs = workers.share(left, 1).min((count - first).div_ceil(L::LANES));
                 let n = (packs * L::LANES).min(count - first);
-                let ((rows, keys), more) = kind.split_rows(n);
-                tasks.push(Task { morphology, first, rows, keys });
+                let ((rows, keys, resident), more) = kind.split_rows(n);
+                tasks.push(Task { morphology, first, rows, keys, resident });
                 (left, first) = (left - packs, first + n);
                 rest = Some(more).filter(|_| first < count);
             }
@@ -121,58 +160,88 @@ impl<L: Kernels> Packs<L> {
     }
 }
 
-impl<L: Kernels> Engine for Packs<L> {
-    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
+impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
+    fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
         if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {
-            *alike &= parameters.is_alike(nominal);
+            *alike = *alike && parameters.is_alike(nominal);
             own.set_row(env - *first_env, *count, parameters, nominal);
         }
     }
 
-    fn step(
-        &mut self,
-        morphologies: &Morphologies,
-        workers: &Workers,
-        rows: PhysicsRows,
-        limits: &StateLimits,
-        watched: &[bool],
-    ) -> Vec<DivergenceRecord> {
-        let Self { settings, terrain, bodies, order, keys, scratch } = self;
+    fn set_explicit(&mut self, morphology: usize, explicit: &[bool]) {
+        for (joint, &explicit) in self.bodies[morphology].topology.joints.iter_mut().zip(explicit) {
+            joint.explicit = explicit;
+        }
+    }
+
+    fn fetch(&self, env: usize, mut rows: F::Rows<'_>) {
+        let (pack, lanes) = self.place(env);
+        self.resident[pack].write_row(&mut rows, 0, lanes.start);
+    }
+
+    fn restart(&mut self, env: usize, rows: F::Rows<'_>) {
+        let (pack, lanes) = self.place(env);
+        self.resident[pack].restart(&rows, 0, lanes);
+    }
+
+    fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
+        let Self { settings, terrain, bodies, order, keys, resident, scratch } = self;
         let terrain = terrain.as_deref();
         let found = Mutex::new(Vec::new());
-        let tasks = Self::share_out(bodies, order, workers, rows, keys);
-        workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys }| {
+        let tasks = Self::share_out(bodies, order, workers, rows, keys, resident);
+        workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys, resident }| {
             scratch.with(|Scratch { benches, pack_ordering }| {
-                let Bodies { first_env, alike, own, bits, .. } = &bodies[morphology];
-                let MorphologyModel { topology, nominal, .. } = &morphologies.0[morphology];
-                let bench = &mut benches[morphology];
-                let order = if own.may_mix() { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
-                for (pack, lanes) in order.chunks(L::LANES).enumerate() {
-                    bench.gather(&rows, lanes);
-                    // the next ones: where rows are not in the order of memory, the machine does not see them come
-                    for &row in order.iter().skip((pack + 1) * L::LANES).take(L::LANES) {
-                        rows.prefetch(row);
-                    }
-                    let step = ControlStep {
-                        topology,
-                        settings,
-                        terrain: terrain.map(|grid| Terrain { grid, origin: &bench.origin }),
-                        parameters: own.of_pack(first, pack, lanes, &mut bench.nominal),
-                        kind: alike.then_some(nominal),
-                        drive: &bench.drive,
-                        state: &mut bench.state,
-                        report: &mut bench.report,
-                        work: &mut bench.work,
+                let Bodies { first_env, topology, kind, alike, own, bits, .. } = &bodies[morphology];
+                let PackWorkspace { nominal, without_gains, work, pack: visitors } = &mut benches[morphology];
+                let mix = !F::RESIDENT && own.may_mix();
+                let order = if mix { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
+                for (index, lanes) in order.chunks(L::LANES).enumerate() {
+                    let pack = match resident.0.get_mut(index) {
+                        Some(pack) => {
+                            pack.gather_drive(&rows, lanes);
+                            pack.make_room(run.steps.min(settings.decimation));
+                            pack
+                        }
+                        None => {
+                            visitors.gather(&rows, lanes);
+                            // the next ones: where rows are not in the order of memory, the machine does not see them come
+                            for &row in order.iter().skip((index + 1) * L::LANES).take(L::LANES) {
+                                rows.prefetch(row);
+                            }
+                            &mut *visitors
+                        }
                     };
-                    step.run();
-                    let broken = if watched[morphology] { bench.first_broken(limits, lanes) } else { None };
-                    let evidence =
-                        DivergenceRecord::of_writing(broken, morphology, first_env + first, &mut rows, |rows| {
-                            bench.scatter(rows, lanes);
-                        });
+                    let parameters = if run.gains {
+                        own.of_pack(first, index, lanes, nominal)
+                    } else {
+                        own.of_pack_without_gains(first, index, lanes, without_gains)
+                    };
+                    let mut left = run.steps;
+                    while left > 0 {
+                        let decimation = left.min(settings.decimation);
+                        let step = ControlStep {
+                            topology,
+                            settings: &StepSettings { decimation, ..*settings },
+                            terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
+                            parameters,
+                            kind: Some(kind).filter(|_| *alike && run.gains),
+                            drive: &pack.drive,
+                            state: &mut pack.state,
+                            report: &mut pack.report,
+                            work: &mut *work,
+                        };
+                        step.run();
+                        left -= decimation;
+                    }
+                    pack.note_touching();
+                    if F::RESIDENT {
+                        continue;
+                    }
+                    let broken = if run.watched[morphology] { pack.first_broken(run.limits, lanes) } else { None };
+                    let evidence = rows.record(broken, morphology, first_env + first, |rows| pack.scatter(rows, lanes));
                     for (lane, &row) in lanes.iter().enumerate() {
-                        keys[row] = bits.key(&bench.report.demands, lane);
+                        keys[row] = bits.key(&pack.report.demands, lane);
                     }
                     if let Some(evidence) = evidence {
                         found.lock().unwrap_or_else(PoisonError::into_inner).push(evidence);

@@ -2,21 +2,21 @@
 //! their places.
 
 use crate::dynamics::Parameters;
-use crate::dynamics::lanes::Lanes;
+use crate::dynamics::lanes::{Lanes, Real};
 
 /// Where bodies have more numbers of their own, all are kept, pack by pack.
 const FEW: usize = 64;
 
-/// Of all bodies of a morphology, each a row.
-pub(super) enum ParameterDeltas<L> {
+/// Of all bodies of a morphology, each a row, whose numbers are `T`.
+pub(super) enum ParameterDeltas<L, T> {
     /// Those that differ from the morphology's in some body, by their places among all of the [`Parameters`], which ascend:
     /// `[rows][places]`.
-    Few { places: Vec<u32>, values: Vec<f32> },
+    Few { places: Vec<u32>, values: Vec<T> },
     /// All, of `L::LANES` rows after the other; lists without a difference are the morphology's.
     All(Vec<Parameters<L>>),
 }
 
-impl<L: Lanes> ParameterDeltas<L> {
+impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
     /// None: the bodies are as the morphology has them.
     pub(super) fn none() -> Self {
         Self::Few { places: Vec::new(), values: Vec::new() }
@@ -28,27 +28,21 @@ impl<L: Lanes> ParameterDeltas<L> {
     }
 
     /// Takes over the numbers of the body in one of `count` rows; `nominal` are the morphology's.
-    pub(super) fn set_row(&mut self, row: usize, count: usize, body: &Parameters<f32>, nominal: &Parameters<L>) {
+    pub(super) fn set_row(&mut self, row: usize, count: usize, body: &Parameters<T>, nominal: &Parameters<L>) {
         if let Self::Few { places, values } = self {
-            let new = new_places(places, body, nominal);
+            let new = set_known(places, row_of(values, row, places.len()), body, nominal);
+            if new.is_empty() {
+                return;
+            }
             if places.len() + new.len() > FEW {
                 self.keep_all(count, nominal);
-            } else if !new.is_empty() {
+            } else {
                 (*places, *values) = with_places(places, values, count, &new);
             }
         }
         match self {
             Self::Few { places, values } => {
-                let row = &mut values[row * places.len()..(row + 1) * places.len()];
-                let (mut place, mut known) = (0, 0);
-                nominal.any_with(body, |_, &x| {
-                    if places.get(known) == Some(&place) {
-                        row[known] = x;
-                        known += 1;
-                    }
-                    place += 1;
-                    known == row.len()
-                });
+                set_known(places, row_of(values, row, places.len()), body, nominal);
             }
             Self::All(packs) => {
                 let lane = row % L::LANES;
@@ -87,45 +81,73 @@ impl<L: Lanes> ParameterDeltas<L> {
         }
     }
 
+    /// The numbers of a pack whose actuators have no gains, written into `numbers`; see [`of_pack`](Self::of_pack).
+    pub(super) fn of_pack_without_gains<'a>(
+        &self,
+        first: usize,
+        pack: usize,
+        rows: &[usize],
+        numbers: &'a mut Parameters<L>,
+    ) -> &'a Parameters<L> {
+        match self {
+            Self::Few { .. } => self.put(first, rows, numbers),
+            Self::All(packs) => numbers.clone_from(&packs[first / L::LANES + pack]),
+        }
+        numbers.stiffness.fill(L::zero());
+        numbers.damping.fill(L::zero());
+        numbers
+    }
+
     /// Puts the few numbers of rows, counted from `first`, into lanes; lanes beyond them shadow the last row.
     fn put(&self, first: usize, rows: &[usize], numbers: &mut Parameters<L>) {
         if let Self::Few { places, values } = self {
             numbers.for_each_at(places, |k, x| {
                 let value = |row: usize| values[(first + row) * places.len() + k];
                 for (lane, &row) in rows.iter().enumerate() {
-                    x.set_lane_f32(lane, value(row));
+                    x.set_lane(lane, value(row).lane(0));
                 }
                 for lane in rows.len()..L::LANES {
-                    x.set_lane_f32(lane, value(rows[rows.len() - 1]));
+                    x.set_lane(lane, value(rows[rows.len() - 1]).lane(0));
                 }
             });
         }
     }
 }
 
-/// Further places where a body differs, with the morphology's numbers, but no more than make too many.
-fn new_places<L: Lanes>(known: &[u32], body: &Parameters<f32>, nominal: &Parameters<L>) -> Vec<(u32, f32)> {
+fn row_of<T>(values: &mut [T], row: usize, width: usize) -> &mut [T] {
+    &mut values[row * width..(row + 1) * width]
+}
+
+/// Writes a body's numbers at the known places to its row. Returns further places where it differs, with the morphology's numbers, but no
+/// more than make too many.
+fn set_known<L: Lanes, T: Real>(
+    places: &[u32],
+    row: &mut [T],
+    body: &Parameters<T>,
+    nominal: &Parameters<L>,
+) -> Vec<(u32, T)> {
     let mut new = Vec::new();
-    let (mut place, mut passed) = (0, 0);
+    let (mut place, mut known) = (0, 0);
     nominal.any_with(body, |shared, &x| {
-        let shared = shared.lane_f32(0);
-        if known.get(passed) == Some(&place) {
-            passed += 1;
-        } else if shared.to_bits() != x.to_bits() {
+        let shared = T::splat(shared.lane(0));
+        if places.get(known) == Some(&place) {
+            row[known] = x;
+            known += 1;
+        } else if shared.lane(0).to_bits() != x.lane(0).to_bits() {
             new.push((place, shared));
         }
         place += 1;
-        known.len() + new.len() > FEW
+        places.len() + new.len() > FEW
     });
     new
 }
 
 /// Places and values with new places among them, where all rows have the same number so far.
-fn with_places(places: &[u32], values: &[f32], count: usize, new: &[(u32, f32)]) -> (Vec<u32>, Vec<f32>) {
+fn with_places<T: Real>(places: &[u32], values: &[T], count: usize, new: &[(u32, T)]) -> (Vec<u32>, Vec<T>) {
     let old = places.iter().enumerate().map(|(k, &place)| (place, Err(k)));
-    let mut all: Vec<(u32, Result<f32, usize>)> = old.chain(new.iter().map(|&(place, x)| (place, Ok(x)))).collect();
+    let mut all: Vec<(u32, Result<T, usize>)> = old.chain(new.iter().map(|&(place, x)| (place, Ok(x)))).collect();
     all.sort_unstable_by_key(|&(place, _)| place);
-    let value = |row: usize, from: Result<f32, usize>| from.unwrap_or_else(|k| values[row * places.len() + k]);
+    let value = |row: usize, from: Result<T, usize>| from.unwrap_or_else(|k| values[row * places.len() + k]);
     let values = (0..count).flat_map(|row| all.iter().map(move |&(_, from)| value(row, from)));
     let values = values.collect();
     (all.iter().map(|&(place, _)| place).collect(), values)

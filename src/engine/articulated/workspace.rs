@@ -1,81 +1,131 @@
-//! Packs between components and kernel: robots are gathered into lanes and scattered back.
+//! Packs between rows and kernel: robots are read into lanes and written back.
 
-use super::super::{PhysicsRows, StateLimits, StateNumbers, get, get_arrays, history_length, put, state_numbers};
-use crate::components::{ContactImpulse, PerFoot};
+use std::ops::Range;
+
+use super::super::{Kind, RobotRows, StateLimits, StateNumbers, ask_nothing, get, history_length, put, state_numbers};
+use crate::components::ContactImpulse;
 use crate::dynamics::lanes::{Kernel, Lanes, Real};
 use crate::dynamics::{Drive, Parameters, Report, State, Workspace};
-use crate::morphology::MorphologyModel;
 
-/// Where a thread steps one pack of a morphology after the other; its contents mean nothing between two.
-pub(super) struct PackWorkspace<L: Real> {
+/// One pack: robots side by side in lanes. The numbers of their bodies are elsewhere.
+#[derive(Clone)]
+pub(super) struct Pack<L: Real> {
     /// Where the envs' origins are on the terrain, m.
     pub(super) origin: [L; 2],
-    /// Of a body as the morphology has it.
-    pub(super) nominal: Parameters<L>,
     pub(super) state: State<L>,
     pub(super) drive: Drive<L>,
     pub(super) report: Report<L>,
-    pub(super) work: Workspace<L>,
     /// Which of the state's impulses are pressing.
     presses: Vec<bool>,
     /// The contact bodies that are feet.
-    feet: PerFoot<usize>,
+    feet: Vec<usize>,
     /// The others that the pack had touched something with.
     touching: Vec<usize>,
 }
 
+/// Where a thread steps one pack of a morphology after the other.
+pub(super) struct PackWorkspace<L: Real> {
+    /// Of a body as the morphology has it.
+    pub(super) nominal: Parameters<L>,
+    /// The same without gains.
+    pub(super) without_gains: Parameters<L>,
+    pub(super) work: Workspace<L>,
+    /// A pack whose robots are at home in rows; its contents mean nothing between two.
+    pub(super) pack: Pack<L>,
+}
+
 impl<L: Lanes> PackWorkspace<L> {
-    /// For a morphology whose numbers are `nominal` in every lane.
-    pub(super) fn new(model: &MorphologyModel, nominal: &Parameters<L>, decimation: usize) -> Self {
-        let topology = &model.topology;
-        let state = State::zeros(topology);
+    /// For a kind whose numbers are `nominal` in every lane.
+    pub(super) fn new<T>(kind: &Kind<T>, nominal: &Parameters<L>, decimation: usize) -> Self {
+        Self {
+            nominal: nominal.clone(),
+            without_gains: nominal.clone(),
+            work: Workspace::new(kind.topology),
+            pack: Pack::new(kind, decimation),
+        }
+    }
+}
+
+impl<L: Lanes> Pack<L> {
+    /// At rest at the world's origin.
+    pub(super) fn new<T>(kind: &Kind<T>, decimation: usize) -> Self {
+        let topology = kind.topology;
         Self {
             origin: [L::zero(); 2],
-            nominal: nominal.clone(),
-            presses: vec![false; state.impulse.len()],
-            feet: model.feet,
-            touching: Vec::new(),
-            state,
-            drive: Drive::zeros(topology, history_length(model.max_delay(), decimation)),
+            state: State::zeros(topology),
+            drive: Drive::zeros(topology, history_length(kind.max_delay, decimation)),
             report: Report::zeros(topology, decimation),
-            work: Workspace::new(topology),
+            presses: vec![false; topology.num_impulses()],
+            feet: kind.feet.to_vec(),
+            touching: Vec::new(),
         }
     }
 
-    /// Reads rows into the lanes; lanes beyond them shadow the last row.
-    pub(super) fn gather(&mut self, rows: &PhysicsRows, order: &[usize]) {
+    /// Reads rows into the lanes; lanes beyond them shadow the last row, so that they cost and break nothing.
+    pub(super) fn gather(&mut self, rows: &impl RobotRows, order: &[usize]) {
         for &contact in &self.state.pressing {
             self.state.impulse[contact as usize] = [L::zero(); 3];
         }
         self.presses.fill(false);
         self.state.pressing.clear();
+        ask_nothing(&mut self.drive);
         for lane in 0..L::LANES {
-            // idle lanes shadow the last robot
             let row = order[lane.min(order.len() - 1)];
-            let (state, drive) = (&mut self.state, &mut self.drive);
-            rows.read_motion(row, state, lane);
-            put(&mut self.origin, &rows.origins[row].position, lane);
-            for ContactImpulse { contact, impulse } in &rows.impulses[row].contacts {
-                let contact = *contact as usize;
-                if let (Some(all), Some(presses)) = (state.impulse.get_mut(contact), self.presses.get_mut(contact)) {
-                    put(all, impulse, lane);
-                    if !std::mem::replace(presses, true) {
-                        state.pressing.push(contact as u32);
-                    }
-                }
-            }
-            put(&mut state.bound_impulse, &rows.impulses[row].bounds, lane);
-            for (targets, from) in drive.targets.iter_mut().zip(&rows.targets[row].history) {
-                put(targets, from, lane);
-            }
-            // without a history no actuator sees a delay
-            if drive.targets.len() > 1 {
-                put(&mut drive.delay, &rows.delays[row].0, lane);
-            }
-            put(&mut drive.base_force, &rows.wrenches[row].force, lane);
-            put(&mut drive.base_torque, &rows.wrenches[row].torque, lane);
+            self.read_row(rows, row, lane);
+            rows.read_drive(row, &mut self.drive, lane);
         }
         self.state.pressing.sort_unstable();
+    }
+
+    /// Reads what is asked of the robots in rows alone.
+    pub(super) fn gather_drive(&mut self, rows: &impl RobotRows, order: &[usize]) {
+        ask_nothing(&mut self.drive);
+        for lane in 0..L::LANES {
+            rows.read_drive(order[lane.min(order.len() - 1)], &mut self.drive, lane);
+        }
+    }
+
+    /// Makes room for the normal forces of so many physics steps.
+    pub(super) fn make_room(&mut self, steps: usize) {
+        let Report { normal_force, body_force, .. } = &mut self.report;
+        if normal_force.len() < steps {
+            normal_force.resize(steps, vec![L::zero(); body_force.len()]);
+        }
+    }
+
+    /// Reads state and report of a row into some lanes, and leaves the others as they are.
+    pub(super) fn restart(&mut self, rows: &impl RobotRows, row: usize, lanes: Range<usize>) {
+        self.presses.fill(false);
+        for &contact in &self.state.pressing {
+            self.presses[contact as usize] = true;
+            for lane in lanes.clone() {
+                put(&mut self.state.impulse[contact as usize], &[0.0; 3], lane);
+            }
+        }
+        for lane in lanes {
+            self.read_row(rows, row, lane);
+            rows.read_report(row, &mut self.report, lane);
+        }
+        self.state.pressing.sort_unstable();
+        self.note_touching();
+    }
+
+    #[inline]
+    fn read_row(&mut self, rows: &impl RobotRows, row: usize, lane: usize) {
+        let state = &mut self.state;
+        rows.read_motion(row, state, lane);
+        put(&mut self.origin, &rows.origin(row), lane);
+        let (contacts, bounds) = rows.impulses(row);
+        for ContactImpulse { contact, impulse } in contacts {
+            let contact = *contact as usize;
+            if let (Some(all), Some(presses)) = (state.impulse.get_mut(contact), self.presses.get_mut(contact)) {
+                put(all, impulse, lane);
+                if !std::mem::replace(presses, true) {
+                    state.pressing.push(contact as u32);
+                }
+            }
+        }
+        put(&mut state.bound_impulse, bounds, lane);
     }
 
     /// The first of the lanes' rows whose new state is not finite or beyond the limits.
@@ -88,32 +138,37 @@ impl<L: Lanes> PackWorkspace<L> {
         rows.map(|(_, &row)| row).min()
     }
 
-    /// Writes the lanes to rows.
-    pub(super) fn scatter(&mut self, rows: &mut PhysicsRows, order: &[usize]) {
-        let Self { state, report, feet, touching, .. } = self;
+    /// Finds the bodies that [`write_row`](Self::write_row) reports, after a step.
+    pub(super) fn note_touching(&mut self) {
+        let Self { report, feet, touching, .. } = self;
         touching.clear();
         touching.extend((0..report.touched.len()).filter(|body| report.touched[*body] && !feet.contains(body)));
+    }
+
+    /// Writes the lanes to rows.
+    pub(super) fn scatter(&self, rows: &mut impl RobotRows, order: &[usize]) {
         for (lane, &row) in order.iter().enumerate() {
-            rows.write_motion(row, state, lane);
-            let contacts = &mut rows.impulses[row].contacts;
-            contacts.clear();
-            for &contact in &state.pressing {
-                let mut impulse = [0.0; 3];
-                get(&state.impulse[contact as usize], &mut impulse, lane);
-                // those of the lane's own alone
-                if impulse != [0.0; 3] {
-                    contacts.push(ContactImpulse { contact, impulse });
-                }
-            }
-            get(&state.bound_impulse, &mut rows.impulses[row].bounds, lane);
-            get(&report.joint_effort, &mut rows.efforts[row].applied, lane);
-            get(&report.joint_acceleration, &mut rows.efforts[row].acceleration, lane);
-            let net = |body: usize| report.body_force[body].map(|force| force.lane_f32(lane));
-            let normal = |step: usize, body: usize| report.normal_force[step][body].lane_f32(lane);
-            rows.forces[row].set(feet, touching, net, normal);
-            get_arrays(&report.site_position, &mut rows.feet[row].position, lane);
-            get_arrays(&report.site_velocity, &mut rows.feet[row].velocity, lane);
+            self.write_row(rows, row, lane);
         }
+    }
+
+    /// Writes a lane to a row.
+    #[inline]
+    pub(super) fn write_row<R: RobotRows>(&self, rows: &mut R, row: usize, lane: usize) {
+        let state = &self.state;
+        rows.write_motion(row, state, lane);
+        let (contacts, bounds) = rows.impulses_mut(row);
+        contacts.clear();
+        for &contact in &state.pressing {
+            let mut impulse = [R::Number::zero(); 3];
+            get(&state.impulse[contact as usize], &mut impulse, lane);
+            // those of the lane's own alone
+            if impulse.iter().any(|x| x.lane(0) != 0.0) {
+                contacts.push(ContactImpulse { contact, impulse });
+            }
+        }
+        get(&state.bound_impulse, bounds, lane);
+        rows.write_report(row, &self.report, &self.feet, &self.touching, lane);
     }
 }
 

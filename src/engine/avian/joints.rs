@@ -40,10 +40,10 @@ struct AxisRow {
 /// Numbers of one joint of one robot.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct JointNumbers {
-    pub(super) stiffness: f32,
-    pub(super) damping: f32,
-    pub(super) effort_limit: f32,
-    pub(super) armature: f32,
+    stiffness: f32,
+    damping: f32,
+    effort_limit: f32,
+    armature: f32,
     saturation: f32,
     motor_velocity_limit: f32,
     joint_damping: f32,

@@ -22,10 +22,10 @@ use bevy_ecs::prelude::{Component, Entity, World};
 use bevy_math::{Mat3, Vec3};
 use glam::{DMat3, DQuat, DVec3};
 
+use super::Kind;
 use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{JointMotion, Parameters, Plane, Scalar, State, Topology, Workspace};
 use crate::obstacles::Part;
-use crate::robot::Model;
 use crate::workers::Workers;
 use joints::{Joint, JointNumbers, Joints, Wrench};
 pub(crate) use robots::AvianRobots;
@@ -47,23 +47,6 @@ pub(crate) enum EngineError {
     Order,
 }
 
-/// A number of one joint.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum JointField {
-    /// Position that the gains pull to, rad.
-    Target,
-    /// Effort on top of that, N m.
-    Effort,
-    /// N m/rad.
-    Stiffness,
-    /// N m s/rad.
-    Damping,
-    /// N m, or a factor of the effort table.
-    EffortLimit,
-    /// kg m^2.
-    Armature,
-}
-
 /// What all envs share.
 #[derive(Clone, Copy)]
 pub(crate) struct Settings {
@@ -78,7 +61,7 @@ pub(crate) struct Settings {
 }
 
 /// Robots of one kind, one in each env.
-pub(crate) struct Engine {
+struct Worlds {
     topology: Topology,
     chunks: Vec<Chunk>,
     /// Envs in each chunk but the last.
@@ -103,29 +86,29 @@ struct Chunk {
 
 /// What is known of an env between steps.
 struct Env {
-    /// Where its origin is in the world, m.
+    /// Where its origin is in the world, m. A state that is set afterwards is about it.
     origin: DVec3,
+    /// What was set, or what its bodies came to since.
     state: State<f64>,
     parameters: Parameters<f64>,
+    /// Mean effort of each actuator in the last physics step, N m.
     effort: Vec<f64>,
+    /// Mean force on each contact body in the last physics step, N, world axes.
     force: Vec<[f64; 3]>,
+    /// Sum of the normal forces of each contact body's contacts in the last physics step, N.
     normal_force: Vec<f64>,
 }
 
-impl Engine {
-    /// `num_envs` robots in up to `num_chunks` worlds, each among the same `statics`; `align` turns the axes of the model's links
-    /// into the engine's, and the shapes `may_touch` each other.
-    pub(crate) fn new(
-        model: &Model,
-        align: &[DMat3],
-        may_touch: &[[usize; 2]],
-        topology: &Topology,
+impl Worlds {
+    /// The robots of a kind in up to `num_chunks` worlds, each among the same `statics`; `nominal` are their numbers.
+    pub(crate) fn new<T>(
+        kind: &Kind<T>,
         nominal: &Parameters<f64>,
         settings: &Settings,
         statics: &[Part],
-        num_envs: usize,
         num_chunks: usize,
     ) -> Result<Self, EngineError> {
+        let &Kind { model, topology, count: num_envs, .. } = kind;
         if let Some(j) = topology.joints.iter().position(|joint| joint.motion == JointMotion::Prismatic) {
             return Err(EngineError::Prismatic(model.joints[j].name.clone()));
         }
@@ -136,10 +119,11 @@ impl Engine {
         if h < Duration::from_micros(1) {
             return Err(EngineError::Step(substep));
         }
-        let colliders = shapes::colliders(model, align, topology.floating);
+        let colliders = shapes::colliders(model, kind.align, topology.floating);
         // a base that cannot move has no colliders
         let place = |shape: usize| colliders.iter().position(|collider| collider.shape == shape);
-        let self_pairs: Vec<[usize; 2]> = may_touch.iter().filter_map(|&[a, b]| Some([place(a)?, place(b)?])).collect();
+        let self_pairs: Vec<[usize; 2]> =
+            kind.shape_pairs.iter().filter_map(|&[a, b]| Some([place(a)?, place(b)?])).collect();
         let per_chunk = num_envs.div_ceil(num_chunks.max(1)).max(1);
         let mut engine = Self { topology: topology.clone(), chunks: Vec::new(), per_chunk };
         for first in (0..num_envs).step_by(per_chunk) {
@@ -170,10 +154,16 @@ impl Engine {
         (&mut self.chunks[env / self.per_chunk], env % self.per_chunk)
     }
 
-    /// The state of an env: what was set, or what its bodies came to since.
-    pub(crate) fn state(&self, env: usize) -> &State<f64> {
+    /// What is known of an env.
+    fn env(&self, env: usize) -> &Env {
         let (chunk, i) = self.at(env);
-        &chunk.envs[i].state
+        &chunk.envs[i]
+    }
+
+    /// The same. Numbers that the world also has are set by methods of their own.
+    fn env_mut(&mut self, env: usize) -> &mut Env {
+        let (chunk, i) = self.at_mut(env);
+        &mut chunk.envs[i]
     }
 
     /// Puts all links where forward kinematics has them; contacts and joints begin anew.
@@ -182,81 +172,24 @@ impl Engine {
         chunk.set_state(&self.topology, i, state);
     }
 
-    /// Where an env's origin is, m. A state that is set afterwards is about it.
-    pub(crate) fn set_origin(&mut self, env: usize, [x, y]: [f32; 2]) {
-        let (chunk, i) = self.at_mut(env);
-        chunk.envs[i].origin = DVec3::new(f64::from(x), f64::from(y), 0.0);
-    }
-
-    /// See [`set_origin`](Self::set_origin).
-    pub(crate) fn origin(&self, env: usize) -> [f32; 2] {
-        let (chunk, i) = self.at(env);
-        chunk.envs[i].origin.truncate().as_vec2().to_array()
-    }
-
-    /// The numbers of an env.
-    pub(crate) fn parameters(&self, env: usize) -> &Parameters<f64> {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].parameters
-    }
-
     /// Sets the numbers of an env; positions stay, and so do the velocities of the links' origins.
     pub(crate) fn set_parameters(&mut self, env: usize, parameters: &Parameters<f64>) {
         let (chunk, i) = (&mut self.chunks[env / self.per_chunk], env % self.per_chunk);
         chunk.set_parameters(&self.topology, i, parameters);
     }
 
-    /// Sets a number of a joint.
-    pub(crate) fn set_joint(&mut self, env: usize, joint: usize, field: JointField, value: f64) {
+    /// Sets the position that a joint's gains pull to, rad, and the effort on top of that, N m.
+    pub(crate) fn set_drive(&mut self, env: usize, joint: usize, target: f64, effort: f64) {
         let joints = self.topology.num_joints();
         let (chunk, i) = self.at_mut(env);
-        let parameters = &mut chunk.envs[i].parameters;
         let to = &mut chunk.joints.all[i * joints + joint];
-        let single = value as f32;
-        match field {
-            JointField::Target => to.target = single,
-            JointField::Effort => to.feedforward = single,
-            JointField::Stiffness => (parameters.stiffness[joint], to.numbers.stiffness) = (value, single),
-            JointField::Damping => (parameters.damping[joint], to.numbers.damping) = (value, single),
-            JointField::EffortLimit => (parameters.effort_limit[joint], to.numbers.effort_limit) = (value, single),
-            JointField::Armature => (parameters.armature[joint], to.numbers.armature) = (value, single),
-        }
+        (to.target, to.feedforward) = (target as f32, effort as f32);
     }
 
     /// Sets force (at the centre of mass, N) and torque (N m) on a base, base axes.
     pub(crate) fn set_wrench(&mut self, env: usize, force: [f32; 3], torque: [f32; 3]) {
         let (chunk, i) = self.at_mut(env);
         chunk.joints.wrenches[i] = Wrench { force: Vec3::from_array(force), torque: Vec3::from_array(torque) };
-    }
-
-    /// Sets the feed-forward effort of every joint to zero.
-    pub(crate) fn clear_efforts(&mut self) {
-        self.chunks.iter_mut().flat_map(|chunk| &mut chunk.joints.all).for_each(|joint| joint.feedforward = 0.0);
-    }
-
-    /// Mean effort of each actuator in the last physics step, N m.
-    pub(crate) fn effort(&self, env: usize) -> &[f64] {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].effort
-    }
-
-    /// Mean force on each contact body in the last physics step, N, world axes.
-    pub(crate) fn force(&self, env: usize) -> &[[f64; 3]] {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].force
-    }
-
-    /// Sum of the normal forces of each contact body's contacts in the last physics step, N.
-    pub(crate) fn normal_force(&self, env: usize) -> &[f64] {
-        let (chunk, i) = self.at(env);
-        &chunk.envs[i].normal_force
-    }
-
-    /// Sets what the last physics step reports.
-    pub(crate) fn set_report(&mut self, env: usize, effort: &[f64], force: &[[f64; 3]]) {
-        let (chunk, i) = self.at_mut(env);
-        chunk.envs[i].effort.copy_from_slice(effort);
-        chunk.envs[i].force.copy_from_slice(force);
     }
 
     /// How far the links' origins are from where forward kinematics of the state has them, at most, m.

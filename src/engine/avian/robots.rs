@@ -1,21 +1,21 @@
 //! The control step on Avian's rigid bodies.
 //!
-//! The engine keeps the robots between control steps. What a reset or a push has written into a robot's components is set
-//! there first, and the robot's contacts begin anew; a robot whose components are as the engine left them goes on.
+//! The engine keeps the robots between control steps. What a reset or a push has written into a robot's row is set
+//! there first, and the robot's contacts begin anew; a robot whose row is as the engine left it goes on.
 
-use super::super::{DivergenceRecord, Engine, PhysicsRows, StateLimits, get, get_arrays, state_numbers};
-use super::{EngineError, JointField, Settings};
-use crate::components::PerFoot;
-use crate::config::TaskConfig;
-use crate::dynamics::{Parameters, Plane, Report, Scalar, State, Topology, Workspace};
-use crate::morphology::{Morphologies, MorphologyModel};
-use crate::obstacles::{self, Part};
+use glam::DVec2;
+
+use super::super::{
+    DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run, StateLimits, ask_nothing, history_length, state_numbers,
+};
+use super::{EngineError, Env, Settings, Worlds};
+use crate::dynamics::lanes::Real;
+use crate::dynamics::{Drive, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace};
+use crate::obstacles::Part;
 use crate::workers::{SplitRows, Workers};
-use crate::world::Ground;
 
 /// Robots of all kinds.
 pub(crate) struct AvianRobots {
-    decimation: usize,
     blocks: Vec<Block>,
 }
 
@@ -23,16 +23,18 @@ pub(crate) struct AvianRobots {
 struct Block {
     first_env: usize,
     count: usize,
-    engine: super::Engine,
+    worlds: Worlds,
     topology: Topology,
     explicit: Vec<bool>,
     work: Workspace<f64>,
     report: Report<f64>,
     state: State<f64>,
+    /// Of each robot.
+    drives: Vec<Drive<f64>>,
     /// Joint velocities before the last physics step, `[count * joints]`.
     before: Vec<f64>,
     /// The contact bodies that are feet, and those that are not.
-    feet: PerFoot<usize>,
+    feet: Vec<usize>,
     others: Vec<usize>,
     /// Normal forces on the contact bodies, N: `normal[(row * physics steps + physics step) * bodies + body]`.
     normal: Vec<f32>,
@@ -41,167 +43,197 @@ struct Block {
 }
 
 impl AvianRobots {
-    /// Robots of these kinds, `counts[m]` of kind `m` in contiguous blocks.
-    pub(crate) fn new(
-        config: &TaskConfig,
-        morphologies: &Morphologies,
-        counts: &[usize],
-        ground: &Ground,
+    /// Robots of these kinds, in contiguous blocks, on the plane of the settings and among `statics`.
+    pub(crate) fn new<T: Real>(
+        settings: &StepSettings,
+        substeps: usize,
+        statics: &[Part],
+        kinds: &[Kind<T>],
         workers: &Workers,
     ) -> Result<Self, EngineError> {
-        let settings = Settings {
-            dt: config.sim.dt,
-            substeps: config.physics.avian_substeps as usize,
-            gravity: ground.gravity,
-            ground: ground.layout.is_none().then(|| Plane::level(ground.height)),
-        };
-        let mut statics: Vec<Part> = config.scene.obstacles.iter().flat_map(obstacles::parts).collect();
-        statics.extend(config.scene.terrain.as_ref().and_then(obstacles::terrain));
-        let decimation = config.sim.decimation as usize;
         let mut first_env = 0;
         let mut blocks = Vec::new();
-        for (model, &count) in morphologies.0.iter().zip(counts) {
-            blocks.push(Block::new(model, &settings, &statics, first_env, count, decimation, workers.num_chunks())?);
-            first_env += count;
+        for kind in kinds {
+            blocks.push(Block::new(kind, settings, substeps, statics, first_env, workers.num_chunks())?);
+            first_env += kind.count;
         }
-        Ok(Self { decimation, blocks })
+        Ok(Self { blocks })
+    }
+
+    /// The block of an env, and the robot's place in it.
+    fn at(&self, env: usize) -> (usize, usize) {
+        let block = self.blocks.partition_point(|block| block.first_env + block.count <= env);
+        (block, env - self.blocks.get(block).map_or(0, |block| block.first_env))
     }
 }
 
-impl Engine for AvianRobots {
+impl<F: RowFamily> Engine<F> for AvianRobots {
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
-        let robots = self.blocks.iter().flat_map(|block| (0..block.count).map(|env| block.engine.save(env)));
+        let robots = self.blocks.iter().flat_map(|block| (0..block.count).map(|env| block.worlds.save(env)));
         robots.collect()
     }
 
     fn check(&self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         for block in &self.blocks {
             let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-            block.engine.saved(mine.iter().map(Vec::as_slice))?;
+            block.worlds.saved(mine)?;
             envs = rest;
         }
         if envs.is_empty() { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
     }
 
     fn load(&mut self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
-        self.check(envs)?;
+        Engine::<F>::check(self, envs)?;
         for block in &mut self.blocks {
             let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-            block.engine.load(mine)?;
+            block.worlds.load(mine)?;
             envs = rest;
         }
         Ok(())
     }
 
-    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
-        let at = self.blocks.partition_point(|block| block.first_env + block.count <= env);
-        if let Some(block) = self.blocks.get_mut(at) {
+    fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>) {
+        let (block, row) = self.at(env);
+        if let Some(block) = self.blocks.get_mut(block) {
             let parameters = Parameters::from_scalars(&block.topology, parameters);
-            block.engine.set_parameters(env - block.first_env, &parameters);
+            block.worlds.set_parameters(row, &parameters);
         }
     }
 
-    fn step(
-        &mut self,
-        _morphologies: &Morphologies,
-        workers: &Workers,
-        mut rows: PhysicsRows,
-        limits: &StateLimits,
-        watched: &[bool],
-    ) -> Vec<DivergenceRecord> {
+    fn set_explicit(&mut self, morphology: usize, explicit: &[bool]) {
+        self.blocks[morphology].explicit.copy_from_slice(explicit);
+    }
+
+    fn fetch(&self, env: usize, mut rows: F::Rows<'_>) {
+        let (block, row) = self.at(env);
+        let block = &self.blocks[block];
+        let mut report = Report::zeros(&block.topology, 1);
+        let env = block.worlds.env(row);
+        report.joint_effort.copy_from_slice(&env.effort);
+        report.body_force.copy_from_slice(&env.force);
+        rows.write_motion(0, &env.state, 0);
+        rows.write_report(0, &report, &block.feet, &block.others, 0);
+    }
+
+    fn restart(&mut self, env: usize, rows: F::Rows<'_>) {
+        let (block, row) = self.at(env);
+        let block = &mut self.blocks[block];
+        rows.read_motion(0, &mut block.state, 0);
+        rows.read_report(0, &mut block.report, 0);
+        block.worlds.set_state(row, &block.state);
+        let env = block.worlds.env_mut(row);
+        env.effort.copy_from_slice(&block.report.joint_effort);
+        env.force.copy_from_slice(&block.report.body_force);
+    }
+
+    fn step(&mut self, workers: &Workers, mut rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
         let mut found = Vec::new();
         for (morphology, block) in self.blocks.iter_mut().enumerate() {
             let (mut mine, more) = rows.split_rows(block.count);
             rows = more;
-            block.gather(&mine);
-            for substep in 0..self.decimation {
-                block.aim(&mine, substep, self.decimation);
-                if substep + 1 == self.decimation {
-                    block.remember_velocities();
-                }
-                block.engine.step(workers, &block.explicit, true, 1);
-                block.note_forces(substep);
+            if !F::RESIDENT {
+                block.gather(&mine);
             }
-            let broken = if watched[morphology] { block.first_broken(limits) } else { None };
-            let first_env = block.first_env;
-            let write = |rows: &mut PhysicsRows| block.scatter(rows);
-            found.extend(DivergenceRecord::of_writing(broken, morphology, first_env, &mut mine, write));
+            block.gather_drive(&mine);
+            block.step(workers, run);
+            if !F::RESIDENT {
+                let broken = if run.watched[morphology] { block.first_broken(run.limits) } else { None };
+                found.extend(mine.record(broken, morphology, block.first_env, |rows| block.scatter(rows)));
+            }
         }
         found
+    }
+
+    fn link_drift(&self, env: usize) -> f64 {
+        let (block, row) = self.at(env);
+        self.blocks[block].worlds.drift(row)
     }
 }
 
 impl Block {
-    fn new(
-        model: &MorphologyModel,
-        settings: &Settings,
+    fn new<T: Real>(
+        kind: &Kind<T>,
+        settings: &StepSettings,
+        substeps: usize,
         statics: &[Part],
         first_env: usize,
-        count: usize,
-        decimation: usize,
         chunks: usize,
     ) -> Result<Self, EngineError> {
-        let topology = model.topology.clone();
-        let nominal = Parameters::from_scalars(&topology, &model.nominal);
+        let topology = kind.topology.clone();
+        let nominal = Parameters::from_scalars(&topology, kind.nominal);
+        let &StepSettings { dt, decimation, gravity, .. } = settings;
+        let of_worlds = Settings { dt, substeps, gravity, ground: settings.contact.ground };
+        let (count, ages) = (kind.count, history_length(kind.max_delay, decimation));
         Ok(Self {
             first_env,
             count,
-            engine: super::Engine::new(
-                &model.model,
-                &model.align,
-                &model.shape_pairs,
-                &topology,
-                &nominal,
-                settings,
-                statics,
-                count,
-                chunks,
-            )?,
+            worlds: Worlds::new(kind, &nominal, &of_worlds, statics, chunks)?,
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
             work: Workspace::new(&topology),
             report: Report::zeros(&topology, decimation),
             state: State::zeros(&topology),
+            drives: vec![Drive::zeros(&topology, ages); count],
             before: vec![0.0; count * topology.num_joints()],
-            feet: model.feet,
-            others: (0..topology.num_bodies).filter(|body| !model.feet.contains(body)).collect(),
+            feet: kind.feet.to_vec(),
+            others: (0..topology.num_bodies).filter(|body| !kind.feet.contains(body)).collect(),
             normal: vec![0.0; count * decimation * topology.num_bodies],
             decimation,
             topology,
-            dt: settings.dt,
+            dt,
         })
     }
 
-    /// Sets the robots whose components are not what the engine left.
-    fn gather(&mut self, rows: &PhysicsRows) {
+    /// Sets the robots whose rows are not what the engine left.
+    fn gather<R: RobotRows>(&mut self, rows: &R) {
         for row in 0..self.count {
-            let state = self.engine.state(row);
-            let (pose, velocity, joints) = (&rows.poses[row], &rows.velocities[row], &rows.joints[row]);
-            let same = equal(&state.position, &pose.position)
-                && equal(&state.rotation, &pose.rotation)
-                && equal(&state.linear_velocity, &velocity.linear)
-                && equal(&state.angular_velocity, &velocity.angular)
-                && equal(&state.joint_position, &joints.position)
-                && equal(&state.joint_velocity, &joints.velocity)
-                && self.engine.origin(row) == rows.origins[row].position;
+            rows.read_motion(row, &mut self.state, 0);
+            let (Env { state: ours, origin: at, .. }, theirs) = (self.worlds.env(row), &self.state);
+            let origin = DVec2::from_array(rows.origin(row).map(f64::from)).extend(0.0);
+            let same = equal::<R::Number>(&ours.position, &theirs.position)
+                && equal::<R::Number>(&ours.rotation, &theirs.rotation)
+                && equal::<R::Number>(&ours.linear_velocity, &theirs.linear_velocity)
+                && equal::<R::Number>(&ours.angular_velocity, &theirs.angular_velocity)
+                && equal::<R::Number>(&ours.joint_position, &theirs.joint_position)
+                && equal::<R::Number>(&ours.joint_velocity, &theirs.joint_velocity)
+                && *at == origin;
             if !same {
-                self.engine.set_origin(row, rows.origins[row].position);
-                rows.read_motion(row, &mut self.state, 0);
-                self.engine.set_state(row, &self.state);
+                self.worlds.env_mut(row).origin = origin;
+                self.worlds.set_state(row, &self.state);
             }
-            let wrench = &rows.wrenches[row];
-            self.engine.set_wrench(row, wrench.force, wrench.torque);
+        }
+    }
+
+    /// Takes over what is asked of the robots.
+    fn gather_drive(&mut self, rows: &impl RobotRows) {
+        for (row, drive) in self.drives.iter_mut().enumerate() {
+            ask_nothing(drive);
+            rows.read_drive(row, drive, 0);
+            let [force, torque] = [drive.base_force, drive.base_torque].map(|v| v.map(|x| x as f32));
+            self.worlds.set_wrench(row, force, torque);
+        }
+    }
+
+    fn step(&mut self, workers: &Workers, run: Run) {
+        for step in 0..run.steps {
+            let substep = step % self.decimation;
+            self.aim(substep);
+            if step + 1 == run.steps {
+                self.remember_velocities();
+            }
+            self.worlds.step(workers, &self.explicit, run.gains, 1);
+            self.note_forces(substep);
         }
     }
 
     /// Gives every actuator the target from its delay ago.
-    fn aim(&mut self, rows: &PhysicsRows, substep: usize, decimation: usize) {
-        for row in 0..self.count {
-            let (history, delay) = (&rows.targets[row].history, &rows.delays[row].0);
+    fn aim(&mut self, substep: usize) {
+        for (row, Drive { targets, delay, feedforward, .. }) in self.drives.iter().enumerate() {
             for joint in 0..self.topology.num_joints() {
                 // a target of this age is seen by delays beyond `substep + (age - 1) decimation`
                 let late = delay[joint].round() as usize;
-                let age = (1..history.len()).rev().find(|age| substep + (age - 1) * decimation < late).unwrap_or(0);
-                self.engine.set_joint(row, joint, JointField::Target, f64::from(history[age][joint]));
+                let seen = |age: &usize| substep + (age - 1) * self.decimation < late;
+                let age = (1..targets.len()).rev().find(seen).unwrap_or(0);
+                self.worlds.set_drive(row, joint, targets[age][joint], feedforward[joint]);
             }
         }
     }
@@ -209,14 +241,14 @@ impl Block {
     fn remember_velocities(&mut self) {
         let joints = self.topology.num_joints();
         for (row, before) in self.before.chunks_exact_mut(joints.max(1)).enumerate() {
-            before.copy_from_slice(&self.engine.state(row).joint_velocity);
+            before.copy_from_slice(&self.worlds.env(row).state.joint_velocity);
         }
     }
 
     fn note_forces(&mut self, substep: usize) {
         for row in 0..self.count {
             let first = (row * self.decimation + substep) * self.topology.num_bodies;
-            for (to, normal) in self.normal[first..].iter_mut().zip(self.engine.normal_force(row)) {
+            for (to, normal) in self.normal[first..].iter_mut().zip(&self.worlds.env(row).normal_force) {
                 *to = *normal as f32;
             }
         }
@@ -225,34 +257,36 @@ impl Block {
     /// The first robot whose new state is not finite or beyond the limits.
     fn first_broken(&self, limits: &StateLimits) -> Option<usize> {
         (0..self.count).find(|&row| {
-            let numbers = state_numbers(self.engine.state(row), self.engine.effort(row));
+            let Env { state, effort, .. } = self.worlds.env(row);
+            let numbers = state_numbers(state, effort);
             limits.violation(numbers, |x| x as f32).is_some()
         })
     }
 
-    fn scatter(&mut self, rows: &mut PhysicsRows) {
-        let joints = self.topology.num_joints();
+    fn scatter(&mut self, rows: &mut impl RobotRows) {
+        let (joints, bodies) = (self.topology.num_joints(), self.topology.num_bodies);
         for row in 0..self.count {
-            let state = self.engine.state(row);
+            let (Env { state, parameters, effort, force, .. }, report) = (self.worlds.env(row), &mut self.report);
             rows.write_motion(row, state, 0);
-            get(self.engine.effort(row), &mut rows.efforts[row].applied, 0);
+            report.joint_effort.copy_from_slice(effort);
             let before = &self.before[row * joints..(row + 1) * joints];
-            for ((to, new), old) in rows.efforts[row].acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
-                *to = ((new - old) / self.dt) as f32;
+            for ((to, new), old) in report.joint_acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
+                *to = (new - old) / self.dt;
             }
-            let force = self.engine.force(row);
-            let net = |body: usize| force[body].map(|x| x as f32);
-            let first = |step: usize| (row * self.decimation + step) * self.topology.num_bodies;
-            let normal = |step: usize, body: usize| self.normal[first(step) + body];
-            rows.forces[row].set(&self.feet, &self.others, net, normal);
-            f64::report_sites(&self.topology, self.engine.parameters(row), state, &mut self.report, &mut self.work);
-            get_arrays(&self.report.site_position, &mut rows.feet[row].position, 0);
-            get_arrays(&self.report.site_velocity, &mut rows.feet[row].velocity, 0);
+            report.body_force.copy_from_slice(force);
+            for (step, normal) in report.normal_force.iter_mut().enumerate() {
+                let first = (row * self.decimation + step) * bodies;
+                for (to, &from) in normal.iter_mut().zip(&self.normal[first..]) {
+                    *to = f64::from(from);
+                }
+            }
+            f64::report_sites(&self.topology, parameters, state, report, &mut self.work);
+            rows.write_report(row, report, &self.feet, &self.others, 0);
         }
     }
 }
 
-/// Whether numbers are those that were written out before.
-fn equal(wide: &[f64], narrow: &[f32]) -> bool {
-    wide.iter().zip(narrow).all(|(&x, &y)| x as f32 == y)
+/// Whether numbers are those that were written into a row of numbers `T` before.
+fn equal<T: Real>(ours: &[f64], row: &[f64]) -> bool {
+    ours.iter().zip(row).all(|(&x, &y)| T::splat(x).lane(0) == y)
 }

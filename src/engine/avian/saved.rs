@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::world::{Tangents, push_contacts};
-use super::{Chunk, Engine};
+use super::{Chunk, Worlds};
 
 /// One robot, to the bit.
 #[derive(Serialize, Deserialize)]
@@ -59,7 +59,7 @@ struct SavedPoint {
     tangent: [f32; 2],
 }
 
-impl Engine {
+impl Worlds {
     /// The robot of an env, as bytes.
     pub(crate) fn save(&self, env: usize) -> Result<Vec<u8>, postcard::Error> {
         let (chunk, i) = self.at(env);
@@ -69,7 +69,7 @@ impl Engine {
     /// Brings the robots of all envs to where they were saved: what steps give from there is the same to the bit, once
     /// the envs' numbers are the same. Bytes that are no such robots change nothing.
     pub(crate) fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
-        let robots = self.saved(envs.iter().map(Vec::as_slice))?;
+        let robots = self.saved(envs)?;
         let mut rest = robots.as_slice();
         for chunk in &mut self.chunks {
             let (mine, more) = rest.split_at(chunk.envs.len());
@@ -83,11 +83,8 @@ impl Engine {
     }
 
     /// The robots of all envs, if these bytes are such.
-    pub(crate) fn saved<'a>(
-        &self,
-        envs: impl IntoIterator<Item = &'a [u8]>,
-    ) -> Result<Vec<SavedRobot>, postcard::Error> {
-        let robots = envs.into_iter().map(postcard::from_bytes).collect::<Result<Vec<SavedRobot>, _>>()?;
+    pub(crate) fn saved(&self, envs: &[Vec<u8>]) -> Result<Vec<SavedRobot>, postcard::Error> {
+        let robots = envs.iter().map(|bytes| postcard::from_bytes(bytes)).collect::<Result<Vec<SavedRobot>, _>>()?;
         let (links, joints) = (self.topology.num_links(), self.topology.num_joints());
         let fits = |robot: &SavedRobot| robot.links.len() == links && robot.joints.len() == joints;
         if robots.len() != self.chunks.iter().map(|chunk| chunk.envs.len()).sum::<usize>() || !robots.iter().all(fits) {

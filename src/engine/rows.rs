@@ -1,0 +1,281 @@
+//! The rows that an engine reads and writes: one robot each, whatever type of number and memory its caller keeps it in.
+
+use smallvec::SmallVec;
+
+use super::{DivergenceRecord, Motion};
+use crate::components::{
+    ActuatorDelay, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse, EnvOrigin,
+    ExternalWrench, Feet, JointEffort, JointState, JointTargets,
+};
+use crate::dynamics::lanes::{Real, prefetch};
+use crate::dynamics::{Drive, Report, State};
+use crate::workers::SplitRows;
+
+/// Rows of one caller, for any time that an engine borrows them.
+pub(crate) trait RowFamily: 'static {
+    /// Whether robots are at home in the engine, between steps as well. [`Engine::fetch`](super::Engine::fetch) then reads their states
+    /// and [`Engine::restart`](super::Engine::restart) writes them; a step asks its rows for the drive alone. Else robots are at home in
+    /// their rows.
+    const RESIDENT: bool;
+    /// Type of the rows' numbers and of the robots' parameters.
+    type Number: Real;
+    /// The rows.
+    type Rows<'a>: RobotRows<Number = Self::Number>;
+}
+
+/// Contacts that press, and their impulses.
+pub(crate) type Contacts<T> = SmallVec<[ContactImpulse<T>; 6]>;
+
+/// Rows of robots. Lanes of packs are read from them and written to them.
+pub(crate) trait RobotRows: SplitRows {
+    /// Type of the numbers.
+    type Number: Real;
+
+    /// Origin of the env on the terrain, x and y, m.
+    fn origin(&self, row: usize) -> [f32; 2];
+
+    /// Reads poses and velocities of a row into a lane.
+    fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize);
+
+    /// Writes poses and velocities of a lane into a row.
+    fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize);
+
+    /// Reads what the actuators are asked for, and the external wrench. What a caller does not ask for is zero beforehand.
+    fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize);
+
+    /// Impulses of the contacts; of joint limits and dry friction, `[joints]`.
+    fn impulses(&self, row: usize) -> (&Contacts<Self::Number>, &[Self::Number]);
+
+    /// The same, to write.
+    fn impulses_mut(&mut self, row: usize) -> (&mut Contacts<Self::Number>, &mut [Self::Number]);
+
+    /// Writes the report of a control step. Forces act on contact bodies that are `feet`, and on those of the others that are `touching`
+    /// something.
+    fn write_report<L: Real>(
+        &mut self,
+        row: usize,
+        report: &Report<L>,
+        feet: &[usize],
+        touching: &[usize],
+        lane: usize,
+    );
+
+    /// Reads what rows of [resident](RowFamily::RESIDENT) robots hold of the report.
+    fn read_report<L: Real>(&self, _row: usize, _report: &mut Report<L>, _lane: usize) {}
+
+    /// Asks for a row's memory.
+    fn prefetch(&self, _row: usize) {}
+
+    /// Writes new states. If a row diverged, returns its state before and after the step, where rows keep records. `first_env` is the env
+    /// of the first row.
+    fn record(
+        &mut self,
+        _diverged: Option<usize>,
+        _morphology: usize,
+        _first_env: usize,
+        write: impl FnOnce(&mut Self),
+    ) -> Option<DivergenceRecord> {
+        write(self);
+        None
+    }
+}
+
+/// Rows of the pipeline: components of robots, in single precision.
+pub(crate) struct Components;
+
+impl RowFamily for Components {
+    const RESIDENT: bool = false;
+    type Number = f32;
+    type Rows<'a> = ComponentRows<'a>;
+}
+
+/// The components that the engine reads and writes, row `i` belonging to env `i`.
+pub(crate) struct ComponentRows<'a> {
+    pub(crate) origins: &'a [EnvOrigin],
+    pub(crate) poses: &'a mut [BasePose],
+    pub(crate) velocities: &'a mut [BaseVelocity],
+    pub(crate) joints: &'a mut [JointState],
+    pub(crate) targets: &'a mut [JointTargets],
+    pub(crate) delays: &'a mut [ActuatorDelay],
+    pub(crate) wrenches: &'a mut [ExternalWrench],
+    pub(crate) efforts: &'a mut [JointEffort],
+    pub(crate) impulses: &'a mut [ConstraintImpulses],
+    pub(crate) forces: &'a mut [ContactForces],
+    pub(crate) feet: &'a mut [Feet],
+}
+
+impl SplitRows for ComponentRows<'_> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let (origins, origins2) = self.origins.split_at(n);
+        let (poses, poses2) = self.poses.split_at_mut(n);
+        let (velocities, velocities2) = self.velocities.split_at_mut(n);
+        let (joints, joints2) = self.joints.split_at_mut(n);
+        let (targets, targets2) = self.targets.split_at_mut(n);
+        let (delays, delays2) = self.delays.split_at_mut(n);
+        let (wrenches, wrenches2) = self.wrenches.split_at_mut(n);
+        let (efforts, efforts2) = self.efforts.split_at_mut(n);
+        let (impulses, impulses2) = self.impulses.split_at_mut(n);
+        let (forces, forces2) = self.forces.split_at_mut(n);
+        let (feet, feet2) = self.feet.split_at_mut(n);
+        (
+            Self { origins, poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet },
+            Self {
+                origins: origins2,
+                poses: poses2,
+                velocities: velocities2,
+                joints: joints2,
+                targets: targets2,
+                delays: delays2,
+                wrenches: wrenches2,
+                efforts: efforts2,
+                impulses: impulses2,
+                forces: forces2,
+                feet: feet2,
+            },
+        )
+    }
+}
+
+impl ComponentRows<'_> {
+    fn motion(&self, row: usize) -> Motion {
+        Motion {
+            pose: self.poses[row],
+            velocity: self.velocities[row],
+            joints: self.joints[row].clone(),
+            effort: self.efforts[row].clone(),
+            impulses: self.impulses[row].clone(),
+        }
+    }
+}
+
+impl RobotRows for ComponentRows<'_> {
+    type Number = f32;
+
+    #[inline]
+    fn origin(&self, row: usize) -> [f32; 2] {
+        self.origins[row].position
+    }
+
+    #[inline]
+    fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize) {
+        put(&mut state.position, &self.poses[row].position, lane);
+        put(&mut state.rotation, &self.poses[row].rotation, lane);
+        put(&mut state.linear_velocity, &self.velocities[row].linear, lane);
+        put(&mut state.angular_velocity, &self.velocities[row].angular, lane);
+        put(&mut state.joint_position, &self.joints[row].position, lane);
+        put(&mut state.joint_velocity, &self.joints[row].velocity, lane);
+    }
+
+    #[inline]
+    fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize) {
+        get(&state.position, &mut self.poses[row].position, lane);
+        get(&state.rotation, &mut self.poses[row].rotation, lane);
+        get(&state.linear_velocity, &mut self.velocities[row].linear, lane);
+        get(&state.angular_velocity, &mut self.velocities[row].angular, lane);
+        get(&state.joint_position, &mut self.joints[row].position, lane);
+        get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
+    }
+
+    #[inline]
+    fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize) {
+        for (targets, from) in drive.targets.iter_mut().zip(&self.targets[row].history) {
+            put(targets, from, lane);
+        }
+        // without a history no actuator sees a delay
+        if drive.targets.len() > 1 {
+            put(&mut drive.delay, &self.delays[row].0, lane);
+        }
+        put(&mut drive.base_force, &self.wrenches[row].force, lane);
+        put(&mut drive.base_torque, &self.wrenches[row].torque, lane);
+    }
+
+    #[inline]
+    fn impulses(&self, row: usize) -> (&Contacts<f32>, &[f32]) {
+        (&self.impulses[row].contacts, &self.impulses[row].bounds)
+    }
+
+    #[inline]
+    fn impulses_mut(&mut self, row: usize) -> (&mut Contacts<f32>, &mut [f32]) {
+        let ConstraintImpulses { contacts, bounds } = &mut self.impulses[row];
+        (contacts, bounds)
+    }
+
+    #[inline]
+    fn write_report<L: Real>(
+        &mut self,
+        row: usize,
+        report: &Report<L>,
+        feet: &[usize],
+        touching: &[usize],
+        lane: usize,
+    ) {
+        get(&report.joint_effort, &mut self.efforts[row].applied, lane);
+        get(&report.joint_acceleration, &mut self.efforts[row].acceleration, lane);
+        let net = |body: usize| report.body_force[body].map(|force| force.lane_f32(lane));
+        let normal = |step: usize, body: usize| report.normal_force[step][body].lane_f32(lane);
+        self.forces[row].set(feet, touching, net, normal);
+        for (y, x) in report.site_position.iter().zip(&mut self.feet[row].position) {
+            get(y, x, lane);
+        }
+        for (y, x) in report.site_velocity.iter().zip(&mut self.feet[row].velocity) {
+            get(y, x, lane);
+        }
+    }
+
+    #[inline]
+    fn prefetch(&self, row: usize) {
+        prefetch(&self.origins[row]);
+        prefetch(&self.poses[row]);
+        prefetch(&self.velocities[row]);
+        prefetch(&self.joints[row]);
+        prefetch(&self.targets[row]);
+        prefetch(&self.delays[row]);
+        prefetch(&self.wrenches[row]);
+        prefetch(&self.efforts[row]);
+        prefetch(&self.impulses[row]);
+        prefetch(&self.forces[row]);
+        prefetch(&self.feet[row]);
+    }
+
+    fn record(
+        &mut self,
+        diverged: Option<usize>,
+        morphology: usize,
+        first_env: usize,
+        write: impl FnOnce(&mut Self),
+    ) -> Option<DivergenceRecord> {
+        let before = diverged.map(|row| (row, self.motion(row)));
+        write(self);
+        before.map(|(row, before)| DivergenceRecord {
+            morphology,
+            env: first_env + row,
+            before,
+            targets: self.targets[row].clone(),
+            delay: self.delays[row].clone(),
+            wrench: self.wrenches[row],
+            after: self.motion(row),
+        })
+    }
+}
+
+/// Leaves targets and feed-forward efforts zero.
+pub(crate) fn ask_nothing<L: Real>(drive: &mut Drive<L>) {
+    drive.targets.iter_mut().for_each(|targets| targets.fill(L::zero()));
+    drive.feedforward.fill(L::zero());
+}
+
+/// Writes numbers into a lane.
+#[inline]
+pub(crate) fn put<L: Real, T: Real>(to: &mut [L], from: &[T], lane: usize) {
+    for (x, y) in to.iter_mut().zip(from) {
+        x.set_lane(lane, y.lane(0));
+    }
+}
+
+/// Reads numbers from a lane.
+#[inline]
+pub(crate) fn get<L: Real, T: Real>(from: &[L], to: &mut [T], lane: usize) {
+    for (y, x) in from.iter().zip(to) {
+        x.set_lane(0, y.lane(lane));
+    }
+}

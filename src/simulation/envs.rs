@@ -1,0 +1,202 @@
+//! What a simulation reads and sets of its envs, which are at home in the engine.
+
+use serde::{Deserialize, Serialize};
+
+use super::rows::Rows;
+use crate::dynamics::lanes::Real;
+use crate::dynamics::{Drive, Report, State, Topology};
+use crate::engine::{Contacts, RobotRows, RowFamily, get, put};
+use crate::workers::SplitRows;
+
+/// Numbers of a base's pose: position and quaternion.
+const POSE: usize = 7;
+/// Numbers of a base's velocity: linear and angular.
+const TWIST: usize = 6;
+
+/// State and report of one env.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Env {
+    /// Generalised positions, see [`Simulation`](super::Simulation).
+    pub(super) qpos: Vec<f64>,
+    /// Generalised velocities.
+    pub(super) qvel: Vec<f64>,
+    /// Impulses of joint limits and dry friction in the last physics step, N m s, `[joints]`.
+    bounds: Vec<f64>,
+    /// Contact impulses of the last physics step.
+    contacts: Contacts<f64>,
+    /// Effort of each actuator in the last physics step, N m or N.
+    pub(super) effort: Vec<f64>,
+    /// Net force on each contact body in the last physics step, N, world axes.
+    pub(super) force: Vec<[f64; 3]>,
+}
+
+impl Env {
+    /// All numbers zero, to be read into.
+    pub(super) fn zeros(topology: &Topology) -> Self {
+        let joints = topology.num_joints();
+        let (pose, twist) = if topology.floating { (POSE, TWIST) } else { (0, 0) };
+        Self {
+            qpos: vec![0.0; pose + joints],
+            qvel: vec![0.0; twist + joints],
+            bounds: vec![0.0; joints],
+            contacts: Contacts::new(),
+            effort: vec![0.0; joints],
+            force: vec![[0.0; 3]; topology.num_bodies],
+        }
+    }
+
+    /// Whether the lists are as long as those of `other`, and contacts are a robot's of this topology.
+    pub(super) fn fits(&self, other: &Self, topology: &Topology) -> bool {
+        self.qpos.len() == other.qpos.len()
+            && self.qvel.len() == other.qvel.len()
+            && self.bounds.len() == other.bounds.len()
+            && self.effort.len() == other.effort.len()
+            && self.force.len() == other.force.len()
+            && self.contacts.iter().all(|c| (c.contact as usize) < topology.num_impulses())
+    }
+
+    /// Forgets the impulses of the last physics step.
+    pub(super) fn forget_impulses(&mut self) {
+        self.contacts.clear();
+        self.bounds.fill(0.0);
+    }
+
+    /// Reads pose and velocity into a lane. A fixed base stays as it is there.
+    #[inline]
+    pub(super) fn read<L: Real>(&self, state: &mut State<L>, lane: usize) {
+        let (pose, positions) = self.qpos.split_at(self.qpos.len() - self.bounds.len());
+        let (twist, velocities) = self.qvel.split_at(self.qvel.len() - self.bounds.len());
+        put(&mut state.position, pose, lane);
+        put(&mut state.rotation, pose.get(3..).unwrap_or_default(), lane);
+        put(&mut state.linear_velocity, twist, lane);
+        put(&mut state.angular_velocity, twist.get(3..).unwrap_or_default(), lane);
+        put(&mut state.joint_position, positions, lane);
+        put(&mut state.joint_velocity, velocities, lane);
+    }
+
+    #[inline]
+    fn write<L: Real>(&mut self, state: &State<L>, lane: usize) {
+        let (nq, nv, joints) = (self.qpos.len(), self.qvel.len(), self.bounds.len());
+        let (pose, positions) = self.qpos.split_at_mut(nq - joints);
+        let (twist, velocities) = self.qvel.split_at_mut(nv - joints);
+        get(&state.position, pose, lane);
+        get(&state.rotation, pose.get_mut(3..).unwrap_or_default(), lane);
+        get(&state.linear_velocity, twist, lane);
+        get(&state.angular_velocity, twist.get_mut(3..).unwrap_or_default(), lane);
+        get(&state.joint_position, positions, lane);
+        get(&state.joint_velocity, velocities, lane);
+    }
+}
+
+/// What the actuators are asked for.
+#[derive(Clone, Copy)]
+pub(super) enum Actuation<'a> {
+    /// These targets, by the gains.
+    Targets(Rows<'a>),
+    /// These efforts alone.
+    Effort(Rows<'a>),
+}
+
+/// Rows of a simulation, in double precision whatever the engine computes in.
+pub(super) struct Envs;
+
+impl RowFamily for Envs {
+    const RESIDENT: bool = true;
+    type Number = f64;
+    type Rows<'a> = EnvRows<'a>;
+}
+
+/// What is asked of all envs in a step, from env `first` on, without envs; or one env that is read or set.
+pub(super) struct EnvRows<'a> {
+    envs: &'a mut [Env],
+    first: usize,
+    actuation: Actuation<'a>,
+}
+
+impl<'a> EnvRows<'a> {
+    /// What is asked in a step.
+    pub(super) fn asking(actuation: Actuation<'a>) -> Self {
+        Self { envs: &mut [], first: 0, actuation }
+    }
+
+    /// One env.
+    pub(super) fn of(env: &'a mut Env) -> Self {
+        Self { envs: std::slice::from_mut(env), first: 0, actuation: Actuation::Effort(Rows::zero()) }
+    }
+}
+
+impl SplitRows for EnvRows<'_> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        let Self { envs, first, actuation } = self;
+        let (envs, rest) = envs.split_at_mut(n.min(envs.len()));
+        (Self { envs, first, actuation }, Self { envs: rest, first: first + n, actuation })
+    }
+}
+
+impl RobotRows for EnvRows<'_> {
+    type Number = f64;
+
+    #[inline]
+    fn origin(&self, _row: usize) -> [f32; 2] {
+        [0.0; 2]
+    }
+
+    #[inline]
+    fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize) {
+        self.envs[row].read(state, lane);
+    }
+
+    #[inline]
+    fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize) {
+        self.envs[row].write(state, lane);
+    }
+
+    #[inline]
+    fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize) {
+        let (asked, to) = match self.actuation {
+            Actuation::Targets(asked) => (asked, &mut drive.targets[0]),
+            Actuation::Effort(asked) => (asked, &mut drive.feedforward),
+        };
+        match asked.row(self.first + row) {
+            &[same] => to.iter_mut().for_each(|x| x.set_lane(lane, same)),
+            row => put(to, row, lane),
+        }
+    }
+
+    #[inline]
+    fn impulses(&self, row: usize) -> (&Contacts<f64>, &[f64]) {
+        (&self.envs[row].contacts, &self.envs[row].bounds)
+    }
+
+    #[inline]
+    fn impulses_mut(&mut self, row: usize) -> (&mut Contacts<f64>, &mut [f64]) {
+        let Env { contacts, bounds, .. } = &mut self.envs[row];
+        (contacts, bounds)
+    }
+
+    #[inline]
+    fn write_report<L: Real>(
+        &mut self,
+        row: usize,
+        report: &Report<L>,
+        _feet: &[usize],
+        touching: &[usize],
+        lane: usize,
+    ) {
+        let Env { effort, force, .. } = &mut self.envs[row];
+        get(&report.joint_effort, effort, lane);
+        force.fill([0.0; 3]);
+        for &body in touching {
+            get(&report.body_force[body], &mut force[body], lane);
+        }
+    }
+
+    fn read_report<L: Real>(&self, row: usize, report: &mut Report<L>, lane: usize) {
+        let Env { effort, force, .. } = &self.envs[row];
+        put(&mut report.joint_effort, effort, lane);
+        for (body, force) in force.iter().enumerate() {
+            put(&mut report.body_force[body], force, lane);
+            report.touched[body] |= *force != [0.0; 3];
+        }
+    }
+}
