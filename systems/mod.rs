@@ -89,7 +89,9 @@ pub use spawn::SpawnPlugin;
 pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
 pub(crate) use terms::ACTION_DELAY;
-pub use terms::{CompiledTask, ObservationTerm, Registry, RewardTerm, TermKind, TermSpec, TerminationTerm};
+pub use terms::{
+    Block, CompiledTask, ObservationTerm, Per, Registry, RewardTerm, TermKind, TermSource, TermSpec, TerminationTerm,
+};
 pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
 
 /// Makes a simulation: loads the task and its robots and spawns everything. Runs once.

@@ -122,10 +122,20 @@ class VecSim:
     """(term, size) of the observation, in order."""
 
     def observation_terms(self) -> str:
-        """Terms of the observation, in order, as JSON: a list of {term, size, kind, units, description, inputs}.
+        """Terms of the observation, in order, as JSON: a list of objects.
 
-        `kind` is scalar, vector, pseudovector, planar_velocity, per_joint, scan or body. `inputs` are what a robot's
-        sensors have to give for the term; an empty list means the term itself.
+        `term`, `size`: name and number of numbers.
+        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, scan or body: how the numbers are mirrored.
+        `units`, `description`: what they say.
+        `source`: what the term is computed from on a robot: measured (given as it is), robot_constant (known of the
+        robot), center_of_mass_velocity, base_angular_velocity, projected_gravity, velocity_command, joint_position,
+        joint_position_minus_default, joint_velocity, last_action or height_scan.
+        `inputs`: what a robot's sensors have to give for it, as inputs of a folded graph.
+        `magnitude`: typical magnitude of the numbers, in `units`.
+        `blocks`: for the kind body, what consecutive numbers belong to: a list of {per, count}. `per` is body, length
+        (a distance between front and hind legs), width (between left and right legs), role (all numbers of the first
+        role, then those of the next) or joint (the first number of all joints, then the next number of all joints).
+        `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the result, and its factor.
         """
 
     def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
@@ -573,6 +583,12 @@ def tasks() -> list[TaskEntry]:
 
 def robots() -> list[RobotEntry]:
     """The robots that ship with polypod."""
+
+def observation_specs() -> str:
+    """All observation terms that a task may name, as JSON: {name: {kind, units, description, source, ...}}.
+
+    Keys and values are those of `VecSim.observation_terms`; what depends on a task is left out.
+    """
 
 def train_config(name: str) -> str:
     """The text of `configs/train/<name>.toml`. Raises UnknownNameError."""

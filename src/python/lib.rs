@@ -16,6 +16,7 @@ use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::Simd;
 use polypod::robot::{self, LoadOptions};
+use polypod::systems::Registry;
 
 #[pyfunction]
 fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
@@ -40,6 +41,13 @@ fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         Ok(dict)
     };
     robots.into_iter().map(entry).collect()
+}
+
+#[pyfunction]
+fn observation_specs(py: Python<'_>) -> PyResult<String> {
+    let registry = Registry::builtin();
+    let specs: BTreeMap<_, _> = registry.observation_specs().collect();
+    vec_sim::written(py, serde_json::to_string(&specs))
 }
 
 #[pyfunction]
@@ -95,6 +103,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<simulation::Simulation>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;
     module.add_function(wrap_pyfunction!(robots, module)?)?;
+    module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;

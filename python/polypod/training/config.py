@@ -10,6 +10,7 @@ from typing import Any, get_args, get_origin
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.files import read_bytes
+from polypod.observation import layout_of, terms_of
 from polypod.training.manifest import MAX_LAYER, Activation, check_size
 
 MAX_BYTES = 1 << 20
@@ -86,7 +87,7 @@ class CriticConfig:
             raise _core.ConfigError(
                 f"{self.class_name} is made for the joints of an env: call rsl_rl_cfg(env.sim) of the train config"
             )
-        layout = [[term, size] for term, size in sim.observation_layout]
+        layout = layout_of(terms_of(sim))
         return {**network, "observation_layout": layout, "joint_names": sim.canonical_joint_names}
 
 
