@@ -29,10 +29,21 @@ class TaskEntry(TypedDict):
     name: str
     aliases: list[str]
     file: str
+    num_robots: int
+    """0 for a file that names no robots and is only there to be extended."""
 
 class RobotEntry(TypedDict):
     name: str
     title: str
+
+class TrainFile(TypedDict):
+    """A training config as text."""
+
+    text: str
+    id: str
+    """Tells the file from all others: its absolute path, or that of a built-in file within the repository."""
+    folder: str | None
+    """Where relative paths begin; None for a built-in file."""
 
 class RobotDraft(TypedDict):
     """A robot config as text."""
@@ -579,10 +590,16 @@ class Simulation:
         """Returns to a `snapshot` of an equal simulation. Raises ConfigError for any other bytes."""
 
 def tasks() -> list[TaskEntry]:
-    """The tasks that ship with polypod."""
+    """The tasks of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
 
 def robots() -> list[RobotEntry]:
-    """The robots that ship with polypod."""
+    """The robots of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
+
+def broken_configs() -> list[str]:
+    """What `tasks` and `robots` leave out: the errors of configs that cannot be read.
+
+    Using the name of such a config raises its error; all others work.
+    """
 
 def observation_specs() -> str:
     """All observation terms that a task may name, as JSON: {name: {kind, units, description, source, ...}}.
@@ -590,8 +607,13 @@ def observation_specs() -> str:
     Keys and values are those of `VecSim.observation_terms`; what depends on a task is left out.
     """
 
-def train_config(name: str) -> str:
-    """The text of `configs/train/<name>.toml`. Raises UnknownNameError."""
+def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> TrainFile:
+    """The first `configs/train/<name>.toml` that is not among the files `above`, by their ids.
+
+    Raises:
+        UnknownNameError: for a name that no file has.
+        ConfigError: for a file that cannot be read, and for a name that only files `above` have.
+    """
 
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""

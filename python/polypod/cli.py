@@ -410,6 +410,8 @@ def _run(
             print("robots")
             for robot in _core.robots():
                 print(f"  {robot['name']:<40} {robot['title']}")
+            for problem in _core.broken_configs():
+                print(f"polypod: warning: {problem}", file=sys.stderr)
         case Info():
             for key, value in _core.info().items():
                 print(f"{key:<10} {value}")

@@ -26,6 +26,7 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         dict.set_item("name", task.name)?;
         dict.set_item("aliases", task.aliases)?;
         dict.set_item("file", task.file)?;
+        dict.set_item("num_robots", task.num_robots)?;
         Ok(dict)
     };
     tasks.into_iter().map(entry).collect()
@@ -51,8 +52,21 @@ fn observation_specs(py: Python<'_>) -> PyResult<String> {
 }
 
 #[pyfunction]
-fn train_config(py: Python<'_>, name: &str) -> PyResult<String> {
-    guarded(py, || Library::new(Vec::new()).train(name))?.map_err(|error| to_python(py, error.into()))
+fn broken_configs(py: Python<'_>) -> PyResult<Vec<String>> {
+    let broken = guarded(py, || Library::new(Vec::new()).broken())?.map_err(|error| to_python(py, error.into()))?;
+    Ok(broken.iter().map(ToString::to_string).collect())
+}
+
+#[pyfunction]
+#[pyo3(signature = (name, above=Vec::new()))]
+fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResult<Bound<'py, PyDict>> {
+    let file =
+        guarded(py, || Library::new(Vec::new()).train(name, &above))?.map_err(|error| to_python(py, error.into()))?;
+    let dict = PyDict::new(py);
+    dict.set_item("text", file.text)?;
+    dict.set_item("id", file.id.display().to_string())?;
+    dict.set_item("folder", file.folder.map(|folder| folder.display().to_string()))?;
+    Ok(dict)
 }
 
 #[pyfunction]
@@ -103,6 +117,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<simulation::Simulation>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;
     module.add_function(wrap_pyfunction!(robots, module)?)?;
+    module.add_function(wrap_pyfunction!(broken_configs, module)?)?;
     module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;

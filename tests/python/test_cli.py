@@ -85,6 +85,30 @@ def test_list_and_info(main):
     assert polypod.__version__ in output
 
 
+def test_the_list_leaves_out_what_is_broken(main, monkeypatch, tmp_path):
+    for kind in ("robots", "tasks"):
+        folder = tmp_path / "configs" / kind
+        folder.mkdir(parents=True)
+        (folder / "broken.toml").write_text("name = [")
+    (tmp_path / "configs" / "tasks" / "mine.toml").write_text(
+        'extends = "velocity_flat"\nname = "Mine-v0"\nrobots = ["spot", "anymal_c"]\n'
+    )
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
+    code, output, errors = main("list")
+    assert code == 0
+    assert "Mine-v0" in output
+    assert "unitree_go2" in output
+    assert "broken" not in output
+    assert [line.split(": ")[:3] for line in errors.splitlines()] == [
+        ["polypod", "warning", str(tmp_path / "configs" / kind / "broken.toml")] for kind in ("robots", "tasks")
+    ]
+    counts = {entry["name"]: entry["num_robots"] for entry in polypod.tasks()}
+    assert (counts["Mine-v0"], counts["Velocity-Flat-Spot-v0"], counts["Velocity-Flat-HeteroQuadruped-v0"]) == (2, 1, 8)
+    env = polypod.make("Mine-v0")
+    assert env.num_envs == 2
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
