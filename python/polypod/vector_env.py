@@ -312,7 +312,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
 
 def _one_env_per_robot(build: Callable[[int], _core.VecSim], task: str, robots: Sequence[str] | None) -> _core.VecSim:
-    """Builds as many envs as there are robots; overrides may change those of a task, which are known once it is built."""
+    """Builds as many envs as there are robots; those of a task with overrides are known once it is built."""
     count = num_robots(task) if robots is None else len(robots)
     sim = build(count)
     return sim if len(sim.robots) == count else build(len(sim.robots))

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import typing
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,16 @@ def test_train_resume_and_eval(cli, cli_process, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "anymal_c" in done.stdout
+
+
+def test_every_command_has_a_file_of_its_own():
+    folder = Path(polypod.cli.__file__).parent / "commands"
+    files = {path.stem for path in folder.glob("*.py")} - {"__init__", "arguments"}
+    names = {}
+    for command in typing.get_args(polypod.cli.Command):
+        kind, subcommand = typing.get_args(command)
+        names[subcommand.name] = kind.__module__
+    assert names == {name: f"polypod.commands.{name}" for name in files}
 
 
 def test_list_and_info(main):
