@@ -52,6 +52,11 @@ impl Kind {
 }
 
 impl Document {
+    /// Its text, or why it cannot be read.
+    pub(super) fn text(&self) -> Result<&str, ConfigError> {
+        self.text.as_deref().map_err(Clone::clone)
+    }
+
     /// Reads a file; its root is the given one, or the folder above its `configs`.
     pub(super) fn read(path: &Path, root: Option<&Path>) -> Self {
         let file = path.display().to_string();

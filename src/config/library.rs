@@ -294,9 +294,7 @@ impl Library {
         let is_free = |document: &Document| visited.iter().all(|(id, _)| *id != document.id);
         if is_toml(Path::new(name)) {
             let document = Document::read(&dir.unwrap_or(Path::new("")).join(name), None);
-            if let Err(error) = document.text {
-                return Err(error);
-            }
+            document.text()?;
             return if is_free(&document) { Ok(document) } else { Err(cycle()) };
         }
         let documents = documents(kind, &self.roots)?;

@@ -163,7 +163,7 @@ impl TermSpec {
         let blocks: usize = self.blocks.iter().map(|block| block.size()).sum();
         match self.kind {
             TermKind::PerJoint if size != JOINTS => Err(format!("a number for each of {JOINTS} joints")),
-            TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if size % 3 != 0 => {
+            TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if !size.is_multiple_of(3) => {
                 Err("three numbers for each vector".into())
             }
             TermKind::Body if size != blocks => Err(format!("{blocks} numbers in its blocks")),
