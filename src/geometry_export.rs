@@ -35,48 +35,14 @@ pub struct BodyOutline {
 pub struct ShapeOutline {
     /// What it is.
     #[serde(flatten)]
-    pub geometry: GeometryOutline,
+    pub geometry: Geometry,
+    /// Faces of a convex hull, outward, as indices of its points; none where they cannot be told.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub triangles: Option<Vec<[usize; 3]>>,
     /// Of the shape's frame in that of the link that carries it, m.
     pub position: [f64; 3],
     /// Likewise; w, x, y, z.
     pub quaternion: [f64; 4],
-}
-
-/// Sizes in m.
-#[derive(Clone, Debug, Serialize)]
-#[serde(tag = "shape", rename_all = "snake_case")]
-pub enum GeometryOutline {
-    /// Ball.
-    Sphere {
-        /// m.
-        radius: f64,
-    },
-    /// Box with these edge lengths.
-    Box {
-        /// m.
-        size: [f64; 3],
-    },
-    /// Cylinder of full length.
-    Cylinder {
-        /// m.
-        radius: f64,
-        /// m.
-        length: f64,
-    },
-    /// Cylinder with a half ball on each end; the length is the cylinder's.
-    Capsule {
-        /// m.
-        radius: f64,
-        /// m.
-        length: f64,
-    },
-    /// Convex hull of points.
-    Hull {
-        /// m.
-        points: Vec<[f64; 3]>,
-        /// Its faces, outward, as indices of points; none where they cannot be told.
-        triangles: Vec<[usize; 3]>,
-    },
 }
 
 /// An orientation as w, x, y, z with `w >= 0`.
@@ -86,25 +52,15 @@ pub(crate) fn quaternion(rotation: &DMat3) -> [f64; 4] {
     [q.w, q.x, q.y, q.z]
 }
 
-impl From<&Geometry> for GeometryOutline {
-    fn from(geometry: &Geometry) -> Self {
-        match geometry {
-            Geometry::Sphere { radius } => Self::Sphere { radius: *radius },
-            Geometry::Box { size } => Self::Box { size: size.to_array() },
-            Geometry::Cylinder { radius, length } => Self::Cylinder { radius: *radius, length: *length },
-            Geometry::Capsule { radius, length } => Self::Capsule { radius: *radius, length: *length },
-            Geometry::Hull { points } => {
-                Self::Hull { points: points.iter().map(|p| p.to_array()).collect(), triangles: hull_triangles(points) }
-            }
-        }
-    }
-}
-
 impl MorphologyModel {
     /// Its links and collision shapes.
     pub fn outline(&self) -> Outline {
         let shape = |shape: &crate::robot::Shape| ShapeOutline {
-            geometry: GeometryOutline::from(&shape.geometry),
+            geometry: shape.geometry.clone(),
+            triangles: match &shape.geometry {
+                Geometry::Hull { points } => Some(hull_triangles(points)),
+                _ => None,
+            },
             position: shape.origin.translation.to_array(),
             quaternion: quaternion(&shape.origin.rotation),
         };

@@ -85,9 +85,16 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
         Ok(data.into_slices())
     }
 
-    /// Whether there are entities of this kind: a task may have no such sensor.
-    pub fn exist(&self) -> bool {
-        !self.all.is_empty()
+    /// The components as slices, empty where there are no entities of this kind: a task may have no such sensor.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), for some entities.
+    #[inline]
+    pub fn read_if_any<'a>(&'a self) -> Result<Slices<'a, 's, D::ReadOnly>, Error>
+    where
+        <D::ReadOnly as ContiguousQueryData>::Contiguous<'a, 's>: IntoSlices<Slices: Default>,
+    {
+        if self.all.is_empty() { Ok(Default::default()) } else { self.read() }
     }
 
     fn are_in_order(&self) -> bool {

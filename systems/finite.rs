@@ -1,45 +1,73 @@
-//! Says which set of the pipeline wrote a number that is not finite.
+//! Says which systems of the pipeline may have written a number that is not finite.
 
 use std::collections::BTreeSet;
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
+use bevy_ecs::schedule::SystemKey;
+use bevy_ecs::system::System;
 
-use super::{ControlStep, PipelineSet};
+use super::{ControlStep, PipelineSet, Setup};
 use crate::components::{
     BasePose, BaseVelocity, Command, ContactSensor, Env, Episode, HeightScan, Imu, JointState, JointTargets, Robot,
 };
 use crate::rows::Rows;
 
 /// Looks at all robots after each set of a control step. A state that broke in the physics is a broken episode and no fault; any
-/// other number that is not finite is logged as an error, with the set that wrote it.
+/// other number that is not finite is logged as an error, with the set after which it was found and that set's systems that write
+/// the component.
 #[derive(Default)]
 pub struct FinitePlugin;
 
-/// Numbers that are not finite, by env and component, and the set that wrote the first one of each.
+/// A number that is not finite, where no broken episode explains it.
+#[derive(Clone, Debug)]
+pub struct NonFiniteNumber {
+    /// The env.
+    pub env: usize,
+    /// Name of the component that holds it.
+    pub component: &'static str,
+    /// The set after which it was found first.
+    pub set: PipelineSet,
+    /// The systems of this set that write the component.
+    pub systems: Vec<String>,
+}
+
+/// Numbers that are not finite, the first one of each env and component.
 #[derive(Resource, Default, Debug)]
 pub struct NonFinite {
-    /// Env, component and set, of those that no broken episode explains.
-    pub found: Vec<(usize, &'static str, PipelineSet)>,
+    /// Those that no broken episode explains.
+    pub found: Vec<NonFiniteNumber>,
     fresh: Vec<(usize, &'static str, PipelineSet)>,
     known: BTreeSet<(usize, &'static str)>,
 }
 
+/// Who writes what.
+#[derive(Resource, Default)]
+struct Writers {
+    /// The components that each system writes.
+    written: Vec<(SystemKey, Vec<&'static str>)>,
+    /// Set, component and name of each system that writes it.
+    systems: Vec<(PipelineSet, &'static str, String)>,
+}
+
+/// The sets after which numbers are looked at, in their order.
+const SETS: [PipelineSet; 7] = [
+    PipelineSet::Act,
+    PipelineSet::Command,
+    PipelineSet::Disturb,
+    PipelineSet::Physics,
+    PipelineSet::Sense,
+    PipelineSet::Terminate,
+    PipelineSet::Reset,
+];
+
 impl Plugin for FinitePlugin {
     fn build(&self, app: &mut App) {
-        app.init_resource::<NonFinite>();
-        let sets = [
-            PipelineSet::Act,
-            PipelineSet::Command,
-            PipelineSet::Disturb,
-            PipelineSet::Physics,
-            PipelineSet::Sense,
-            PipelineSet::Terminate,
-            PipelineSet::Reset,
-        ];
-        for (place, set) in sets.iter().enumerate() {
+        app.init_resource::<NonFinite>().init_resource::<Writers>();
+        app.add_systems(Setup, name_writers.ambiguous_with_all());
+        for (place, set) in SETS.iter().enumerate() {
             let checked = look(set.clone()).after(set.clone()).ambiguous_with_all();
-            match sets.get(place + 1) {
+            match SETS.get(place + 1) {
                 Some(next) => app.add_systems(ControlStep, checked.before(next.clone())),
                 None => app.add_systems(ControlStep, checked.before(PipelineSet::Observe)),
             };
@@ -49,6 +77,58 @@ impl Plugin for FinitePlugin {
             report.after(PipelineSet::Reset).before(PipelineSet::Observe).ambiguous_with_all(),
         );
     }
+
+    fn cleanup(&self, app: &mut App) {
+        note_written(app.world_mut());
+    }
+}
+
+/// Notes what each system writes, before the schedule is built: a schedule that is built does not tell any more.
+fn note_written(world: &mut World) {
+    let components = [
+        ("BasePose", world.register_component::<BasePose>()),
+        ("BaseVelocity", world.register_component::<BaseVelocity>()),
+        ("JointState", world.register_component::<JointState>()),
+        ("JointTargets", world.register_component::<JointTargets>()),
+        ("Command", world.register_component::<Command>()),
+        ("Imu", world.register_component::<Imu>()),
+        ("ContactSensor", world.register_component::<ContactSensor>()),
+        ("HeightScan", world.register_component::<HeightScan>()),
+    ];
+    // without the schedule PipelinePlugin is missing, which is an error of its own
+    let _ = world.try_schedule_scope(ControlStep, |world, schedule| {
+        let systems = &mut schedule.graph_mut().systems;
+        let keys: Vec<SystemKey> = systems.iter().map(|(key, ..)| key).collect();
+        for key in keys {
+            let Some(system) = systems.get_mut(key) else {
+                continue;
+            };
+            let access = system.initialize(world);
+            let all = system.is_exclusive();
+            let writes = |id| all || access.combined_access().has_write(id);
+            let written = components.iter().filter(|(_, id)| writes(*id)).map(|(name, _)| *name).collect();
+            world.resource_mut::<Writers>().written.push((key, written));
+        }
+    });
+}
+
+/// Names the systems of each set that write a component; the schedule is built and does not run yet.
+fn name_writers(world: &mut World) {
+    let mut writers = std::mem::take(&mut *world.resource_mut::<Writers>());
+    world.schedule_scope(ControlStep, |_, schedule| {
+        for set in SETS {
+            let (Ok(of_set), Ok(systems)) = (schedule.graph().systems_in_set(set.intern()), schedule.systems()) else {
+                continue;
+            };
+            for (key, system) in systems.filter(|(key, _)| of_set.contains(key)) {
+                let written = writers.written.iter().filter(|(of, _)| *of == key).flat_map(|(_, names)| names);
+                for component in written {
+                    writers.systems.push((set.clone(), component, system.name().to_string()));
+                }
+            }
+        }
+    });
+    world.insert_resource(writers);
 }
 
 /// Notes what is not finite after a set and was before.
@@ -65,7 +145,7 @@ fn look(
     move |mut non_finite, robots, commands, imus, contacts, scans| {
         let (poses, velocities, joints, targets) = robots.read()?;
         let (commands, imus, contacts) = (commands.read()?, imus.read()?, contacts.read()?);
-        let scans = if scans.exist() { scans.read()? } else { &[] };
+        let scans = scans.read_if_any()?;
         let all = |numbers: &[f32]| numbers.iter().all(|x| x.is_finite());
         for env in 0..poses.len() {
             let imu = &imus[env];
@@ -92,7 +172,7 @@ fn look(
 }
 
 /// Tells of what no broken episode explains.
-fn report(mut non_finite: ResMut<NonFinite>, episodes: Rows<&'static Episode, Env>) -> Result {
+fn report(mut non_finite: ResMut<NonFinite>, writers: Res<Writers>, episodes: Rows<&'static Episode, Env>) -> Result {
     let episodes = episodes.read()?;
     let fresh = std::mem::take(&mut non_finite.fresh);
     for (env, component, set) in fresh {
@@ -100,8 +180,13 @@ fn report(mut non_finite: ResMut<NonFinite>, episodes: Rows<&'static Episode, En
         if broke && matches!(set, PipelineSet::Physics | PipelineSet::Sense) {
             continue;
         }
-        tracing::error!("env {env}: a number of {component} is not finite after {set:?}");
-        non_finite.found.push((env, component, set));
+        let systems = writers.systems.iter().filter(|(of_set, of, _)| *of_set == set && *of == component);
+        let systems: Vec<String> = systems.map(|(.., name)| name.clone()).collect();
+        let names = systems.join(", ");
+        tracing::error!(
+            "env {env}: a number of {component} is not finite after {set:?}, where these systems write it: {names}"
+        );
+        non_finite.found.push(NonFiniteNumber { env, component, set, systems });
     }
     Ok(())
 }

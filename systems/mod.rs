@@ -68,7 +68,7 @@ pub use command::CommandPlugin;
 pub use curriculum::place_envs;
 pub use disturb::DisturbPlugin;
 pub(crate) use faults::{outcome, run};
-pub use finite::{FinitePlugin, NonFinite};
+pub use finite::{FinitePlugin, NonFinite, NonFiniteNumber};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;
 pub use load::{BlockSizes, LoadPlugin, distribute};
@@ -89,7 +89,9 @@ pub use spawn::SpawnPlugin;
 pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
 pub(crate) use terms::ACTION_DELAY;
-pub use terms::{CompiledTask, ObservationTerm, Registry, RewardTerm, TermKind, TermSpec, TerminationTerm};
+pub use terms::{
+    Block, CompiledTask, ObservationTerm, Per, Registry, RewardTerm, TermKind, TermSource, TermSpec, TerminationTerm,
+};
 pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
 
 /// Makes a simulation: loads the task and its robots and spawns everything. Runs once.
@@ -192,7 +194,7 @@ plugin_group! {
     /// | [`ResetPlugin`] | randomisation, curriculum, new episodes |
     /// | [`ObservePlugin`] | observations |
     /// | [`LogsPlugin`] | statistics of ended episodes |
-    /// | [`FinitePlugin`] | says which set wrote a number that is not finite; in debug builds |
+    /// | [`FinitePlugin`] | says which systems may have written a number that is not finite; in debug builds |
     #[derive(Clone, Copy, Debug, Default)]
     pub struct PolypodPlugins {
         :PipelinePlugin,

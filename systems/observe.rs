@@ -4,7 +4,7 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::terms::{CompiledTask, NoParams, ObservationTerm, Registry, TermKind, TermSpec};
+use super::terms::{Block, CompiledTask, NoParams, ObservationTerm, Per, Registry, TermKind, TermSource, TermSpec};
 use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
@@ -191,28 +191,36 @@ pub fn add_observation<C: Component, K: RowKind>(
 pub(super) fn register(registry: &mut Registry) {
     use TermKind::{Body, PerJoint, PlanarVelocity, Pseudovector, Scan, Vector};
     let spec = TermSpec::new(Vector, "m/s", "velocity of the base's centre of mass, base axes")
-        .from_inputs(&["base_lin_vel", "base_ang_vel"]);
+        .from_source(TermSource::CenterOfMassVelocity);
     registry.observation("base_lin_vel", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.linear_velocity));
-    let spec = TermSpec::new(Pseudovector, "rad/s", "angular velocity of the base, base axes");
+    let spec = TermSpec::new(Pseudovector, "rad/s", "angular velocity of the base, base axes")
+        .from_source(TermSource::BaseAngularVelocity);
     registry.observation("base_ang_vel", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.imu.angular_velocity));
-    let spec = TermSpec::new(Vector, "", "unit vector of gravity, base axes");
+    let spec = TermSpec::new(Vector, "", "unit vector of gravity, base axes").from_source(TermSource::ProjectedGravity);
     registry.observation("projected_gravity", 3, spec, |_: &NoParams, r, out| {
         out.copy_from_slice(&r.imu.projected_gravity);
     });
-    let spec = TermSpec::new(PlanarVelocity, "m/s, rad/s", "forward and left velocity and yaw rate that are commanded");
+    let spec = TermSpec::new(PlanarVelocity, "m/s, rad/s", "forward and left velocity and yaw rate that are commanded")
+        .from_source(TermSource::VelocityCommand);
     registry.observation("velocity_commands", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(r.command));
-    let spec = TermSpec::new(PerJoint, "rad", "joint positions less the default pose").from_inputs(&["joint_pos"]);
+    let spec = TermSpec::new(PerJoint, "rad", "joint positions less the default pose")
+        .from_source(TermSource::JointPositionMinusDefault);
     registry.observation("joint_pos_rel", 12, spec, |_: &NoParams, r, out| {
         by_slot(r, out, |j| r.joints.position[j] - r.stance.default_position[j]);
     });
-    let spec = TermSpec::new(PerJoint, "rad/s", "joint velocities").from_inputs(&["joint_vel"]);
+    let spec = TermSpec::new(PerJoint, "rad/s", "joint velocities")
+        .from_source(TermSource::JointVelocity)
+        .with_magnitude(10.0);
     registry.observation("joint_vel_rel", 12, spec, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
-    let spec = TermSpec::new(PerJoint, "", "the last action");
+    let spec = TermSpec::new(PerJoint, "", "the last action").from_source(TermSource::LastAction);
     registry.observation("last_action", 12, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
-    let spec = TermSpec::new(Body, "", "what body this is, see docs/task.md");
+    let spec = TermSpec::new(Body, "", "what body this is, see docs/task.md")
+        .from_source(TermSource::RobotConstant)
+        .with_blocks(&MORPHOLOGY_BLOCKS);
     registry.observation("morphology", MORPHOLOGY_SIZE, spec, morphology);
-    let spec = TermSpec::new(Scan, "m", "height of the base above the ground below each ray, less the offset");
-    registry.observation_of("height_scan", height_scan_size, spec, height_scan);
+    let spec = TermSpec::new(Scan, "m", "height of the base above the ground below each ray, less the offset")
+        .from_source(TermSource::HeightScan);
+    registry.observation_of("height_scan", height_scan_size, spec, |p: &ScanOffset| p.offset, height_scan);
 }
 
 #[derive(Deserialize)]
@@ -243,6 +251,17 @@ fn height_scan(p: &ScanOffset, r: &RobotView, out: &mut [f32]) {
 
 /// Numbers of the term `morphology`.
 const MORPHOLOGY_SIZE: usize = 35;
+
+/// What they belong to; see [`morphology`].
+const MORPHOLOGY_BLOCKS: [Block; 7] = [
+    Block::new(Per::Body, 1),
+    Block::new(Per::Length, 1),
+    Block::new(Per::Width, 1),
+    Block::new(Per::Body, 4),
+    Block::new(Per::Role, 5),
+    Block::new(Per::Joint, 1),
+    Block::new(Per::Body, 1),
+];
 
 /// What body this is, each number of the order of one: total mass / 50 kg; distance of the hips along and across the
 /// base, m; upper and lower leg and offset of the hip, mean over the legs, m; radians per unit of action; then per role

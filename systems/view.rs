@@ -88,7 +88,7 @@ impl ViewParam<'_, '_> {
             actions,
             contacts: self.contacts.read()?,
             feet,
-            scans: if self.scans.exist() { self.scans.read()? } else { &[] },
+            scans: self.scans.read_if_any()?,
             bodies,
             stances,
             step_dt,

@@ -302,7 +302,7 @@ fn unknown_names_come_with_near_and_known_ones() {
     assert!(error.remedy.contains("Velocity-Flat-HeteroQuadruped-v0"), "{error}");
     let error = library.robot("unitree_g02").unwrap_err();
     assert_error(&error, "configs/robots", "robot `unitree_g02`", "no robot", "`unitree_go2`");
-    let error = library.train("flatt").unwrap_err();
+    let error = library.train("flatt", &[]).unwrap_err();
     assert_eq!(error.kind, ConfigErrorKind::UnknownName);
     let error = library.task("/nowhere/x.toml", &[]).unwrap_err();
     assert_eq!(error.kind, ConfigErrorKind::Unreadable);

@@ -148,6 +148,48 @@ fn a_root_adds_robots_and_hides_what_it_redefines() {
 }
 
 #[test]
+fn a_broken_file_breaks_only_itself() {
+    let root = root("broken");
+    let write = |file: &str, text: &[u8]| fs::write(root.join("configs").join(file), text).unwrap();
+    write("tasks/half.toml", b"name = \"Half-v0\"\nrobots = [");
+    write("tasks/bytes.toml", b"name = \"\xff\"");
+    write("tasks/above.toml", b"extends = \"half\"\nname = \"Above-v0\"");
+    write("tasks/stray.toml", b"extends = \"nowhere\"\nname = \"Stray-v0\"");
+    write("tasks/mine.toml", b"extends = \"velocity_flat\"\nname = \"Mine-v0\"\nrobots = [\"spot\"]");
+    write("robots/spot.toml", b"title = 3");
+    let library = Library::new(vec![root.clone()]);
+
+    let tasks = library.tasks().unwrap();
+    let num_robots = |name: &str| tasks.iter().find(|task| task.name == name).map(|task| task.num_robots);
+    assert_eq!((num_robots("Mine-v0"), num_robots("Velocity-Flat-HeteroQuadruped-v0")), (Some(1), Some(8)));
+    assert_eq!((num_robots("Velocity-Flat-Unitree-Go2-v0"), num_robots("Velocity-Flat-Spot-v0")), (Some(1), None));
+    assert!(tasks.iter().all(|task| !["Half-v0", "Above-v0", "Stray-v0"].contains(&task.name.as_str())));
+    let robots = library.robots().unwrap();
+    assert!(robots.iter().any(|robot| robot.name == "anymal_c") && robots.iter().all(|robot| robot.name != "spot"));
+    let broken: Vec<String> = library.broken().unwrap().into_iter().map(|error| error.file).collect();
+    let files = ["robots/spot.toml", "tasks/half.toml", "tasks/bytes.toml", "tasks/stray.toml"];
+    let mut files = files.map(|file| root.join("configs").join(file).display().to_string());
+    files.sort();
+    let mut found = broken;
+    found.sort();
+    assert_eq!(found, files);
+
+    assert_eq!(library.task("mine", &[]).unwrap().config.robots, ["spot"]);
+    assert!(library.task("Velocity-Flat-HeteroQuadruped-v0", &[]).is_ok());
+    assert!(library.task("Velocity-Flat-Unitree-Go2-v0", &[]).is_ok());
+    let task = library.task("velocity_flat", &[]).unwrap().config;
+    assert!(library.robot_in("anymal_c", &task).is_ok());
+    for (name, file) in [("half", "tasks/half.toml"), ("bytes", "tasks/bytes.toml"), ("above", "tasks/half.toml")] {
+        let error = library.task(name, &[]).unwrap_err();
+        assert_eq!(error.file, root.join("configs").join(file).display().to_string(), "{error}");
+    }
+    assert!(library.robot("spot").unwrap_err().file.ends_with("configs/robots/spot.toml"));
+    // a name that may be in one of them says so
+    let error = library.task("Half-v0", &[]).unwrap_err().to_string();
+    assert!(error.contains("there is no task `Half-v0`, unless it is in") && error.contains("half.toml"), "{error}");
+}
+
+#[test]
 fn a_robot_given_by_path_finds_the_urdf_beside_it() {
     let root = root("path");
     let robot = "extends = \"spot\"\nname = \"cub\"\ntitle = \"Cub\"\nurdf = \"cub.urdf\"\n";

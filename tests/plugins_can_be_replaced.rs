@@ -154,5 +154,9 @@ fn who_wrote_a_number_that_is_not_finite_is_known() {
     let mut sim = Sim::from_app(app).unwrap();
     sim.step(&zeros(&sim)).unwrap();
     let found = &sim.world().resource::<NonFinite>().found;
-    assert_eq!(*found, [(2, "JointTargets", PipelineSet::Disturb)]);
+    let [number] = &found[..] else { panic!("{found:?}") };
+    assert_eq!((number.env, number.component, &number.set), (2, "JointTargets", &PipelineSet::Disturb));
+    // pushes are in the same set and write no targets
+    let [system] = &number.systems[..] else { panic!("{found:?}") };
+    assert!(system.contains("who_wrote_a_number_that_is_not_finite_is_known"), "{system}");
 }

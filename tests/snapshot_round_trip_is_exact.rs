@@ -110,6 +110,40 @@ fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
+/// Puts other values in the place of every so many bytes of a snapshot, and the checksum right: each is restored or refused, and
+/// what is refused leaves the state `before`. `restore` gives the outcome and the state after it. Returns how many were refused.
+fn refused(
+    engine: &str,
+    snapshot: &[u8],
+    before: &[u8],
+    (stride, values): (usize, &[u8]),
+    restore: &mut impl FnMut(&[u8]) -> (Result<(), String>, Vec<u8>),
+) -> usize {
+    let (body, _) = snapshot.split_last_chunk::<8>().unwrap();
+    let mut refused = 0;
+    for at in (0..body.len()).step_by(stride) {
+        for &value in values {
+            let mut bytes = body.to_vec();
+            bytes[at] = value;
+            bytes.extend(fnv1a(&bytes).to_le_bytes());
+            let (outcome, mut after) = restore(&bytes);
+            match outcome {
+                Ok(()) => {
+                    let (outcome, restored) = restore(before);
+                    outcome.unwrap();
+                    after = restored;
+                }
+                Err(error) => {
+                    refused += 1;
+                    assert!(error.starts_with("snapshot: "), "{engine}, byte {at}: {error}");
+                }
+            }
+            assert!(after == before, "{engine}: byte {at} = {value} has changed the simulation");
+        }
+    }
+    refused
+}
+
 #[test]
 fn hostile_bytes_are_restored_or_refused_and_nothing_in_between() {
     for engine in ["articulated", "avian"] {
@@ -124,24 +158,11 @@ fn hostile_bytes_are_restored_or_refused_and_nothing_in_between() {
         let snapshot = sim.snapshot().unwrap();
         sim.step(&Control::default(), 1).unwrap();
         let before = sim.snapshot().unwrap();
-        let (body, _) = snapshot.split_last_chunk::<8>().unwrap();
-        let mut refused = 0;
-        for at in 0..body.len() {
-            for byte in [0, 255] {
-                let mut bytes = body.to_vec();
-                bytes[at] = byte;
-                bytes.extend(fnv1a(&bytes).to_le_bytes());
-                match sim.restore(&bytes) {
-                    Ok(()) => sim.restore(&before).unwrap(),
-                    Err(error) => {
-                        refused += 1;
-                        assert!(error.to_string().starts_with("snapshot: "), "{engine}, byte {at}: {error}");
-                    }
-                }
-                assert!(sim.snapshot().unwrap() == before, "{engine}: byte {at} = {byte} has changed the simulation");
-            }
-        }
-        assert!(refused > 0, "{engine}");
+        let mut restore = |bytes: &[u8]| {
+            let restored = sim.restore(bytes).map_err(|error| error.to_string());
+            (restored, sim.snapshot().unwrap())
+        };
+        assert!(refused(engine, &snapshot, &before, (1, &[0, 255]), &mut restore) > 0, "{engine}");
     }
 }
 
@@ -154,21 +175,11 @@ fn what_a_task_refuses_of_a_snapshot_has_changed_nothing() {
         let snapshot = sim.snapshot().unwrap();
         step(&mut sim, 40);
         let before = sim.snapshot().unwrap();
-        let (body, _) = snapshot.split_last_chunk::<8>().unwrap();
-        let mut refused = 0;
-        for at in (0..body.len()).step_by(size(7, 1)) {
-            let mut bytes = body.to_vec();
-            bytes[at] = 255;
-            bytes.extend(fnv1a(&bytes).to_le_bytes());
-            match sim.restore(&bytes) {
-                Ok(()) => sim.restore(&before).unwrap(),
-                Err(error) => {
-                    refused += 1;
-                    assert!(error.to_string().starts_with("snapshot: "), "{engine}, byte {at}: {error}");
-                }
-            }
-            assert!(sim.snapshot().unwrap() == before, "{engine}: byte {at} has changed the simulation");
-        }
+        let mut restore = |bytes: &[u8]| {
+            let restored = sim.restore(bytes).map_err(|error| error.to_string());
+            (restored, sim.snapshot().unwrap())
+        };
+        let refused = refused(engine, &snapshot, &before, (size(7, 1), &[255]), &mut restore);
         assert!(refused > 10, "{engine}: {refused} refused");
     }
 }

@@ -1,6 +1,6 @@
 //! An observation term says what it is where it is registered, and its mirror image follows from that.
 
-use polypod::systems::TermKind;
+use polypod::systems::{Block, Per, Registry, TermKind, TermSource, TermSpec};
 use polypod::{Sim, SimOptions};
 
 use crate::common::ROBOTS;
@@ -43,4 +43,47 @@ fn kinds_are_those_of_the_terms() {
     assert_eq!(signs("base_lin_vel"), [1.0, -1.0, 1.0]);
     assert_eq!(signs("base_ang_vel"), [-1.0, 1.0, -1.0]);
     assert_eq!(signs("velocity_commands"), [1.0, -1.0, -1.0]);
+}
+
+#[test]
+fn the_task_gives_what_a_term_takes_off_its_source() {
+    let offset_with = |overrides: &[&str]| {
+        let small = ["scene.terrain.num_rows=2", "scene.terrain.num_cols=2"];
+        let overrides = small.iter().chain(overrides).map(|text| (*text).to_owned()).collect();
+        let sim = Sim::new(&SimOptions { overrides, ..SimOptions::new("velocity_rough", ROBOTS.len()) }).unwrap();
+        sim.task().observations.iter().map(|term| term.offset).collect::<Vec<_>>()
+    };
+    let offsets = offset_with(&[]);
+    assert_eq!(offsets.last(), Some(&0.5));
+    assert!(offsets[..offsets.len() - 1].iter().all(|offset| *offset == 0.0));
+    assert_eq!(offset_with(&["observations.policy.height_scan.offset=0.3"]).last(), Some(&0.3));
+}
+
+#[test]
+fn a_size_that_does_not_fit_the_kind_is_refused() {
+    static BLOCKS: [Block; 2] = [Block::new(Per::Role, 2), Block::new(Per::Joint, 1)];
+    let refused = |size: usize, spec: TermSpec| {
+        #[derive(serde::Deserialize)]
+        struct None {}
+        let mut registry = Registry::builtin();
+        registry.observation("own", size, spec, |_: &None, _, out| out.fill(0.0));
+        let options = SimOptions {
+            overrides: vec!["observations.policy=[{term=\"own\"}]".into()],
+            ..SimOptions::new("velocity_flat", ROBOTS.len())
+        };
+        Sim::with_registry(&options, registry).err().map(|error| error.to_string())
+    };
+    let spec = |kind: TermKind| TermSpec::new(kind, "", "").from_source(TermSource::Measured);
+    let body = spec(TermKind::Body).with_blocks(&BLOCKS);
+    for (size, spec) in [(12, spec(TermKind::PerJoint)), (6, spec(TermKind::Vector)), (18, body)] {
+        assert_eq!(refused(size, spec), None);
+    }
+    for (size, spec) in [(11, spec(TermKind::PerJoint)), (4, spec(TermKind::Vector)), (17, body)] {
+        let error = refused(size, spec).unwrap();
+        assert!(
+            error.contains("observations.policy[0]") && error.contains("the term `own` is registered with"),
+            "{error}"
+        );
+        assert!(error.contains("register it with another size"), "{error}");
+    }
 }

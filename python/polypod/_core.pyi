@@ -29,10 +29,21 @@ class TaskEntry(TypedDict):
     name: str
     aliases: list[str]
     file: str
+    num_robots: int
+    """0 for a file that names no robots and is only there to be extended."""
 
 class RobotEntry(TypedDict):
     name: str
     title: str
+
+class TrainFile(TypedDict):
+    """A training config as text."""
+
+    text: str
+    id: str
+    """Tells the file from all others: its absolute path, or that of a built-in file within the repository."""
+    folder: str | None
+    """Where relative paths begin; None for a built-in file."""
 
 class RobotDraft(TypedDict):
     """A robot config as text."""
@@ -226,10 +237,20 @@ class VecSim:
     """(term, size) of the observation, in order."""
 
     def observation_terms(self) -> str:
-        """Terms of the observation, in order, as JSON: a list of {term, size, kind, units, description, inputs}.
+        """Terms of the observation, in order, as JSON: a list of objects.
 
-        `kind` is scalar, vector, pseudovector, planar_velocity, per_joint, scan or body. `inputs` are what a robot's
-        sensors have to give for the term; an empty list means the term itself.
+        `term`, `size`: name and number of numbers.
+        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, scan or body: how the numbers are mirrored.
+        `units`, `description`: what they say.
+        `source`: what the term is computed from on a robot: measured (given as it is), robot_constant (known of the
+        robot), center_of_mass_velocity, base_angular_velocity, projected_gravity, velocity_command, joint_position,
+        joint_position_minus_default, joint_velocity, last_action or height_scan.
+        `inputs`: what a robot's sensors have to give for it, as inputs of a folded graph.
+        `magnitude`: typical magnitude of the numbers, in `units`.
+        `blocks`: for the kind body, what consecutive numbers belong to: a list of {per, count}. `per` is body, length
+        (a distance between front and hind legs), width (between left and right legs), role (all numbers of the first
+        role, then those of the next) or joint (the first number of all joints, then the next number of all joints).
+        `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the result, and its factor.
         """
 
     def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
@@ -673,13 +694,30 @@ class Simulation:
         """Returns to a `snapshot` of an equal simulation. Raises ConfigError for any other bytes."""
 
 def tasks() -> list[TaskEntry]:
-    """The tasks that ship with polypod."""
+    """The tasks of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
 
 def robots() -> list[RobotEntry]:
-    """The robots that ship with polypod."""
+    """The robots of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
 
-def train_config(name: str) -> str:
-    """The text of `configs/train/<name>.toml`. Raises UnknownNameError."""
+def broken_configs() -> list[str]:
+    """What `tasks` and `robots` leave out: the errors of configs that cannot be read.
+
+    Using the name of such a config raises its error; all others work.
+    """
+
+def observation_specs() -> str:
+    """All observation terms that a task may name, as JSON: {name: {kind, units, description, source, ...}}.
+
+    Keys and values are those of `VecSim.observation_terms`; what depends on a task is left out.
+    """
+
+def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> TrainFile:
+    """The first `configs/train/<name>.toml` that is not among the files `above`, by their ids.
+
+    Raises:
+        UnknownNameError: for a name that no file has.
+        ConfigError: for a file that cannot be read, and for a name that only files `above` have.
+    """
 
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""

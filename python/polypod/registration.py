@@ -15,14 +15,16 @@ PATH = "POLYPOD_PATH"
 def register_tasks() -> None:
     """Registers each task for `gymnasium.make_vec`; there is no single env to be had from `gymnasium.make`.
 
-    A broken config in `POLYPOD_PATH` is a warning here, and the built-in tasks are registered. The config is an error
-    when a task or a robot is used.
+    A broken config in `POLYPOD_PATH` is a warning here and an error when it is used; all others are registered. Where a
+    folder is not there, only the built-in tasks are registered, with a warning.
     """
     try:
-        tasks = _core.tasks()
+        tasks, broken = _core.tasks(), _core.broken_configs()
     except _core.PolypodError as error:
         warnings.warn(f"polypod registers only its own tasks with Gymnasium: {error}", RuntimeWarning, stacklevel=2)
-        tasks = _built_in_tasks()
+        tasks, broken = _built_in_tasks(), []
+    for problem in broken:
+        warnings.warn(f"polypod leaves out a broken config: {problem}", RuntimeWarning, stacklevel=2)
     for task in tasks:
         env_id = NAMESPACE + task["name"]
         if env_id not in gymnasium.registry:
@@ -41,6 +43,14 @@ def _built_in_tasks() -> "list[_core.TaskEntry]":
     finally:
         if folders is not None:
             os.environ[PATH] = folders
+
+
+def num_robots(task: str) -> int:
+    """Number of robots of a task by one of its names, at least 1; for the path of a task, that of all robots."""
+    for entry in _core.tasks():
+        if task == entry["name"] or task in entry["aliases"]:
+            return entry["num_robots"] or 1
+    return len(_core.robots())
 
 
 def task_of(task_id: str) -> str:

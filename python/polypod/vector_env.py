@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from polypod import _core
-from polypod.registration import task_of
+from polypod.registration import num_robots, task_of
 from polypod.state import State
 
 if TYPE_CHECKING:
@@ -93,9 +93,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         robots, seed = options.get("robots"), options.get("seed")
         if isinstance(robots, str):
             raise _core.ConfigError(f"robots={robots!r} is one string; pass a list of names, e.g. [{robots!r}]")
+        task = task_of(task_id)
         build = functools.partial(
             _core.VecSim,
-            task_of(task_id),
+            task,
             robots=None if robots is None else list(robots),
             seed=_fresh_seed() if seed is None else _index(seed, "seed"),
             threads=options.get("threads"),
@@ -104,7 +105,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             dump_dir=options.get("dump_dir"),
         )
         self._sim: _core.VecSim | None
-        self._sim = _one_env_per_robot(build, robots) if num_envs is None else build(_index(num_envs, "num_envs"))
+        self._sim = _one_env_per_robot(build, task, robots) if num_envs is None else build(_index(num_envs, "num_envs"))
         self.copy = options.get("copy", False)
         self.autoreset_mode = mode
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
@@ -310,9 +311,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             raise _core.ConfigError("options['reset_mask'] selects no env; leave the call out or set at least one True")
 
 
-def _one_env_per_robot(build: Callable[[int], _core.VecSim], robots: Sequence[str] | None) -> _core.VecSim:
-    """Builds as many envs as there are robots; those of a task are known once it is loaded."""
-    count = len(_core.robots() if robots is None else robots)
+def _one_env_per_robot(build: Callable[[int], _core.VecSim], task: str, robots: Sequence[str] | None) -> _core.VecSim:
+    """Builds as many envs as there are robots; those of a task with overrides are known once it is built."""
+    count = num_robots(task) if robots is None else len(robots)
     sim = build(count)
     return sim if len(sim.robots) == count else build(len(sim.robots))
 

@@ -10,12 +10,12 @@ use crate::files;
 
 static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
 
-/// A config file, read but not parsed.
+/// A config file, read but not parsed; one that cannot be read is an error where its text is used.
 #[derive(Clone, Debug)]
 pub(super) struct Document {
     /// Path as shown to people; a built-in file's path within the repository.
     pub file: String,
-    pub text: String,
+    pub text: Result<String, ConfigError>,
     /// Tells the file from all others, however its path is written.
     pub id: PathBuf,
     pub stem: String,
@@ -52,46 +52,51 @@ impl Kind {
 }
 
 impl Document {
+    /// Its text, or why it cannot be read.
+    pub(super) fn text(&self) -> Result<&str, ConfigError> {
+        self.text.as_deref().map_err(Clone::clone)
+    }
+
     /// Reads a file; its root is the given one, or the folder above its `configs`.
-    pub(super) fn read(path: &Path, root: Option<&Path>) -> Result<Self, ConfigError> {
+    pub(super) fn read(path: &Path, root: Option<&Path>) -> Self {
         let file = path.display().to_string();
-        let text = files::read_text(path).map_err(|error| unreadable(&file, format!("cannot be read: {error}")))?;
+        let text = files::read_text(path).map_err(|error| unreadable(&file, format!("cannot be read: {error}")));
         let dir = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
         let above_configs = || {
             let configs = path.ancestors().find(|p| p.file_name() == Some(OsStr::new("configs")))?;
             configs.parent().map(Path::to_path_buf)
         };
         let root = root.map(Path::to_path_buf).or_else(above_configs);
-        Ok(Self {
+        Self {
             id: path.canonicalize().unwrap_or_else(|_| path.to_path_buf()),
             file,
             text,
             stem: stem_of(path),
             dir: Some(dir),
             root,
-        })
+        }
     }
 }
 
 /// All configs of a kind: root by root, the built-in ones last; by file name within each.
 ///
 /// # Errors
-/// A root that is no folder, an unreadable folder or file.
+/// A root that is no folder, an unreadable folder.
 pub(super) fn documents(kind: Kind, roots: &[PathBuf]) -> Result<Vec<Document>, ConfigError> {
     let mut documents = Vec::new();
     for root in roots {
         for file in toml_files(root, kind)? {
-            documents.push(Document::read(&file, Some(root))?);
+            documents.push(Document::read(&file, Some(root)));
         }
     }
     let built_in = CONFIGS.get_dir(kind.folder()).into_iter().flat_map(Dir::files);
     for file in built_in.filter(|file| is_toml(file.path())) {
         let shown = format!("configs/{}", file.path().display());
-        let text = file.contents_utf8().ok_or_else(|| unreadable(&shown, "not UTF-8".into()))?;
+        let text = file.contents_utf8().ok_or_else(|| unreadable(&shown, "not UTF-8".into()));
         documents.push(Document {
             id: PathBuf::from(&shown),
             file: shown,
-            text: text.to_owned(),
+            text: text.map(str::to_owned),
             stem: stem_of(file.path()),
             dir: None,
             root: None,

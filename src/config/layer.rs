@@ -156,9 +156,9 @@ pub(super) fn unknown_element(items: &[Value], element: &str, key: &str) -> Conf
 /// The TOML of `document`.
 ///
 /// # Errors
-/// A syntax error, with line and column.
+/// A file that cannot be read; a syntax error, with line and column.
 pub(super) fn parse(document: &Document) -> Result<Table, ConfigError> {
-    let text = document.text.as_str();
+    let text = document.text()?;
     text.parse::<Table>().map_err(|error| {
         let start = error.span().map_or(0, |span| span.start);
         let before = text.get(..start).unwrap_or(text);

@@ -8,7 +8,7 @@ use toml::{Table, Value};
 use super::document::{Document, Kind, documents, is_toml, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
-use super::names::{RobotEntry, TaskEntry, entry, single_robot_name, unknown_name};
+use super::names::{RobotEntry, TaskEntry, TaskNames, single_robot_name, task_names, unknown_name};
 use super::robot::RobotConfig;
 use super::scene::embed_meshes;
 use super::suggest::did_you_mean;
@@ -51,6 +51,17 @@ pub struct LoadedTask {
     pub hash: u64,
 }
 
+/// A training config, read but not parsed.
+#[derive(Clone, Debug)]
+pub struct TrainFile {
+    /// Its text.
+    pub text: String,
+    /// Tells the file from all others, however its path is written.
+    pub id: PathBuf,
+    /// Its folder, where relative paths begin; none for what is built in.
+    pub folder: Option<PathBuf>,
+}
+
 impl Library {
     /// A library of the roots `extra`, then those of the environment variable [`PATH_VARIABLE`], then what is built in.
     /// What comes first wins. A root is laid out like this repository: `configs/robots`, `configs/tasks`, `assets/robots`.
@@ -74,7 +85,7 @@ impl Library {
     /// # Errors
     /// As [`Library::robot`]; overrides of a robot that does not exist.
     pub fn robot_in(&self, name_or_path: &str, task: &TaskConfig) -> Result<LoadedRobot, ConfigError> {
-        let known: Vec<String> = self.robots()?.into_iter().map(|robot| robot.name).collect();
+        let known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
         let is_known = |name: &String| known.contains(name) || task.robots.contains(name) || name == name_or_path;
         if let Some(stranger) = task.robot_overrides.keys().find(|name| !is_known(name)) {
             let element = format!("robot_overrides.{stranger}");
@@ -136,44 +147,40 @@ impl Library {
         Ok(LoadedTask { config, resolved, hash })
     }
 
-    /// The text of `configs/train/<name>.toml`, or of that path to a `.toml`.
+    /// The file `configs/train/<name>.toml`, or that of a path to a `.toml`, that is not among the files `above` by their ids:
+    /// a file may extend the one of the same name that it hides.
     ///
     /// # Errors
-    /// Unknown name or unreadable file.
-    pub fn train(&self, name: &str) -> Result<String, ConfigError> {
-        self.find(Kind::Train, name, None, &[]).map(|document| document.text)
+    /// Unknown name, unreadable file, a file that extends itself.
+    pub fn train(&self, name: &str, above: &[PathBuf]) -> Result<TrainFile, ConfigError> {
+        let above: Vec<_> = above.iter().map(|id| (id.clone(), id.display().to_string())).collect();
+        let document = self.find(Kind::Train, name, None, &above)?;
+        Ok(TrainFile { text: document.text?, id: document.id, folder: document.dir })
     }
 
-    /// All robots, by name.
+    /// All robots, by name, but for those of [`Library::broken`].
     ///
     /// # Errors
-    /// An unreadable folder or file, or one that is not TOML.
+    /// A root that is no folder, an unreadable folder.
     pub fn robots(&self) -> Result<Vec<RobotEntry>, ConfigError> {
-        let mut robots = Vec::new();
-        for document in self.listed(Kind::Robot)? {
-            let table = parse(&document)?;
-            let title = string_key(&document, &table, "title")?.unwrap_or(&document.stem).to_owned();
-            robots.push(RobotEntry { name: document.stem, title, file: document.file });
-        }
+        let mut robots: Vec<_> = self.listed(Kind::Robot)?.iter().flat_map(robot_entry).collect();
         robots.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(robots)
     }
 
-    /// All tasks: those with a file, then those made for one robot.
+    /// All tasks but for those of [`Library::broken`]: those with a file, then those made for one robot.
     ///
     /// # Errors
-    /// An unreadable folder or file, or one that is not TOML.
+    /// A root that is no folder, an unreadable folder.
     pub fn tasks(&self) -> Result<Vec<TaskEntry>, ConfigError> {
-        let mut tasks = Vec::new();
-        for document in self.listed(Kind::Task)? {
-            tasks.push(entry(&document)?);
-        }
+        let mut tasks: Vec<_> =
+            self.listed(Kind::Task)?.into_iter().flat_map(|document| self.task_entry(document)).collect();
         tasks.sort_by(|a, b| a.name.cmp(&b.name));
         let mut single = Vec::new();
         for robot in self.robots()? {
             single.extend(tasks.iter().filter_map(|task| {
                 let name = single_robot_name(&task.name, &robot.name)?;
-                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone() })
+                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone(), num_robots: 1 })
             }));
         }
         single.retain(|made| tasks.iter().all(|task| task.name != made.name));
@@ -181,11 +188,39 @@ impl Library {
         Ok(tasks)
     }
 
+    /// What [`Library::robots`] and [`Library::tasks`] leave out: the errors of files that cannot be read, are not TOML or
+    /// extend what cannot be extended. Using one of their names gives the same error.
+    ///
+    /// # Errors
+    /// A root that is no folder, an unreadable folder.
+    pub fn broken(&self) -> Result<Vec<ConfigError>, ConfigError> {
+        let robots = self.listed(Kind::Robot)?.into_iter().filter_map(|document| robot_entry(&document).err());
+        let tasks = self.listed(Kind::Task)?.into_iter().filter_map(|document| self.task_entry(document).err());
+        let mut broken: Vec<ConfigError> = Vec::new();
+        for error in robots.chain(tasks) {
+            // tasks that extend a broken one share its error
+            if !broken.contains(&error) {
+                broken.push(error);
+            }
+        }
+        Ok(broken)
+    }
+
+    fn task_entry(&self, document: Document) -> Result<TaskEntry, ConfigError> {
+        let TaskNames { name, aliases } = task_names(&document)?;
+        let file = document.file.clone();
+        let merged = self.layers(Kind::Task, document)?.merged()?;
+        let num_robots = merged.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
+        Ok(TaskEntry { name, aliases, file, num_robots })
+    }
+
     /// The layers of the task `name`, if it is one made for one robot.
     fn single_robot_layers(&self, name: &str) -> Result<Option<Layers>, ConfigError> {
         let robots = self.robots()?;
         for base in self.listed(Kind::Task)? {
-            let base_name = entry(&base)?.name;
+            let Ok(TaskNames { name: base_name, .. }) = task_names(&base) else {
+                continue;
+            };
             let of_robot =
                 |robot: &&RobotEntry| single_robot_name(&base_name, &robot.name).is_some_and(|made| made == name);
             let Some(robot) = robots.iter().find(of_robot) else {
@@ -258,16 +293,24 @@ impl Library {
         };
         let is_free = |document: &Document| visited.iter().all(|(id, _)| *id != document.id);
         if is_toml(Path::new(name)) {
-            let document = Document::read(&dir.unwrap_or(Path::new("")).join(name), None)?;
+            let document = Document::read(&dir.unwrap_or(Path::new("")).join(name), None);
+            document.text()?;
             return if is_free(&document) { Ok(document) } else { Err(cycle()) };
         }
         let documents = documents(kind, &self.roots)?;
         let mut matching: Vec<&Document> = documents.iter().filter(|d| d.stem == name).collect();
         let mut known: Vec<String> = documents.iter().map(|d| d.stem.clone()).collect();
-        // Other files are parsed only if no stem decides, so that a broken one does not stand in the way.
+        let mut broken = Vec::new();
+        // other files are parsed only if no stem decides, and a broken one does not stand in the way
         if matches!(kind, Kind::Task) && !matching.iter().any(|document| is_free(document)) {
             for document in &documents {
-                let TaskEntry { name: full, aliases, .. } = entry(document)?;
+                let TaskNames { name: full, aliases } = match task_names(document) {
+                    Ok(names) => names,
+                    Err(error) => {
+                        broken.push(error);
+                        continue;
+                    }
+                };
                 if full == name || aliases.iter().any(|alias| alias == name) {
                     matching.push(document);
                 }
@@ -283,11 +326,15 @@ impl Library {
         }
         known.sort();
         known.dedup();
-        let made = match kind {
-            Kind::Task => self.tasks()?.into_iter().map(|task| task.name).collect(),
+        let robots = match kind {
+            Kind::Task => self.listed(Kind::Robot)?,
             Kind::Robot | Kind::Train => Vec::new(),
         };
-        Err(unknown_name(kind, name, &known, &made))
+        let made: Vec<String> = robots
+            .iter()
+            .flat_map(|robot| known.iter().filter_map(|task| single_robot_name(task, &robot.stem)))
+            .collect();
+        Err(unknown_name(kind, name, &known, &made, &broken))
     }
 
     /// The configs of a kind that a name can reach: of those with the same stem only the first.
@@ -335,6 +382,12 @@ impl Library {
         );
         Err(layers.locate(error.of_kind(ConfigErrorKind::Unreadable), &[]))
     }
+}
+
+fn robot_entry(document: &Document) -> Result<RobotEntry, ConfigError> {
+    let table = parse(document)?;
+    let title = string_key(document, &table, "title")?.unwrap_or(&document.stem).to_owned();
+    Ok(RobotEntry { name: document.stem.clone(), title, file: document.file.clone() })
 }
 
 /// Relative package folders are meant from the folder of the file that names them.

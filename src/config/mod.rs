@@ -16,7 +16,7 @@ mod terrain;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
-pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE};
+pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry};
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};

@@ -30,10 +30,20 @@ pub struct TaskEntry {
     pub aliases: Vec<String>,
     /// File; for a task made for one robot, the file it is made from.
     pub file: String,
+    /// Number of its robots; 0 for a file that names none and is only there to be extended.
+    pub num_robots: usize,
 }
 
 /// What a task file says about its names.
-pub(super) fn entry(document: &Document) -> Result<TaskEntry, ConfigError> {
+pub(super) struct TaskNames {
+    /// Full name.
+    pub name: String,
+    /// Short names, as of [`TaskEntry`].
+    pub aliases: Vec<String>,
+}
+
+/// The names of a task file.
+pub(super) fn task_names(document: &Document) -> Result<TaskNames, ConfigError> {
     let table = parse(document)?;
     let name = string_key(document, &table, "name")?.unwrap_or(&document.stem).to_owned();
     let listed = table.get("aliases").and_then(Value::as_array).into_iter().flatten();
@@ -41,7 +51,7 @@ pub(super) fn entry(document: &Document) -> Result<TaskEntry, ConfigError> {
     if document.stem != name && !aliases.contains(&document.stem) {
         aliases.push(document.stem.clone());
     }
-    Ok(TaskEntry { name, aliases, file: document.file.clone() })
+    Ok(TaskNames { name, aliases })
 }
 
 /// The name of the task that the task called `task` makes for one robot, if it is one for many:
@@ -59,7 +69,14 @@ pub(super) fn single_robot_name(task: &str, robot: &str) -> Option<String> {
 }
 
 /// The error about a name that nothing has; near ones are sought among `known` and `made`, which is too long to be listed.
-pub(super) fn unknown_name(kind: Kind, name: &str, known: &[String], made: &[String]) -> ConfigError {
+/// Files that are `broken` may have the name.
+pub(super) fn unknown_name(
+    kind: Kind,
+    name: &str,
+    known: &[String],
+    made: &[String],
+    broken: &[ConfigError],
+) -> ConfigError {
     let noun = kind.noun();
     let made = made.iter().filter(|name| !known.contains(name));
     let near = nearest(name, known.iter().chain(made).map(String::as_str));
@@ -67,10 +84,15 @@ pub(super) fn unknown_name(kind: Kind, name: &str, known: &[String], made: &[Str
         [] => String::new(),
         _ => format!("did you mean `{}`? ", near.join("`, `")),
     };
+    let mut problem = format!("there is no {noun} `{name}`");
+    for error in broken {
+        let ConfigError { file, element, problem: why, .. } = error;
+        problem += &format!(", unless it is in {file}, which is broken ({element}: {why})");
+    }
     ConfigError::invalid(
         format!("configs/{}", kind.folder()),
         format!("{noun} `{name}`"),
-        format!("there is no {noun} `{name}`"),
+        problem,
         format!("{guess}known: {}", known.join(", ")),
     )
     .of_kind(ConfigErrorKind::UnknownName)

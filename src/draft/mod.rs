@@ -126,7 +126,10 @@ fn reward_set(mass: f64) -> Result<String, Error> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(f64, String)> = None;
     for entry in library.robots()? {
-        let robot = MorphologyModel::new(&library.robot(&entry.name)?)?;
+        // a broken config of another robot is no reason to stop
+        let Some(robot) = library.robot(&entry.name).ok().and_then(|loaded| MorphologyModel::new(&loaded).ok()) else {
+            continue;
+        };
         let distance = (robot.model.total_mass() / mass).ln().abs();
         if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
             nearest = Some((distance, robot.config.reward_set));

@@ -17,6 +17,7 @@ use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
 use polypod::robot::{self, LoadOptions};
+use polypod::systems::Registry;
 
 #[pyfunction]
 fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
@@ -26,6 +27,7 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         dict.set_item("name", task.name)?;
         dict.set_item("aliases", task.aliases)?;
         dict.set_item("file", task.file)?;
+        dict.set_item("num_robots", task.num_robots)?;
         Ok(dict)
     };
     tasks.into_iter().map(entry).collect()
@@ -44,8 +46,28 @@ fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 }
 
 #[pyfunction]
-fn train_config(py: Python<'_>, name: &str) -> PyResult<String> {
-    guarded(py, || Library::new(Vec::new()).train(name))?.map_err(|error| to_python(py, error.into()))
+fn observation_specs(py: Python<'_>) -> PyResult<String> {
+    let registry = Registry::builtin();
+    let specs: BTreeMap<_, _> = registry.observation_specs().collect();
+    vec_sim::written(py, serde_json::to_string(&specs))
+}
+
+#[pyfunction]
+fn broken_configs(py: Python<'_>) -> PyResult<Vec<String>> {
+    let broken = guarded(py, || Library::new(Vec::new()).broken())?.map_err(|error| to_python(py, error.into()))?;
+    Ok(broken.iter().map(ToString::to_string).collect())
+}
+
+#[pyfunction]
+#[pyo3(signature = (name, above=Vec::new()))]
+fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResult<Bound<'py, PyDict>> {
+    let file =
+        guarded(py, || Library::new(Vec::new()).train(name, &above))?.map_err(|error| to_python(py, error.into()))?;
+    let dict = PyDict::new(py);
+    dict.set_item("text", file.text)?;
+    dict.set_item("id", file.id.display().to_string())?;
+    dict.set_item("folder", file.folder.map(|folder| folder.display().to_string()))?;
+    Ok(dict)
 }
 
 #[pyfunction]
@@ -97,6 +119,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<learner::Learner>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;
     module.add_function(wrap_pyfunction!(robots, module)?)?;
+    module.add_function(wrap_pyfunction!(broken_configs, module)?)?;
+    module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;

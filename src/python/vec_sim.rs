@@ -43,6 +43,11 @@ pub(super) struct VecSim {
     arrays: Arrays,
 }
 
+/// A description that was written as JSON.
+pub(super) fn written(py: Python<'_>, json: serde_json::Result<String>) -> PyResult<String> {
+    json.map_err(|error| fault_exception(py, &format!("a description cannot be written as JSON: {error}")))
+}
+
 /// Numbers from which on a copy is shared out among the threads.
 const LARGE: usize = 1 << 16;
 
@@ -148,7 +153,7 @@ impl VecSim {
             let robots: BTreeMap<&str, T> = sim.morphologies().iter().map(|m| (m.name(), of(m))).collect();
             serde_json::to_string(&robots)
         })?;
-        json.map_err(|error| fault_exception(py, &format!("the robots cannot be written as JSON: {error}")))
+        written(py, json)
     }
 
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
@@ -255,12 +260,22 @@ impl VecSim {
             term: &'a str,
             size: usize,
             #[serde(flatten)]
-            spec: TermSpec,
+            spec: &'a TermSpec,
+            inputs: Vec<&'a str>,
+            offset: f32,
+            clip: Option<[f32; 2]>,
+            scale: f32,
         }
-        let terms = self.sim.task().observations.iter();
-        let terms: Vec<_> = terms.map(|term| Entry { term: &term.name, size: term.size, spec: term.spec }).collect();
-        let json = serde_json::to_string(&terms);
-        json.map_err(|error| fault_exception(py, &format!("the terms cannot be written as JSON: {error}")))
+        let terms = self.sim.task().observations.iter().map(|term| Entry {
+            term: &term.name,
+            size: term.size,
+            spec: &term.spec,
+            inputs: term.spec.source.inputs(&term.name),
+            offset: term.offset,
+            clip: term.clip,
+            scale: term.scale,
+        });
+        written(py, serde_json::to_string(&terms.collect::<Vec<_>>()))
     }
 
     fn observation_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {

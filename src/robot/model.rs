@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
+use serde::{Serialize, Serializer};
 
 use super::error::Warning;
 use super::pose::Pose;
@@ -122,7 +123,8 @@ pub struct Shape {
 }
 
 /// Geometry about the origin of its own frame; cylinders and capsules lie along z. m.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "shape", rename_all = "snake_case")]
 pub enum Geometry {
     /// Ball.
     Sphere {
@@ -132,6 +134,7 @@ pub enum Geometry {
     /// Box.
     Box {
         /// Full edge lengths, m.
+        #[serde(serialize_with = "as_array")]
         size: DVec3,
     },
     /// Cylinder along z.
@@ -151,8 +154,17 @@ pub enum Geometry {
     /// Convex hull of points; what a mesh is taken for.
     Hull {
         /// At least one, m.
+        #[serde(serialize_with = "as_arrays")]
         points: Vec<DVec3>,
     },
+}
+
+fn as_array<S: Serializer>(vector: &DVec3, serializer: S) -> Result<S::Ok, S::Error> {
+    vector.to_array().serialize(serializer)
+}
+
+fn as_arrays<S: Serializer>(vectors: &[DVec3], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(vectors.iter().map(|vector| vector.to_array()))
 }
 
 impl Model {

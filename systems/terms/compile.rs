@@ -37,6 +37,8 @@ pub struct ObservationTerm {
     pub size: usize,
     /// What these are.
     pub spec: TermSpec,
+    /// Number that the term takes off its source, before noise, limits and factor.
+    pub offset: f32,
     /// Half width of its uniform noise; 0 without.
     pub noise: f32,
     /// Limits of the noisy numbers.
@@ -123,6 +125,12 @@ impl CompiledTask {
             let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
             let size = (registered.size)(config)
                 .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
+            registered.spec.check_size(size).map_err(|needed| {
+                let problem =
+                    format!("the term `{}` is registered with {size} numbers, but its kind has {needed}", term.term);
+                ConfigError::invalid(file, element.as_str(), problem, "register it with another size, kind or blocks")
+            })?;
+            let built = (registered.build)(file, &element, &term.params)?;
             observations.push(ObservationTerm {
                 name: term.term.clone(),
                 size,
@@ -130,7 +138,8 @@ impl CompiledTask {
                 clip: term.clip.map(|range| range.map(|x| x as f32)),
                 scale: term.scale as f32,
                 spec: registered.spec,
-                write: (registered.build)(file, &element, &term.params)?,
+                offset: built.offset,
+                write: built.write,
             });
         }
         let mut rewards = Vec::new();

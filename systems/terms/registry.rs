@@ -45,7 +45,14 @@ pub struct Registry {
 pub(super) struct RegisteredObservation {
     pub(super) spec: TermSpec,
     pub(super) size: SizeFn,
-    pub(super) build: Builder<ObservationFn>,
+    pub(super) build: Builder<BuiltObservation>,
+}
+
+/// An observation term with the parameters of a task.
+pub(super) struct BuiltObservation {
+    /// Number that it takes off its source.
+    pub(super) offset: f32,
+    pub(super) write: ObservationFn,
 }
 
 /// Events by name, each with its place in the order of registration.
@@ -69,33 +76,43 @@ impl Registry {
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        self.observation_of(name, move |_| Ok(size), spec, f);
+        self.observation_of(name, move |_| Ok(size), spec, |_| 0.0, f);
     }
 
-    /// An observation term whose size depends on the task; `size` gives problem and remedy where the task does not fit.
+    /// An observation term whose size depends on the task, and whose parameters hold a number that it takes off its source.
+    ///
+    /// `size` gives problem and remedy where the task does not fit; `offset` reads the number that is taken off.
     pub fn observation_of<P>(
         &mut self,
         name: &'static str,
         size: impl Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync + 'static,
         spec: TermSpec,
+        offset: fn(&P) -> f32,
         f: fn(&P, &RobotView, &mut [f32]),
     ) where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        let build: Builder<ObservationFn> = Box::new(move |file, element, table| {
+        let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
             let p: P = parse_params(file, element, table)?;
-            Ok(Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out))))
+            let offset = offset(&p);
+            let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
+            Ok(BuiltObservation { offset, write })
         });
         self.observations.insert(name, RegisteredObservation { spec, size: Box::new(size), build });
     }
 
     /// An observation term that a system of its own writes.
     pub(in crate::systems) fn observation_by_system(&mut self, name: &'static str, size: usize, spec: TermSpec) {
-        let build: Builder<ObservationFn> = Box::new(move |file, element, table| {
+        let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
             let NoParams {} = parse_params(file, element, table)?;
-            Ok(None)
+            Ok(BuiltObservation { offset: 0.0, write: None })
         });
         self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_| Ok(size)), build });
+    }
+
+    /// Names of all observation terms and what they are.
+    pub fn observation_specs(&self) -> impl Iterator<Item = (&'static str, &TermSpec)> {
+        self.observations.iter().map(|(name, registered)| (*name, &registered.spec))
     }
 
     /// A termination term; `time_out` ones truncate an episode, others end it as failed. The last argument is the

@@ -4,6 +4,9 @@ use serde::Serialize;
 
 use crate::config::HeightScannerConfig;
 use crate::morphology::MorphologyModel;
+use crate::robot::{CANONICAL_JOINT_NAMES, ROLES};
+
+const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
 
 /// What the numbers of a term are, which says how they change in a mirror that exchanges left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -21,11 +24,100 @@ pub enum TermKind {
     PerJoint,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
-    /// Numbers of the whole body, then one of each joint, then one of the whole body.
+    /// What body the robot is, in blocks ([`TermSpec::blocks`]): numbers of joints change like those of `PerJoint`.
     Body,
 }
 
-/// Kind, units and meaning of an observation term.
+/// What a term is computed from on a robot, and by which formula. Exported graphs and the comparison with MuJoCo compute it,
+/// so that a deployment gives what its sensors read. In Python: `polypod.export.sources`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TermSource {
+    /// The term as it is: a deployment measures it and gives it by the term's name.
+    Measured,
+    /// What body the robot is: numbers that do not change, which a graph folded for a robot holds.
+    RobotConstant,
+    /// Velocity of the base's centre of mass in base axes, from that of the base link's origin and the angular velocity.
+    CenterOfMassVelocity,
+    /// Angular velocity of the base, base axes.
+    BaseAngularVelocity,
+    /// Unit vector of gravity, base axes.
+    ProjectedGravity,
+    /// Commanded forward velocity, left velocity and yaw rate.
+    VelocityCommand,
+    /// Joint positions, canonical order.
+    JointPosition,
+    /// Joint positions less the default pose, canonical order.
+    JointPositionMinusDefault,
+    /// Joint velocities, canonical order.
+    JointVelocity,
+    /// The action of the previous control step.
+    LastAction,
+    /// Height of the base above the ground below each ray of the height scanner.
+    HeightScan,
+}
+
+impl TermSource {
+    /// Inputs of a folded graph that a term called `name` is computed from, in the order in which its formula takes them.
+    pub fn inputs(self, name: &str) -> Vec<&str> {
+        match self {
+            Self::Measured => vec![name],
+            Self::RobotConstant => vec![],
+            Self::CenterOfMassVelocity => vec!["base_lin_vel", "base_ang_vel"],
+            Self::BaseAngularVelocity => vec!["base_ang_vel"],
+            Self::ProjectedGravity => vec!["projected_gravity"],
+            Self::VelocityCommand => vec!["velocity_commands"],
+            Self::JointPosition | Self::JointPositionMinusDefault => vec!["joint_pos"],
+            Self::JointVelocity => vec!["joint_vel"],
+            Self::LastAction => vec!["last_action"],
+            Self::HeightScan => vec!["height_scan"],
+        }
+    }
+}
+
+/// What each number of a block belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Per {
+    /// The whole body.
+    Body,
+    /// The whole body: a distance between front and hind legs. A leg stands half of it ahead of the middle or behind it.
+    Length,
+    /// The whole body: a distance between left and right legs. A leg stands half of it beside the middle.
+    Width,
+    /// A role of joints: all numbers of the first role, then those of the next.
+    Role,
+    /// A joint: the first number of all joints in canonical order, then the next number of all joints.
+    Joint,
+}
+
+/// Consecutive numbers of a term of the kind [`TermKind::Body`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Block {
+    /// What they belong to.
+    pub per: Per,
+    /// How many numbers for each: of the body, of one role, of one joint.
+    pub count: usize,
+}
+
+impl Block {
+    /// `count` numbers for each.
+    pub const fn new(per: Per, count: usize) -> Self {
+        Self { per, count }
+    }
+
+    /// How many numbers it has.
+    pub const fn size(self) -> usize {
+        match self.per {
+            Per::Body | Per::Length | Per::Width => self.count,
+            Per::Role => self.count * ROLES.len(),
+            Per::Joint => self.count * JOINTS,
+        }
+    }
+}
+
+/// What an observation term is. Mirror images, exported graphs, networks of joints and the comparison with MuJoCo read it, and
+/// so does Python (`VecSim.observation_terms`).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TermSpec {
     /// What its numbers are.
@@ -34,19 +126,49 @@ pub struct TermSpec {
     pub units: &'static str,
     /// What it says, with its frame.
     pub description: &'static str,
-    /// What a robot's sensors have to give for it, by the names of a folded graph's inputs; empty: the term itself.
-    pub inputs: &'static [&'static str],
+    /// What it is computed from on a robot.
+    pub source: TermSource,
+    /// Typical magnitude of its numbers, in `units`: networks of joints divide by it where nothing else normalises.
+    pub magnitude: f32,
+    /// What its numbers belong to, in order, for the kind [`TermKind::Body`]; empty for the others.
+    pub blocks: &'static [Block],
 }
 
 impl TermSpec {
-    /// A term that a deployment measures as it is.
+    /// A term of typical magnitude 1 that a deployment measures as it is.
     pub const fn new(kind: TermKind, units: &'static str, description: &'static str) -> Self {
-        Self { kind, units, description, inputs: &[] }
+        Self { kind, units, description, source: TermSource::Measured, magnitude: 1.0, blocks: &[] }
     }
 
-    /// A term that is computed from other inputs.
-    pub const fn from_inputs(self, inputs: &'static [&'static str]) -> Self {
-        Self { inputs, ..self }
+    /// A term that is computed from what sensors give.
+    pub const fn from_source(self, source: TermSource) -> Self {
+        Self { source, ..self }
+    }
+
+    /// A term whose numbers have this typical magnitude.
+    pub const fn with_magnitude(self, magnitude: f32) -> Self {
+        Self { magnitude, ..self }
+    }
+
+    /// A term whose numbers describe the body in these blocks.
+    pub const fn with_blocks(self, blocks: &'static [Block]) -> Self {
+        Self { blocks, ..self }
+    }
+
+    /// Whether a term of this kind may have `size` numbers.
+    ///
+    /// # Errors
+    /// How many numbers it would have.
+    pub(super) fn check_size(&self, size: usize) -> Result<(), String> {
+        let blocks: usize = self.blocks.iter().map(|block| block.size()).sum();
+        match self.kind {
+            TermKind::PerJoint if size != JOINTS => Err(format!("a number for each of {JOINTS} joints")),
+            TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if !size.is_multiple_of(3) => {
+                Err("three numbers for each vector".into())
+            }
+            TermKind::Body if size != blocks => Err(format!("{blocks} numbers in its blocks")),
+            _ => Ok(()),
+        }
     }
 
     /// The mirror image of `size` numbers: of each, which number takes its place and with which sign.
@@ -71,9 +193,15 @@ impl TermSpec {
                 (0..rows).rev().flat_map(|row| (row * length..(row + 1) * length).map(|i| (i, 1.0))).collect()
             }
             TermKind::Body => {
-                let first = size - 1 - robot.mirrored_slots().len();
-                let body = (0..first).map(|i| (i, 1.0));
-                body.chain(joints(first)).chain([(size - 1, 1.0)]).collect()
+                let mut mirror = Vec::with_capacity(size);
+                for block in self.blocks {
+                    let first = mirror.len();
+                    match block.per {
+                        Per::Joint => (0..block.count).for_each(|k| mirror.extend(joints(first + k * JOINTS))),
+                        _ => mirror.extend((first..first + block.size()).map(|i| (i, 1.0))),
+                    }
+                }
+                mirror
             }
         }
     }

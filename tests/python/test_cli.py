@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import typing
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,16 @@ def test_train_resume_and_eval(cli, cli_process, tmp_path):
     assert "anymal_c" in done.stdout
 
 
+def test_every_command_has_a_file_of_its_own():
+    folder = Path(polypod.cli.__file__).parent / "commands"
+    files = {path.stem for path in folder.glob("*.py")} - {"__init__", "arguments"}
+    names = {}
+    for command in typing.get_args(polypod.cli.Command):
+        kind, subcommand = typing.get_args(command)
+        names[subcommand.name] = kind.__module__
+    assert names == {name: f"polypod.commands.{name}" for name in files}
+
+
 def test_list_and_info(main):
     code, output, _ = main("list")
     assert code == 0
@@ -83,6 +94,30 @@ def test_list_and_info(main):
     code, output, _ = main("info")
     assert code == 0
     assert polypod.__version__ in output
+
+
+def test_the_list_leaves_out_what_is_broken(main, monkeypatch, tmp_path):
+    for kind in ("robots", "tasks"):
+        folder = tmp_path / "configs" / kind
+        folder.mkdir(parents=True)
+        (folder / "broken.toml").write_text("name = [")
+    (tmp_path / "configs" / "tasks" / "mine.toml").write_text(
+        'extends = "velocity_flat"\nname = "Mine-v0"\nrobots = ["spot", "anymal_c"]\n'
+    )
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
+    code, output, errors = main("list")
+    assert code == 0
+    assert "Mine-v0" in output
+    assert "unitree_go2" in output
+    assert "broken" not in output
+    assert [line.split(": ")[:3] for line in errors.splitlines()] == [
+        ["polypod", "warning", str(tmp_path / "configs" / kind / "broken.toml")] for kind in ("robots", "tasks")
+    ]
+    counts = {entry["name"]: entry["num_robots"] for entry in polypod.tasks()}
+    assert (counts["Mine-v0"], counts["Velocity-Flat-Spot-v0"], counts["Velocity-Flat-HeteroQuadruped-v0"]) == (2, 1, 8)
+    env = polypod.make("Mine-v0")
+    assert env.num_envs == 2
+    env.close()
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -19,10 +20,12 @@ import polypod.cli
 from common import FLAT_POLICY, PLAY_TERRAIN, ROUGH_POLICY
 from polypod.evaluation import load_policy
 from polypod.evaluation.policies import load_network
-from polypod.export import OnnxPolicy, interfaces, onnx_graph
+from polypod.export import OnnxPolicy, interfaces, onnx_graph, sources
+from polypod.export import robot as robot_interface
 from polypod.export.checkpoint import compare
 from polypod.export.robot import OUTPUTS
 from polypod.export.torch_graph import RobotPolicy
+from polypod.observation import Term
 from polypod.training import run_dir
 
 EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
@@ -186,13 +189,72 @@ def build(activation, normalized=False):
 def test_a_term_of_its_own_is_an_input_of_its_own():
     """What no formula makes of other inputs, a deployment measures itself."""
     robot = interfaces(run_dir.read_manifest(FLAT_POLICY), ["spot"])["spot"]
-    layout = (("base_lin_vel", 3), ("motor_temperature", 2), ("joint_pos_rel", 12))
-    needs = {**robot.needs, "motor_temperature": ["motor_temperature"]}
-    meanings = {**robot.meanings, "motor_temperature": "temperature above the air K"}
-    warm = dataclasses.replace(robot, layout=layout, needs=needs, meanings=meanings)
+    own = Term(
+        term="motor_temperature",
+        size=2,
+        units="K",
+        description="temperature above the air",
+        inputs=("motor_temperature",),
+    )
+    known = {term.term: term for term in robot.terms}
+    warm = dataclasses.replace(robot, terms=(known["base_lin_vel"], own, known["joint_pos_rel"]))
     assert warm.inputs() == {"base_lin_vel": 3, "base_ang_vel": 3, "joint_pos": 12, "motor_temperature": 2}
     assert warm.meaning("motor_temperature") == "temperature above the air K"
     assert "rad" in warm.meaning("joint_pos")
+
+
+def test_a_new_term_of_a_known_source_needs_no_python():
+    """Absolute joint positions and the angular velocity once more, under names that nothing in Python knows."""
+    state, manifest = run_dir.load_checkpoint(FLAT_POLICY), run_dir.read_manifest(FLAT_POLICY)
+    robot = interfaces(manifest, ["spot"])["spot"]
+    own = (
+        {"term": "angles", "size": 12, "kind": "per_joint", "source": "joint_position", "inputs": ["joint_pos"]},
+        {"term": "turning", "size": 3, "source": "base_angular_velocity", "inputs": ["base_ang_vel"], "scale": 2.0},
+        {"term": "leaning", "size": 12, "source": "joint_position_minus_default", "inputs": ["joint_pos"]},
+    )
+    known = {term.term: term for term in robot.terms}
+    terms = (*(Term.read(entry) for entry in own), known["joint_pos_rel"], known["morphology"])
+    robot = dataclasses.replace(robot, terms=terms)
+    sizes = {"base_ang_vel": 3, "joint_pos": 12}
+    assert robot.inputs() == sizes
+    network = load_network(state, manifest["policy"])
+    network.mlp, network.obs_normalizer = torch.nn.Sequential(torch.nn.Linear(74, 12)), torch.nn.Identity()
+    folded = RobotPolicy(network, robot).eval()
+    rate, angles = torch.randn(4, 3), torch.randn(4, 12)
+    seen = folded.observe(rate, angles)
+    torch.testing.assert_close(seen[:, :12], angles[:, robot.joint_of_slot])
+    torch.testing.assert_close(seen[:, 12:15], 2.0 * rate)
+    torch.testing.assert_close(seen[:, 15:27], (angles - torch.from_numpy(robot.default_pose))[:, robot.joint_of_slot])
+    assert torch.equal(seen[:, 15:27], seen[:, 27:39])
+    graph = OnnxPolicy(onnx_graph.robot_model(network, robot, {}).SerializeToString())
+    assert compare(graph, folded, sizes, list(OUTPUTS)) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"source": "sonar"}, "base_ang_vel is computed from 'sonar', for which .* register it with one of measured, "),
+        ({"source": "measured"}, "base_ang_vel is measured by itself, but .* rename it"),
+    ],
+)
+def test_a_source_that_is_not_known_is_refused(monkeypatch, changes, message):
+    read = robot_interface.terms_of
+
+    def changed(sim):
+        return tuple(dataclasses.replace(t, **changes) if t.term == "base_ang_vel" else t for t in read(sim))
+
+    monkeypatch.setattr(robot_interface, "terms_of", changed)
+    with pytest.raises(polypod.ConfigError, match=message):
+        interfaces(run_dir.read_manifest(FLAT_POLICY), ["spot"])
+
+
+def test_every_source_has_a_formula():
+    """Those that the compiled module's stub lists, and all that registered terms state."""
+    stub = (Path(polypod.__file__).parent / "_core.pyi").read_text(encoding="utf-8")
+    listed = stub.split("`source`: ")[1].split("`inputs`")[0].split(": ")[1]
+    names = set(re.findall(r"[a-z]+(?:_[a-z]+)*", re.sub(r"\(.*?\)", "", listed, flags=re.DOTALL))) - {"or"}
+    assert names == set(sources._FORMULAS)
+    assert {spec["source"] for spec in json.loads(polypod._core.observation_specs()).values()} <= names
 
 
 @pytest.mark.parametrize(
@@ -205,6 +267,7 @@ def test_a_term_of_its_own_is_an_input_of_its_own():
             "observations.policy.height_scan.scale=2.0",
             "observations.policy.base_ang_vel.scale=0.25",
             "observations.policy.joint_vel_rel.clip=[-0.5, 0.5]",
+            "observations.policy.morphology.scale=0.5",
         ],
     ],
 )

@@ -113,6 +113,13 @@ def test_targets_come_as_late_as_the_delay(delay):
         np.testing.assert_array_equal(target, first if late else second)
 
 
+def test_what_no_sensor_gives_is_named():
+    _, mujoco, _ = make_twin("spot", num_envs=1)
+    mujoco.policy.inputs["motor_temperature"] = 1
+    with pytest.raises(polypod.ConfigError, match="takes motor_temperature, which no sensor gives in MuJoCo; state"):
+        mujoco.step(np.zeros((1, 3), dtype=np.float32), np.ones(1, dtype=np.bool_))
+
+
 def test_commands_follow_the_heading():
     config = {
         "lin_vel_x": [-1.0, 1.0],

@@ -80,9 +80,12 @@ def test_an_unknown_option_is_named():
         polypod.make("velocity_flat", robot=["spot"])
 
 
-@pytest.mark.parametrize(("kind", "stem"), [("tasks", "broken"), ("robots", "big_dog")])
-def test_a_broken_config_does_not_break_the_import(kind, stem, tmp_path):
-    """It is a warning with the file's name, the built-in tasks are there, and using a task is the error."""
+@pytest.mark.parametrize(
+    ("kind", "stem", "use"),
+    [("tasks", "broken", "'broken'"), ("robots", "big_dog", "'velocity_flat', robots=['big_dog']")],
+)
+def test_a_broken_config_does_not_break_the_import(kind, stem, use, tmp_path):
+    """It is a warning with the file's name, all other tasks and robots work, and using it is the error."""
     file = tmp_path / "configs" / kind / f"{stem}.toml"
     file.parent.mkdir(parents=True)
     file.write_text("name = [")
@@ -90,6 +93,7 @@ def test_a_broken_config_does_not_break_the_import(kind, stem, tmp_path):
         "import gymnasium, polypod\n"
         "print('polypod/Velocity-Flat-HeteroQuadruped-v0' in gymnasium.registry)\n"
         "polypod.make('Velocity-Flat-HeteroQuadruped-v0')\n"
+        f"polypod.make({use})\n"
     )
     environment = {**os.environ, "POLYPOD_PATH": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
@@ -97,6 +101,7 @@ def test_a_broken_config_does_not_break_the_import(kind, stem, tmp_path):
     warning, _, error = done.stderr.partition("Traceback")
     assert "RuntimeWarning" in warning
     assert str(file) in warning
+    assert "line 4" in error
     assert "ConfigError" in error
     assert str(file) in error
 

@@ -1,11 +1,13 @@
-"""docs/task.md names files, keys, functions and tests that exist."""
+"""docs/task.md names files, keys, functions and tests that exist; the tables of terms are those of the code."""
 
+import json
 import re
 from functools import cache
 from pathlib import Path
 
 import pytest
 
+from polypod import _core
 from polypod.training.config import tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,3 +87,15 @@ def test_every_term_of_the_flat_task_has_a_row():
     terms |= {term for rewards in task["rewards"].values() for term in rewards}
     # the two reset events have a row for each quantity that they draw
     assert {term for term in terms if f"| `{term}`" not in PAGE} == {"reset_base", "reset_joints"}
+
+
+def test_the_table_of_observation_terms_is_what_they_state():
+    page = (ROOT / "docs" / "write-a-term.md").read_text(encoding="utf-8")
+    specs = json.loads(_core.observation_specs())
+    rows = []
+    for term, spec in specs.items():
+        cells = [f"`{term}`", f"`{spec['kind']}`", spec["units"], f"`{spec['source']}`", spec["description"]]
+        rows.append("|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|")
+    found = [line for line in page.splitlines() if re.match(r"\| `\w+` \|(?: [^|]*\|){4}$", line)]
+    assert found == rows
+    assert {term for term in specs if f"| `{term}` (" not in PAGE} == {"morphology"}  # which has a table of its own

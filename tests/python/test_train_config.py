@@ -1,5 +1,7 @@
 """Train configs are checked, and errors name file, key and remedy."""
 
+import dataclasses
+
 import pytest
 
 import polypod
@@ -90,6 +92,23 @@ def test_a_file_cannot_extend_itself(tmp_path):
     path.write_text(f'extends = "{path}"\n')
     with pytest.raises(polypod.ConfigError, match="extends itself"):
         config.load(str(path))
+
+
+def test_a_file_extends_the_one_that_it_hides(tmp_path, monkeypatch):
+    """By its name, in POLYPOD_PATH, as tasks and robots do; a path in it begins at its own folder."""
+    folder = tmp_path / "configs" / "train"
+    folder.mkdir(parents=True)
+    (folder / "long.toml").write_text("[run]\nsave_interval = 7\n")
+    (folder / "quick.toml").write_text('extends = ["quick", "long.toml"]\n[algorithm]\ngamma = 0.98\n')
+    built_in = config.load("quick")
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
+    mine = config.load("quick")
+    assert (mine.algorithm.gamma, mine.run.save_interval) == (0.98, 7)
+    assert mine.run == dataclasses.replace(built_in.run, save_interval=7)
+    assert config.load(str(folder / "quick.toml")) == mine
+    (folder / "own.toml").write_text('extends = "own"\n')
+    with pytest.raises(polypod.ConfigError, match=r"`own` extends itself: .*own\.toml"):
+        config.load("own")
 
 
 def test_a_missing_file(tmp_path):

@@ -1,5 +1,6 @@
 """The network of joints: the same weights for any number of joints, and a network like any other to all tools."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from polypod.evaluation import evaluate_checkpoint, load_network
 from polypod.export import OnnxPolicy, export_checkpoint, onnx_graph
 from polypod.export.checkpoint import compare
 from polypod.networks.joints import joint_table
+from polypod.observation import layout_of as layout_of_terms
+from polypod.observation import terms_of
 from polypod.training import config, run_dir, session
 
 CONFIG = Path(__file__).parents[2] / "configs" / "train" / "flat_urma.toml"
@@ -128,6 +131,27 @@ def test_features_are_read_from_their_columns():
     assert (normalized.factor[:, :3] == 1.0).all()
     np.testing.assert_array_equal(normalized.factor[:, 3:], table.factor[:, 3:])
     assert table.general.tolist() == [*range(12), *range(description, description + 7), description + 34]
+
+
+def test_terms_are_known_by_what_they_are():
+    """Under other names, with what the simulator states of them, the observation is read in the same way."""
+    names = BODIES["quadruped"]
+    env = polypod.make(TASK, num_envs=8)
+    layout = layout_of_terms(terms_of(env.sim))
+    env.close()
+    assert [(entry["term"], entry["size"]) for entry in layout] == layout_of(names)
+    renamed = [{**entry, "term": f"own_{index}"} for index, entry in enumerate(layout)]
+    old, new = joint_table(layout_of(names), names), joint_table(renamed, names)
+    for field in dataclasses.fields(old):
+        np.testing.assert_array_equal(getattr(new, field.name), getattr(old, field.name))
+    # another term of a joint is one more number of its state
+    more = [*renamed, {"term": "motor_temperature", "size": 12, "kind": "per_joint", "magnitude": 50.0, "blocks": []}]
+    table = joint_table(more, names)
+    assert table.num_states == 4
+    assert (table.column[3, 3], table.factor[3, 3]) == (83 + 3, np.float32(0.02))
+    blocks = [{**block, "per": "wheel"} if block["per"] == "length" else block for block in layout[-1]["blocks"]]
+    with pytest.raises(polypod.ConfigError, match="own_7 has numbers per wheel"):
+        joint_table([*renamed[:-1], {**renamed[-1], "blocks": blocks}], names)
 
 
 def test_places_of_four_legs_are_orthogonal():

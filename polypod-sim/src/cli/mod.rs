@@ -70,5 +70,8 @@ fn list() -> anyhow::Result<()> {
     for task in library.tasks().map_err(Error::from)? {
         writeln!(out, "  {:<44} {}", task.name, task.aliases.join(", "))?;
     }
+    for error in library.broken().map_err(Error::from)? {
+        eprintln!("warning: {error}");
+    }
     Ok(())
 }

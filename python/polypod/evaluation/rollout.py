@@ -12,6 +12,7 @@ from polypod.compat import tomllib
 from polypod.evaluation import measures
 from polypod.evaluation.policies import Policy
 from polypod.evaluation.results import Evaluation, robot_result
+from polypod.registration import num_robots
 
 ENVS_PER_ROBOT = 64
 
@@ -71,7 +72,7 @@ def evaluate(
     name = play_task(task)
     named = list(robots) if robots is not None else None
     if num_envs is None:
-        num_envs = ENVS_PER_ROBOT * len(named or _core.robots())
+        num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name))
     changes = [*overrides, *(_disturbances(name, named, overrides) if randomized else ())]
     sim = _core.VecSim(
         name, num_envs, robots=named, seed=seed, threads=threads, overrides=changes, autoreset="disabled"
@@ -155,7 +156,8 @@ def _held(sim: _core.VecSim, commands: npt.NDArray[np.float32], episode: int) ->
 def _disturbances(play: str, robots: list[str] | None, overrides: Sequence[str]) -> list[str]:
     """Overrides that give a Play variant the noise and the events of the task that it is a variant of."""
     task = re.sub(r"-Play-(v\d+)$", r"-\1", play)
-    sim = _core.VecSim(task, len(robots or _core.robots()), robots=robots, threads=1, overrides=list(overrides))
+    count = len(robots) if robots else num_robots(task)
+    sim = _core.VecSim(task, count, robots=robots, threads=1, overrides=list(overrides))
     config = tomllib.loads(sim.resolved_config())["task"]
     noise = config["observations"].get("enable_noise", True)
     events = {name: event.get("enabled", True) for name, event in config.get("events", {}).items()}

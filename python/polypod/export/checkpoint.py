@@ -15,10 +15,11 @@ from rsl_rl.modules import EmpiricalNormalization
 from polypod import _core
 from polypod.evaluation import load_network
 from polypod.export import onnx_graph
-from polypod.export.robot import OUTPUTS, RobotInterface, Treatment, changes, interfaces
+from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
+from polypod.observation import Term
 from polypod.training import run_dir
 
 Format = Literal["onnx", "torchscript"]
@@ -89,7 +90,7 @@ class _Writer:
         formats: Sequence[Format],
     ) -> None:
         self.manifest, self.network, self.out, self.formats = manifest, network, out, formats
-        self.treatment: dict[str, Treatment] = {}
+        self.terms: tuple[Term, ...] = ()
         self.scan_points: list[list[float]] = []
         self.files: list[Path] = []
         self.sums: dict[str, str] = {}
@@ -105,7 +106,7 @@ class _Writer:
     def write_policy(self, robots: dict[str, RobotInterface]) -> None:
         """The network alone, with a manifest about all robots."""
         any_robot = next(iter(robots.values()))
-        self.treatment = dict(any_robot.treatment)
+        self.terms = any_robot.terms
         self.scan_points = any_robot.scan_points.tolist()
         module = self.network.as_jit()
         sizes = {"obs": self.num_obs}
@@ -172,11 +173,10 @@ class _Writer:
 
     def _write_manifest(self, name: str, content: dict[str, Any]) -> None:
         start, layout = 0, []
-        for entry in self.manifest["observation_layout"]:
-            treatment = self.treatment.get(entry["term"], Treatment())
-            place = {"term": entry["term"], "size": entry["size"], "start": start}
-            layout.append({**place, **dataclasses.asdict(treatment)})
-            start += entry["size"]
+        for term in self.terms:
+            place = {"term": term.term, "size": term.size, "start": start}
+            layout.append({**place, **dataclasses.asdict(term.treatment)})
+            start += term.size
         normalizer = self.network.obs_normalizer
         normalized = isinstance(normalizer, EmpiricalNormalization)
         manifest = {
@@ -211,7 +211,7 @@ class _Writer:
             **robot.info,
             "joint_of_slot": robot.joint_of_slot.tolist(),
             "base_com": [float(x) for x in robot.base_com],
-            "morphology": [float(x) for x in robot.morphology],
+            "morphology": [float(x) for value in robot.constants.values() for x in value],
         }
 
     def _metadata(self, name: str) -> dict[str, str]:

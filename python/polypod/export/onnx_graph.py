@@ -4,6 +4,7 @@ They are a few dozen nodes at most, written down here: torch's exporter takes a 
 depends on its version. `checkpoint.export_checkpoint` compares every graph with torch before it is done.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,9 +15,11 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface, Treatment
+from polypod.export import sources
+from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
 from polypod.extras import package
 from polypod.networks import JointNetwork
+from polypod.observation import Treatment
 
 OPSET = 17
 """Of ONNX's default domain: old enough for the runtimes in use."""
@@ -80,38 +83,65 @@ def robot_model(network: MLPModel, robot: RobotInterface, metadata: Mapping[str,
     """The network folded for a robot: see `polypod.export.robot` for inputs and outputs."""
     graph = Graph(f"policy_{robot.name}")
     inputs = robot.inputs()
-    slots = graph.constant("joint_of_slot", robot.joint_of_slot)
-    default = graph.constant("default_pose", robot.default_pose)
+    do = _Operations(graph, robot)
     columns = []
-    for term, size in robot.layout:
-        column = f"obs_{term}"
-        if term == "base_lin_vel":
-            lever = graph.constant("base_com_lever", robot.lever())
-            turning = graph.node("MatMul", "base_ang_vel", lever, output="base_com_turning")
-            graph.node("Add", "base_lin_vel", turning, output=column)
-        elif term == "joint_pos_rel":
-            offset = graph.node("Sub", "joint_pos", default, output="joint_pos_offset")
-            graph.node("Gather", offset, slots, output=column, axis=1)
-        elif term == "joint_vel_rel":
-            graph.node("Gather", "joint_vel", slots, output=column, axis=1)
-        elif term == "morphology":
-            # as many rows as the inputs have
-            any_input = next(iter(inputs))
-            shape = graph.node("Shape", any_input, output="input_shape")
-            first = graph.constant("first", np.array([0], dtype=np.int64))
-            batch = graph.node("Gather", shape, first, output="batch_size", axis=0)
-            width = graph.constant("morphology_size", np.array([size], dtype=np.int64))
-            wanted = graph.node("Concat", batch, width, output="morphology_shape", axis=0)
-            graph.node("Expand", graph.constant("morphology", robot.morphology), wanted, output=column)
-        else:
-            column = term
-        columns.append(_add_treatment(graph, robot.treatment.get(term, Treatment()), column, term))
+    for term in robot.terms:
+        do.term = term.term
+        column = sources.compute(do, term, term.inputs)
+        # a constant is what the policy observes already
+        columns.append(_add_treatment(graph, term.treatment, column, term.term) if term.inputs else column)
     observation = graph.node("Concat", *columns, output="obs", axis=1)
     _add_network(graph, network, observation, "actions")
     spread = graph.constant("action_spread", robot.spread())
-    graph.node("Gemm", "actions", spread, default, output="joint_pos_target")
+    graph.node("Gemm", "actions", spread, do.default_pose, output="joint_pos_target")
     outputs = {"joint_pos_target": len(robot.joint_names), "actions": len(robot.joint_of_slot)}
     return graph.model(inputs, outputs, metadata)
+
+
+class _Operations:
+    """See `sources.Operations`; values are the names of tensors."""
+
+    def __init__(self, graph: Graph, robot: RobotInterface) -> None:
+        self.graph, self.robot = graph, robot
+        self.term = ""
+        """The term that is computed: its name begins those of its tensors."""
+        self.any_input = next(iter(robot.inputs()))
+        self.default_pose = graph.constant("default_pose", robot.default_pose)
+
+    # a runtime warns of constants that nothing uses
+
+    @functools.cached_property
+    def slots(self) -> str:
+        return self.graph.constant("joint_of_slot", self.robot.joint_of_slot)
+
+    @functools.cached_property
+    def lever(self) -> str:
+        return self.graph.constant("base_com_lever", self.robot.lever())
+
+    @functools.cached_property
+    def first(self) -> str:
+        return self.graph.constant("first", np.array([0], dtype=np.int64))
+
+    def robot_constant(self, term: str) -> str:
+        # as many rows as the inputs have
+        graph, value = self.graph, self.robot.constants[term]
+        shape = graph.node("Shape", self.any_input, output=f"{term}_input_shape")
+        batch = graph.node("Gather", shape, self.first, output=f"{term}_batch_size", axis=0)
+        width = graph.constant(f"{term}_size", np.array([len(value)], dtype=np.int64))
+        wanted = graph.node("Concat", batch, width, output=f"{term}_shape", axis=0)
+        return graph.node("Expand", graph.constant(term, value), wanted, output=f"obs_{term}")
+
+    def plus(self, a: str, b: str) -> str:
+        return self.graph.node("Add", a, b, output=f"obs_{self.term}")
+
+    def about_center_of_mass(self, rate: str) -> str:
+        return self.graph.node("MatMul", rate, self.lever, output=f"{self.term}_turning")
+
+    def less_default_pose(self, positions: str) -> str:
+        return self.graph.node("Sub", positions, self.default_pose, output=f"{self.term}_from_default")
+
+    def canonical(self, joints: str) -> str:
+        return self.graph.node("Gather", joints, self.slots, output=f"obs_{self.term}", axis=1)
 
 
 def _add_treatment(graph: Graph, treatment: Treatment, source: str, term: str) -> str:

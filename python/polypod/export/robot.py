@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.compat import tomllib
+from polypod.export.sources import check
+from polypod.observation import Term, terms_of
 
 Array = npt.NDArray[np.float32]
 
@@ -33,31 +35,12 @@ OUTPUTS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Treatment:
-    """What the task does to a term after it is measured, in this order."""
-
-    offset: float = 0.0
-    """Taken off."""
-    clip: tuple[float, float] | None = None
-    """Limits."""
-    scale: float = 1.0
-    """Factor of the limited numbers."""
-
-    @classmethod
-    def of(cls, term: Mapping[str, Any]) -> "Treatment":
-        """That of an entry of the task's `[[observations.policy]]`."""
-        clip = term.get("clip")
-        offset = term.get("offset", 0.5) if term["term"] == "height_scan" else 0.0
-        return cls(offset, None if clip is None else (clip[0], clip[1]), term.get("scale", 1.0))
-
-
-@dataclasses.dataclass(frozen=True)
 class RobotInterface:
     """One robot's numbers, in the order of its own joints unless said otherwise."""
 
     name: str
-    layout: tuple[tuple[str, int], ...]
-    """(term, size) of the policy's observation, in order."""
+    terms: tuple[Term, ...]
+    """Terms of the policy's observation, in order."""
     joint_names: tuple[str, ...]
     joint_of_slot: npt.NDArray[np.int64]
     """Index of the joint in each canonical slot."""
@@ -67,14 +50,8 @@ class RobotInterface:
     """rad per unit of action."""
     base_com: Array
     """Centre of mass of the base in its frame, m: the task observes its velocity."""
-    morphology: Array
-    """What the term `morphology` says of the robot; empty where it is not observed."""
-    needs: Mapping[str, Sequence[str]]
-    """Inputs from which each term is computed."""
-    meanings: Mapping[str, str]
-    """What each term says, with its units."""
-    treatment: Mapping[str, Treatment]
-    """What the task does to each term after it is measured."""
+    constants: Mapping[str, Array]
+    """What the terms that say what body it is say of the robot, as the policy observes it."""
     scan_points: Array
     """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left, along its heading."""
     info: Mapping[str, Any]
@@ -82,16 +59,17 @@ class RobotInterface:
 
     def inputs(self) -> dict[str, int]:
         """Names and sizes of the folded graph's inputs."""
-        terms = dict(self.layout)
-        needed = [name for term in terms for name in self.needs[term]]
         joints = len(self.joint_names)
-        sizes = terms | {"joint_pos": joints, "joint_vel": joints, "height_scan": len(self.scan_points)}
+        sizes = {term.inputs[0]: term.size for term in self.terms if len(term.inputs) == 1}
+        sizes |= {"joint_pos": joints, "joint_vel": joints}
+        needed = [name for term in self.terms for name in term.inputs]
         in_order = [name for name in INPUTS if name in needed] + [name for name in needed if name not in INPUTS]
         return {name: sizes.get(name, 3) for name in dict.fromkeys(in_order)}
 
     def meaning(self, name: str) -> str:
         """What an input or output of the folded graph is."""
-        return INPUTS.get(name) or OUTPUTS.get(name) or self.meanings[name]
+        known = INPUTS.get(name) or OUTPUTS.get(name)
+        return known or next(f"{term.description} {term.units}".strip() for term in self.terms if term.term == name)
 
     def lever(self) -> Array:
         """[3, 3], `angular velocity @ lever` is the centre of mass' velocity about the base's origin."""
@@ -116,7 +94,6 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
         ConfigError: for an unknown task or robot, and for a task that has changed since the training.
     """
     sim, task = _undisturbed(manifest, robots)
-    treatment = {entry["term"]: Treatment.of(entry) for entry in task["observations"]["policy"]}
     scan_points = _scan_points(task.get("sensors", {}).get("height_scanner"))
     layout = tuple(sim.observation_layout)
     trained = tuple((entry["term"], entry["size"]) for entry in manifest["observation_layout"])
@@ -125,30 +102,26 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             f"{manifest['task']} observes {_terms(layout)}, but the policy was trained on {_terms(trained)}; "
             "use the version of the task that it was trained on"
         )
-    terms = json.loads(sim.observation_terms())
-    # what body it is, the graph knows
-    needs = {term["term"]: [] if term["kind"] == "body" else term["inputs"] or [term["term"]] for term in terms}
-    meanings = {term["term"]: f"{term['description']} {term['units']}".strip() for term in terms}
+    terms = terms_of(sim)
+    constants: dict[str, slice] = {}
+    start = 0
+    for term in terms:
+        check(term, INPUTS)
+        if term.source == "robot_constant":
+            constants[term.term] = slice(start, start + term.size)
+        start += term.size
     infos, shapes = json.loads(sim.robot_info()), json.loads(sim.robot_shapes())
-    columns, start = slice(0, 0), 0
-    for term, size in layout:
-        if term == "morphology":
-            columns = slice(start, start + size)
-        start += size
     observation = sim.observation
     return {
         robot: RobotInterface(
             name=robot,
-            layout=layout,
+            terms=terms,
             joint_names=tuple(infos[robot]["joint_names"]),
             joint_of_slot=np.array(infos[robot]["joint_of_slot"], dtype=np.int64),
             default_pose=np.array(infos[robot]["default_pose"], dtype=np.float32),
             action_scale=infos[robot]["action_scale"],
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
-            morphology=observation[sim.env_ids(robot)[0], columns].copy(),
-            needs=needs,
-            meanings=meanings,
-            treatment=treatment,
+            constants={term: observation[sim.env_ids(robot)[0], columns].copy() for term, columns in constants.items()},
             scan_points=scan_points,
             info=infos[robot],
         )

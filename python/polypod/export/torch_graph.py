@@ -6,7 +6,9 @@ import warnings
 import torch
 from rsl_rl.models import MLPModel
 
-from polypod.export.robot import RobotInterface, Treatment
+from polypod.export import sources
+from polypod.export.robot import RobotInterface
+from polypod.observation import Treatment
 
 
 class RobotPolicy(torch.nn.Module):
@@ -16,19 +18,19 @@ class RobotPolicy(torch.nn.Module):
     spread: torch.Tensor
     default_pose: torch.Tensor
     joint_of_slot: torch.Tensor
-    morphology: torch.Tensor
 
     def __init__(self, network: MLPModel, robot: RobotInterface) -> None:
         """Takes over a copy of the network."""
         super().__init__()
         self.network = network.as_jit()
         self.inputs = list(robot.inputs())
-        self.terms = [(term, robot.treatment.get(term, Treatment())) for term, _ in robot.layout]
+        self.terms = robot.terms
         self.register_buffer("lever", torch.from_numpy(robot.lever()))
         self.register_buffer("spread", torch.from_numpy(robot.spread()))
         self.register_buffer("default_pose", torch.from_numpy(robot.default_pose))
         self.register_buffer("joint_of_slot", torch.from_numpy(robot.joint_of_slot))
-        self.register_buffer("morphology", torch.from_numpy(robot.morphology))
+        for term, value in robot.constants.items():
+            self.register_buffer(f"constant_{term}", torch.from_numpy(value))
 
     def forward(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """`inputs` in the order of `RobotInterface.inputs`, each [batch, size]."""
@@ -38,18 +40,12 @@ class RobotPolicy(torch.nn.Module):
     def observe(self, *inputs: torch.Tensor) -> torch.Tensor:
         """The observation, [batch, num_obs]."""
         of = dict(zip(self.inputs, inputs, strict=True))
+        do = _Operations(self, inputs[0].shape[0])
         columns = []
-        for term, treatment in self.terms:
-            if term == "base_lin_vel":
-                column = of["base_lin_vel"] + of["base_ang_vel"] @ self.lever
-            elif term == "joint_pos_rel":
-                column = (of["joint_pos"] - self.default_pose).index_select(-1, self.joint_of_slot)
-            elif term == "joint_vel_rel":
-                column = of["joint_vel"].index_select(-1, self.joint_of_slot)
-            elif term == "morphology":
-                column = self.morphology.expand(inputs[0].shape[0], -1)
-            else:
-                column = of[term]
+        for term in self.terms:
+            column = sources.compute(do, term, [of[name] for name in term.inputs])
+            # a constant is what the policy observes already
+            treatment = term.treatment if term.inputs else Treatment()
             if treatment.offset != 0.0:
                 column = column - treatment.offset
             if treatment.clip is not None:
@@ -58,6 +54,29 @@ class RobotPolicy(torch.nn.Module):
                 column = column * treatment.scale
             columns.append(column)
         return torch.cat(columns, dim=-1)
+
+
+class _Operations:
+    """See `sources.Operations`."""
+
+    def __init__(self, policy: RobotPolicy, rows: int) -> None:
+        self.policy, self.rows = policy, rows
+
+    def robot_constant(self, term: str) -> torch.Tensor:
+        value: torch.Tensor = self.policy.get_buffer(f"constant_{term}")
+        return value.expand(self.rows, -1)
+
+    def plus(self, a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        return a + b
+
+    def about_center_of_mass(self, rate: torch.Tensor) -> torch.Tensor:
+        return rate @ self.policy.lever
+
+    def less_default_pose(self, positions: torch.Tensor) -> torch.Tensor:
+        return positions - self.policy.default_pose
+
+    def canonical(self, joints: torch.Tensor) -> torch.Tensor:
+        return joints.index_select(-1, self.policy.joint_of_slot)
 
 
 def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> bytes:

@@ -7,9 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-
-Layout = Sequence[tuple[str, int]]
-"""(term, size) of an observation, in order."""
+from polypod.observation import Layout, Term, read_layout
 
 ROLES = ("HAA", "HFE", "KFE")
 """Roles of joints: hip abduction, hip flexion, knee flexion."""
@@ -17,13 +15,7 @@ NUM_PLACES = 4 * len(ROLES)
 """Numbers that say which leg's which joint it is."""
 _SIDES = {"L": 1.0, "R": -1.0}
 _PLACES = {"F": 1.0, "M": 0.0, "H": -1.0}
-_JOINT_TERMS = {"joint_pos_rel": 1.0, "joint_vel_rel": 0.1, "last_action": 1.0}
-"""With the factors that bring them to the order of one where nothing normalises them: joints turn at some 10 rad/s."""
-_DESCRIPTION = "morphology"
-_BODY_NUMBERS = 7
-"""Numbers about the whole body at the beginning of the description; one more is at its end."""
-_ROLE_NUMBERS = 5
-"""Numbers of each role, after those of the body."""
+_PERCEPTRON = 'use a network that looks at no joints, class_name = "MLPModel"'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,80 +77,124 @@ def joint_table(layout: Layout, joint_names: Sequence[str], normalized: bool = F
     """The table of an observation.
 
     Args:
-        layout: terms of the observation; of the joints' terms and `morphology` one each.
+        layout: terms of the observation, at least one of the kind `per_joint` and one of the kind `body`.
         joint_names: canonical joints, in the order of the joints' terms.
         normalized: whether the observation comes with mean 0 and deviation 1.
 
     Raises:
-        ConfigError: for a name that is no leg's joint, a term that is missing, and a size that does not fit the joints.
+        ConfigError: for a name that is no leg's joint, a kind that is missing, and a size that does not fit the joints.
     """
     places = [leg_and_role(name) for name in joint_names]
-    roles = list(dict.fromkeys(role for _, _, role in places))
-    joints = len(places)
-    description = _BODY_NUMBERS + _ROLE_NUMBERS * len(roles) + joints + 1
-    sizes = dict.fromkeys(_JOINT_TERMS, joints) | {_DESCRIPTION: description}
-    starts: dict[str, int] = {}
-    general: list[int] = []
-    end = 0
-    for term, size in layout:
-        if term not in sizes:
-            general += range(end, end + size)
-        elif sizes[term] != size:
-            raise _core.ConfigError(
-                f"the observation term {term} has {size} numbers, but {joints} joints of {len(roles)} roles need "
-                f'{sizes[term]}; use a network that looks at no joints, class_name = "MLPModel"'
-            )
-        else:
-            starts[term] = end
-        end += size
-    missing = [term for term in sizes if term not in starts]
-    if missing:
-        raise _core.ConfigError(
-            f"a network of joints needs the observation term {missing[0]}, which the task lacks; use a task "
-            "that has it, such as velocity_flat_universal"
-        )
-    start = starts[_DESCRIPTION]
-    body = [*range(start, start + _BODY_NUMBERS), start + description - 1]
+    columns = _Columns(read_layout(layout), len(places), list(dict.fromkeys(role for _, _, role in places)))
+    scales = [1.0 if normalized else 1.0 / magnitude for magnitude in columns.magnitudes]
 
     def features(joint: int) -> list[tuple[int, float, float]]:
-        side, along_body, role = places[joint]
-        scales = {term: 1.0 if normalized else scale for term, scale in _JOINT_TERMS.items()}
-        states = [(starts[term] + joint, scale, 0.0) for term, scale in scales.items()]
-        mass, along, across, *lengths_and_unit, height = body
-        of_role = start + _BODY_NUMBERS + _ROLE_NUMBERS * roles.index(role)
-        default = start + description - 1 - joints + joint
-        described = [default, *range(of_role, of_role + _ROLE_NUMBERS), mass, *lengths_and_unit, height]
+        side, along_body, _ = places[joint]
         return [
-            *states,
+            *((column, scale, 0.0) for column, scale in zip(columns.states(joint), scales, strict=True)),
             *((0, 0.0, value) for value in _place(*places[joint])),
             # where the leg begins: half the distance of the hips to either side
-            (along, 0.5 * along_body, 0.0),
-            (across, 0.5 * side, 0.0),
-            *((column, 1.0, 0.0) for column in described),
+            *((column, 0.5 * along_body, 0.0) for column in columns.lengths),
+            *((column, 0.5 * side, 0.0) for column in columns.widths),
+            *((column, 1.0, 0.0) for column in columns.described(joint, places[joint][2])),
+            *((column, 1.0, 0.0) for column in columns.body),
         ]
 
-    table = np.array([features(joint) for joint in range(joints)])
-    columns = general + body
-    kind = np.zeros(end, dtype=np.int64)
-    kind[columns] = np.arange(len(columns))
-    of_role = len(_JOINT_TERMS) + 1 + _ROLE_NUMBERS
+    table = np.array([features(joint) for joint in range(len(places))])
+    general = columns.general + sorted(columns.lengths + columns.widths + columns.body)
+    kind = np.zeros(columns.end, dtype=np.int64)
+    kind[general] = np.arange(len(general))
+    of_role = columns.per_role
     for joint, (_, _, role) in enumerate(places):
-        first = len(columns) + of_role * ROLES.index(role)
-        own = [starts[term] + joint for term in _JOINT_TERMS]
-        block = start + _BODY_NUMBERS + _ROLE_NUMBERS * roles.index(role)
-        own += [start + description - 1 - joints + joint, *range(block, block + _ROLE_NUMBERS)]
-        kind[own] = first + np.arange(of_role)
+        own = [*columns.states(joint), *columns.described(joint, role)]
+        kind[own] = len(general) + of_role * ROLES.index(role) + np.arange(of_role)
     return JointTable(
         column=table[..., 0].astype(np.int64),
         factor=table[..., 1].astype(np.float32),
         constant=table[..., 2].astype(np.float32),
-        num_states=len(_JOINT_TERMS),
+        num_states=len(scales),
         place=np.array([_place(*place) for place in places], dtype=np.float32),
-        general=np.array(columns, dtype=np.int64),
+        general=np.array(general, dtype=np.int64),
         kind=kind,
-        num_kinds=len(columns) + of_role * len(ROLES),
-        num_obs=end,
+        num_kinds=len(general) + of_role * len(ROLES),
+        num_obs=columns.end,
     )
+
+
+class _Columns:
+    """Where an observation holds numbers of joints, of roles, of the body, and all else."""
+
+    def __init__(self, terms: Sequence[Term], joints: int, roles: list[str]) -> None:
+        self.roles = roles
+        self.magnitudes: list[float] = []
+        self.lengths: list[int] = []
+        self.widths: list[int] = []
+        self.body: list[int] = []
+        """Numbers of the whole body that are no distances between legs."""
+        self.general: list[int] = []
+        """Columns of terms of other kinds."""
+        self._states: list[int] = []
+        self._of_joint: list[int] = []
+        self._of_role: list[range] = []
+        self.end = 0
+        for term in terms:
+            start, self.end = self.end, self.end + term.size
+            if term.kind == "per_joint":
+                _check_size(term, joints, len(roles), joints)
+                self._states.append(start)
+                self.magnitudes.append(term.magnitude)
+            elif term.kind == "body":
+                _check_size(term, joints, len(roles), sum(block.size(len(roles), joints) for block in term.blocks))
+                self._add_blocks(term, start, joints)
+            else:
+                self.general += range(start, self.end)
+        for kind, example, found in (
+            ("per_joint", "joint_pos_rel", self._states),
+            ("body", "morphology", self._of_joint + self._of_role + self.body),
+        ):
+            if not found:
+                raise _core.ConfigError(
+                    f"a network of joints needs an observation term of the kind {kind}, such as {example}, which the "
+                    "task lacks; use a task that has it, such as velocity_flat_universal"
+                )
+
+    def _add_blocks(self, term: Term, start: int, joints: int) -> None:
+        of_all = {"body": self.body, "length": self.lengths, "width": self.widths}
+        for block in term.blocks:
+            if block.per == "joint":
+                self._of_joint += [start + number * joints for number in range(block.count)]
+            elif block.per == "role":
+                self._of_role.append(range(start, start + block.count))
+            elif block.per in of_all:
+                of_all[block.per] += range(start, start + block.count)
+            else:
+                raise _core.ConfigError(
+                    f"the observation term {term.term} has numbers per {block.per}, which this version does not know; "
+                    f"{_PERCEPTRON}, or the version that it was trained with"
+                )
+            start += block.size(len(self.roles), joints)
+
+    @property
+    def per_role(self) -> int:
+        """Numbers of a joint and of its role."""
+        return len(self._states) + len(self._of_joint) + sum(len(block) for block in self._of_role)
+
+    def states(self, joint: int) -> list[int]:
+        """Columns of the joint's state."""
+        return [start + joint for start in self._states]
+
+    def described(self, joint: int, role: str) -> list[int]:
+        """Columns that say what the joint and its role are."""
+        of_role = [len(block) * self.roles.index(role) + column for block in self._of_role for column in block]
+        return [*(start + joint for start in self._of_joint), *of_role]
+
+
+def _check_size(term: Term, joints: int, roles: int, needed: int) -> None:
+    if term.size != needed:
+        raise _core.ConfigError(
+            f"the observation term {term.term} has {term.size} numbers, but {joints} joints of {roles} roles need "
+            f"{needed}; {_PERCEPTRON}"
+        )
 
 
 def _place(side: float, along_body: float, role: str) -> list[float]:

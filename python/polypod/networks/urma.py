@@ -18,7 +18,8 @@ from tensordict import TensorDict
 from torch.distributions import Normal
 
 from polypod import _core
-from polypod.networks.joints import NUM_PLACES, ROLES, JointTable, Layout, joint_table, leg_and_role
+from polypod.networks.joints import NUM_PLACES, ROLES, JointTable, joint_table, leg_and_role
+from polypod.observation import Layout
 
 _FIRST_FOCUS = 2.0
 """Deviation of the first weights on a place: a head's largest share of twelve joints is then 0.7 on average."""
@@ -151,14 +152,14 @@ class UrmaModel(MLPModel):
             distribution_cfg: as of `MLPModel`; `RoleGaussian` fits any number of joints.
             joint_dim: see `JointNetwork`.
             num_heads: likewise.
-            observation_layout: (term, size) of the observation.
+            observation_layout: terms of the observation, see `polypod.observation.layout_of`.
             joint_names: canonical joints; for each one number comes out, but of a critic.
 
         Raises:
             ConfigError: for an observation without what the network reads.
         """
         super().__init__(obs, obs_groups, obs_set, output_dim, [1], activation, False, distribution_cfg)
-        table = joint_table([(term, size) for term, size in observation_layout], joint_names, obs_normalization)
+        table = joint_table(observation_layout, joint_names, obs_normalization)
         if table.num_obs != self.obs_dim:
             raise _core.ConfigError(
                 f"observation_layout counts {table.num_obs} numbers, but an observation has {self.obs_dim}"

@@ -19,6 +19,7 @@ from polypod.evaluation import Policy, load_network, load_policy, play_task
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
+from polypod.observation import terms_of
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
 from polypod.sim2sim.twin import Observed, Physics, Twin
@@ -293,31 +294,40 @@ class _Sums:
 
 def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[str, Figures]:
     sim = episode.sim
-    columns, start = {}, 0
-    for term, size in sim.observation_layout:
-        columns[term], start = slice(start, start + size), start + size
-    missing = {"base_lin_vel", "base_ang_vel", "velocity_commands"} - columns.keys()
-    if missing:
-        raise _core.ConfigError(f"task {sim.task_name} does not observe {', '.join(sorted(missing))}; add the terms")
+    velocity, rate, command = (
+        _columns(sim, source) for source in ("center_of_mass_velocity", "base_angular_velocity", "velocity_command")
+    )
     sums = _Sums(sim.num_envs, episode.step_dt)
     for step in range(episode.steps):
         heading = np.concatenate([heading_of(sim.qpos(name)) for name in sim.robots])
         commands = episode.commands.at(step, heading)
         sim.set_command(commands)
         observation = sim.observation.copy()
-        observation[:, columns["velocity_commands"]] = commands
+        observation[:, command] = commands
         sim.step(policy(observation))
         seen = sim.observation
         sums.add(
             commands,
             Observed(
-                velocity=seen[:, columns["base_lin_vel"]][:, :2].astype(np.float64),
-                yaw_rate=seen[:, columns["base_ang_vel"]][:, 2].astype(np.float64),
+                velocity=seen[:, velocity][:, :2].astype(np.float64),
+                yaw_rate=seen[:, rate][:, 2].astype(np.float64),
                 fell=sim.terminated.copy(),
             ),
         )
         progress("polypod", step + 1, episode.steps)
     return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
+
+
+def _columns(sim: _core.VecSim, source: str) -> slice:
+    """Where the observation holds the term that is computed from `source`."""
+    start = 0
+    for term in terms_of(sim):
+        if term.source == source:
+            return slice(start, start + term.size)
+        start += term.size
+    raise _core.ConfigError(
+        f"task {sim.task_name} observes no term that is computed from {source}; add one to observations.policy"
+    )
 
 
 def _run_mujoco(

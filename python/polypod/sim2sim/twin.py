@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod import _core
 from polypod.accuracy.reference import Ground, Heights, Integrator, Reference, mujoco
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
@@ -121,9 +122,13 @@ class Twin:
 
     def step(self, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
         """One control step towards `commands` [envs, 3]; envs that are not `active` are left alone."""
-        sensors = self.sensors()
-        inputs = {name: value for name, value in sensors.items() if name in self.policy.inputs}
-        outputs = self.policy(**inputs | {"velocity_commands": commands})
+        given = self.sensors() | {"velocity_commands": commands}
+        if unknown := [name for name in self.policy.inputs if name not in given]:
+            raise _core.ConfigError(
+                f"the policy takes {', '.join(unknown)}, which no sensor gives in MuJoCo; state the source of the term "
+                "where it is registered, or add the sensor to polypod.sim2sim.twin"
+            )
+        outputs = self.policy(**{name: given[name] for name in self.policy.inputs})
         self.actions = outputs["actions"]
         self._targets = np.roll(self._targets, 1, axis=0)
         self._targets[0] = outputs["joint_pos_target"]

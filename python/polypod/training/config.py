@@ -11,6 +11,7 @@ from typing import Any, get_args, get_origin
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.files import read_bytes
+from polypod.observation import layout_of, terms_of
 from polypod.training.manifest import MAX_LAYER, Activation, check_size
 
 MAX_BYTES = 1 << 20
@@ -94,7 +95,7 @@ class CriticConfig:
             raise _core.ConfigError(
                 f"{self.class_name} is made for the joints of an env: call rsl_rl_cfg(env.sim) of the train config"
             )
-        layout = [[term, size] for term, size in sim.observation_layout]
+        layout = layout_of(terms_of(sim))
         return {**network, "observation_layout": layout, "joint_names": sim.canonical_joint_names}
 
 
@@ -211,7 +212,8 @@ class TrainConfig:
 def load(name: str) -> TrainConfig:
     """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
 
-    `extends` is a name, a path relative to the file, or a list of them, of which the later ones win.
+    `extends` is a name, a path relative to the file, or a list of them, of which the later ones win. A file may extend
+    the one of the same name that it hides.
 
     Raises:
         ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
@@ -246,30 +248,35 @@ def _add_layers(name: str, folder: Path | None, above: tuple[str, ...], layers: 
     Args:
         name: of the config, or a path that ends in `.toml`.
         folder: where a relative path begins; None: the working directory.
-        above: the configs that lead here, to find circles.
-        layers: tables by the name or the resolved path of their config.
+        above: ids of the configs that lead here. A config may extend the one of its name that it hides, and not itself.
+        layers: tables by the ids of their configs.
     """
-    path = (folder or Path()) / name if name.endswith(".toml") else None
-    identity = str(path.resolve()) if path else name
-    if identity in above:
-        raise _core.ConfigError(f"train config {name!r} extends itself ({' -> '.join((*above, identity))})")
-    if identity in layers:
-        return
     if len(above) > MAX_EXTENDS or len(layers) > MAX_EXTENDS:
         raise _core.ConfigError(f"train config {name} is the {MAX_EXTENDS}th of a chain of extends; shorten it")
-    tables = _read_tables(name, path)
+    path = (folder or Path()) / name if name.endswith(".toml") else None
+    file = _read_path(name, path) if path else _core.train_config(name, above)
+    if file["id"] in above:
+        raise _core.ConfigError(f"train config {name!r} extends itself ({' -> '.join((*above, file['id']))})")
+    if file["id"] in layers:
+        return
+    tables = _read_tables(name, file["text"])
+    inner = None if file["folder"] is None else Path(file["folder"])
     for base in _bases(tables.pop("extends", []), name):
-        _add_layers(base, path.parent if path else None, (*above, identity), layers)
-    layers[identity] = tables
+        _add_layers(base, inner, (*above, file["id"]), layers)
+    layers[file["id"]] = tables
 
 
-def _read_tables(name: str, path: Path | None) -> dict[str, Any]:
+def _read_path(name: str, path: Path) -> "_core.TrainFile":
     try:
-        text = read_bytes(path, MAX_BYTES).decode() if path else _core.train_config(name)
+        text = read_bytes(path, MAX_BYTES).decode()
     except OSError as error:
         raise _core.ConfigError(f"cannot read train config {name[:80]}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise _core.ConfigError(f"train config {name} is no text in UTF-8: {error}; save it as UTF-8") from error
+    return {"text": text, "id": str(path.resolve()), "folder": str(path.parent)}
+
+
+def _read_tables(name: str, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

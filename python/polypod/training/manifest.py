@@ -37,6 +37,23 @@ class TermSize(TypedDict):
     size: Size
 
 
+class BlockManifest(TypedDict):
+    """Consecutive numbers of a term that describes the body, see `polypod.observation.Block`."""
+
+    per: Name
+    count: Size
+
+
+class TermManifest(TypedDict):
+    """What a network of joints knows of a term, see `polypod.observation.layout_of`."""
+
+    term: Name
+    size: Size
+    kind: Name
+    magnitude: Annotated[float, Meta(gt=0.0, le=1e9)]
+    blocks: Annotated[list[BlockManifest], Meta(max_length=1024)]
+
+
 class DistributionManifest(TypedDict):
     """How actions are drawn around the network's output."""
 
@@ -57,7 +74,8 @@ class PolicyManifest(TypedDict):
     distribution_cfg: DistributionManifest
     joint_dim: NotRequired[Size]
     num_heads: NotRequired[Size]
-    observation_layout: NotRequired[list[tuple[Name, Size]]]
+    observation_layout: NotRequired[list[TermManifest | tuple[Name, Size]]]
+    """Manifests of earlier versions hold names and sizes alone."""
     joint_names: NotRequired[list[Name]]
 
 

@@ -229,9 +229,8 @@ impl Chunk {
     ) -> Result<Self, EngineError> {
         let (links, substeps) = (topology.num_links(), settings.substeps);
         let (floating, ground, gravity) = (topology.floating, settings.ground, settings.gravity);
-        let (world, bodies) =
-            world::build(num_envs, links, floating, colliders, self_pairs, ground, statics, gravity, substeps)
-                .ok_or(EngineError::Order)?;
+        let contents = world::Contents { robots: num_envs, links, floating, colliders, self_pairs, ground, statics };
+        let (world, bodies) = world::build(contents, gravity, substeps).ok_or(EngineError::Order)?;
         let mut joints = Joints {
             floating,
             parents: topology.joints.iter().map(|joint| joint.parent).collect(),

@@ -69,19 +69,25 @@ pub(super) struct Bodies {
     pub(super) statics: usize,
 }
 
-/// A world with robots of `links` links each; all poses and masses are still to be set. `None` when Avian keeps the links
+/// What is in a world.
+pub(super) struct Contents<'a> {
+    pub(super) robots: usize,
+    /// Links of each robot.
+    pub(super) links: usize,
+    /// Whether bases move.
+    pub(super) floating: bool,
+    /// Of each robot.
+    pub(super) colliders: &'a [LinkCollider],
+    /// Colliders of a robot that touch each other.
+    pub(super) self_pairs: &'a [[usize; 2]],
+    pub(super) ground: Option<Plane>,
+    /// Parts of obstacles.
+    pub(super) statics: &'a [Part],
+}
+
+/// A world with these contents; all poses and masses are still to be set. `None` when Avian keeps the links
 /// in another order than they were made in.
-pub(super) fn build(
-    robots: usize,
-    links: usize,
-    floating: bool,
-    colliders: &[LinkCollider],
-    self_pairs: &[[usize; 2]],
-    ground: Option<Plane>,
-    statics: &[Part],
-    gravity: [f64; 3],
-    substeps: usize,
-) -> Option<(World, Bodies)> {
+pub(super) fn build(contents: Contents, gravity: [f64; 3], substeps: usize) -> Option<(World, Bodies)> {
     let mut app = App::empty();
     app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
     app.insert_resource(Time::<()>::default());
@@ -149,21 +155,13 @@ pub(super) fn build(
     app.finish();
     app.cleanup();
     let mut world = std::mem::take(app.world_mut());
-    let bodies = spawn(&mut world, robots, links, floating, colliders, self_pairs, ground, statics);
+    let bodies = spawn(&mut world, contents);
     let mut order = world.query_filtered::<Entity, With<SolverBody>>();
     order.iter(&world).eq(bodies.links.iter().copied()).then_some((world, bodies))
 }
 
-fn spawn(
-    world: &mut World,
-    robots: usize,
-    links: usize,
-    floating: bool,
-    colliders: &[LinkCollider],
-    self_pairs: &[[usize; 2]],
-    ground: Option<Plane>,
-    statics: &[Part],
-) -> Bodies {
+fn spawn(world: &mut World, contents: Contents) -> Bodies {
+    let Contents { robots, links, floating, colliders, self_pairs, ground, statics } = contents;
     let everywhere = || EnlargedAabb::new(ColliderAabb::new(Vec3::ZERO, Vec3::splat(EVERYWHERE)));
     let plane = ground.map(|plane| {
         let normal = Vec3::from_array(plane.normal.map(|x| x as f32));

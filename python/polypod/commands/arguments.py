@@ -1,0 +1,65 @@
+"""What commands share: the types of their arguments, and how values are read and figures written."""
+
+import functools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from polypod import _core
+
+arg = functools.partial(tyro.conf.arg, help_behavior_hint="")
+
+MAX_THREADS = 1024
+
+Name = Annotated[str | None, arg(metavar="NAME")]
+Count = Annotated[int | None, arg(metavar="N")]
+Robots = Annotated[str | None, arg(aliases=("--quadrupeds",), metavar="A,B,C")]
+RobotNames = Annotated[str | None, arg(aliases=("--robot",), metavar="A,B,C")]
+Velocity = Annotated[tuple[float, float, float] | None, arg(metavar="VX VY WZ")]
+Overrides = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
+PackageDirs = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME=DIR")]
+
+
+def names(text: str | None) -> list[str] | None:
+    """Names with commas between."""
+    return None if text is None else [name.strip() for name in text.split(",")]
+
+
+def positive(value: int | None, flag: str) -> int | None:
+    """The value of a flag that counts something. Raises ConfigError."""
+    if value is not None and not 1 <= value < 2**31:
+        raise _core.ConfigError(f"{flag} {value} must be at least 1 and less than 2^31")
+    return value
+
+
+def checked_threads(value: int | None, flag: str) -> int | None:
+    """A number of threads. Raises ConfigError."""
+    if value is not None and not 1 <= value <= MAX_THREADS:
+        raise _core.ConfigError(f"{flag} {value} must be from 1 to {MAX_THREADS}; leave it out for one per core")
+    return value
+
+
+def package_dirs(pairs: Sequence[str]) -> dict[str, str]:
+    """Folders of ROS packages by name, of NAME=DIR pairs. Raises ConfigError."""
+    folders = {}
+    for pair in pairs:
+        name, _, folder = pair.partition("=")
+        if not name or not folder:
+            raise _core.ConfigError(f"--package-dir {pair} is not NAME=DIR")
+        folders[name] = folder
+    return folders
+
+
+def write_json(path: Path | None, content: dict[str, Any]) -> None:
+    """Writes figures to the file of `--json`, if there is one. Raises ConfigError."""
+    from polypod.files import write_text
+
+    if path is None:
+        return
+    try:
+        write_text(path, json.dumps(content, indent=2) + "\n")
+    except OSError as error:
+        raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --json") from error

@@ -1,0 +1,40 @@
+"""`polypod export`."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from polypod import _core
+from polypod.commands.arguments import RobotNames, arg, names
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Where to. Default: exported/ beside the checkpoint."""
+    robots: RobotNames = None
+    """Also one graph per robot named here, with commas between, from its sensors to its joint targets."""
+    fold: bool = False
+    """The same for all robots that the policy was trained on."""
+    formats: Annotated[tuple[Literal["onnx", "torchscript"], ...], arg(metavar="FORMAT")] = ("onnx", "torchscript")
+    """Kinds of files."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        from polypod.export import export_checkpoint
+
+        if not self.formats:
+            raise _core.ConfigError("--formats names none; choose onnx, torchscript or both")
+        done = export_checkpoint(self.checkpoint, self.out, names(self.robots), fold=self.fold, formats=self.formats)
+        for change in done.changes:
+            print(f"polypod: warning: {change}", file=sys.stderr)
+        for file in done.files:
+            print(file)
+        if "onnx" in self.formats:
+            print(f"onnxruntime differs from torch by at most {done.difference:.1e}")
+        return 0

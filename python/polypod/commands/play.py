@@ -1,0 +1,76 @@
+"""`polypod play`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+from polypod.commands.arguments import Count, Name, Overrides, RobotNames, Velocity, arg, checked_threads, names
+
+
+@dataclasses.dataclass(frozen=True)
+class Play:
+    """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json."""
+    robots: RobotNames = None
+    """Names of the robots, with commas between. Default: the run's."""
+    command: Velocity = None
+    """Forward and left velocity (m/s) and yaw rate (rad/s) for all robots. Default: drawn as the task draws them."""
+    task: Name = None
+    """Name or alias of the task. Default: the run's."""
+    num_envs: int = 1
+    """Envs per robot."""
+    seconds: Annotated[float | None, arg(metavar="S")] = None
+    """Simulated time. Default: without end in the browser, else 10 s."""
+    warm_up: Annotated[float, arg(metavar="S")] = 0.0
+    """Simulated before anything is shown, s."""
+    record: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write a recording: .html opens in any browser, .viser in viser's client."""
+    video: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write a film: .gif, .webp or .mp4."""
+    fps: int = 25
+    """Of the film."""
+    size: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (640, 360)
+    """Of the film, pixels."""
+    headless: bool = False
+    """Neither browser nor file: only the table of how the robots did."""
+    port: int = 8080
+    """Of the browser's page."""
+    seed: int = 0
+    """Of every random stream."""
+    threads: Count = None
+    """Threads of the simulator. Default: one per core."""
+    set: Overrides = ()
+    """Changes the task's configuration, on top of the run's own changes. May be repeated."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        from polypod.play import session
+        from polypod.play.report import show
+
+        player = session.play(
+            session.Options(
+                checkpoint=self.checkpoint,
+                robots=names(self.robots),
+                command=self.command,
+                task=self.task,
+                envs_per_robot=self.num_envs,
+                seconds=self.seconds,
+                warm_up=self.warm_up,
+                record=self.record,
+                video=self.video,
+                fps=self.fps,
+                size=self.size,
+                headless=self.headless,
+                port=self.port,
+                seed=self.seed,
+                threads=checked_threads(self.threads, "--threads"),
+                overrides=list(self.set),
+            )
+        )
+        show(player)
+        for file in (self.record, self.video):
+            if file is not None:
+                print(file)
+        return 0

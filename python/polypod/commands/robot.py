@@ -1,0 +1,52 @@
+"""`polypod robot`."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from polypod.commands.arguments import Name, PackageDirs, arg, package_dirs
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """Write a first config for a quadruped of which there is only a URDF: `polypod robot new FILE.urdf`."""
+
+    action: Annotated[Literal["new"], tyro.conf.Positional]
+    """new: find the legs and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""
+    file: Annotated[Path, tyro.conf.Positional]
+    """The URDF file."""
+    name: Name = None
+    """The robot's name in configs. Default: that of --out, of the URDF, or of its file."""
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The TOML to write. Default: <name>.toml beside the URDF."""
+    package_dir: PackageDirs = ()
+    """Where a ROS package of `package://` names lies. May be repeated."""
+    force: bool = False
+    """Write over a file that is there."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        from polypod import new_robot
+
+        new = new_robot.new_robot(self.file, self.out, self.name, package_dirs(self.package_dir), force=self.force)
+        print(new.path)
+        for note in new.notes:
+            print(f"  {note}")
+        standing, envs = new.standing, new_robot.NUM_ENVS
+        print(
+            f"{new.name}: {envs - standing.falls} of {envs} stand for {new_robot.SECONDS:g} s, the base "
+            f"{standing.height:.3f} m high, joints at most {standing.sag:.2f} rad from the default pose"
+        )
+        if new.gain_factor > 1.0:
+            print(f"  gains are {new.gain_factor:.2f} times what weight and leg length ask for: softer ones gave way")
+        if not standing.holds:
+            print(
+                f"polypod: warning: {new.name} does not hold its default pose; look at [default_pose] and [actuators] "
+                f"in {new.path}",
+                file=sys.stderr,
+            )
+        print(f"train it:  polypod train --robots {new.path}")
+        return 0

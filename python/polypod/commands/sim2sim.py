@@ -1,0 +1,63 @@
+"""`polypod sim2sim`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, names, write_json
+
+
+@dataclasses.dataclass(frozen=True)
+class Sim2sim:
+    """Let the exported policy drive the same robots in MuJoCo, beside polypod; needs the extras export and bench.
+
+    Exit code 3 when a robot falls in more than 5 % of its episodes in MuJoCo, or follows its command by more than
+    0.1 m/s worse than in polypod.
+    """
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json."""
+    robots: RobotNames = None
+    """Names of the robots, with commas between. Default: the run's."""
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Also write the figures to this file."""
+    num_envs: int = 32
+    """Envs per robot."""
+    steps: Count = None
+    """Control steps per episode. Default: a whole one."""
+    command: Velocity = None
+    """Forward and left velocity (m/s) and yaw rate (rad/s) for all envs. Default: drawn as the task draws them."""
+    dt: Annotated[float | None, arg(metavar="S")] = None
+    """MuJoCo's physics step, s. Default: the task's, on terrain 0.002."""
+    integrator: Literal["implicitfast", "RK4"] = "implicitfast"
+    """MuJoCo's."""
+    friction: Annotated[float | None, arg(metavar="MU")] = None
+    """Of the ground in MuJoCo. Default: the task's static friction."""
+    soft_contact: bool = False
+    """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
+    seed: int = 0
+    """Of initial states, commands and delays."""
+    set: Overrides = ()
+    """Changes the task's configuration, on top of the run's own changes. May be repeated."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        from polypod import sim2sim
+        from polypod.sim2sim.report import Progress, show
+
+        options = sim2sim.Options(
+            envs_per_robot=self.num_envs,
+            steps=self.steps,
+            seed=self.seed,
+            command=self.command,
+            dt=self.dt,
+            integrator=self.integrator,
+            friction=self.friction,
+            soft_contact=self.soft_contact,
+            overrides=self.set,
+        )
+        with Progress() as progress:
+            comparison = sim2sim.compare(self.checkpoint, names(self.robots), options, progress)
+        show(comparison)
+        write_json(self.json, comparison.as_dict())
+        return 0 if comparison.transfers else 3

@@ -1,0 +1,68 @@
+"""`polypod train`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names
+
+
+@dataclasses.dataclass(frozen=True)
+class Train:
+    """Train one policy over many robots."""
+
+    task: Name = None
+    """Name or alias of the task (`polypod list`). Default: the train config's."""
+    num_envs: Count = None
+    """Number of envs, shared out evenly among the robots. Default: the train config's."""
+    robots: Robots = None
+    """Names of the robots, with commas between (`polypod list`). Default: the task's."""
+    max_iterations: Count = None
+    """Learning iterations; with --resume, how many more. Default: the train config's; with --resume, what was left."""
+    seed: Count = None
+    """Of every random stream. Default: 42."""
+    train_config: Name = None
+    """Name of a file in configs/train (flat, flat_universal, quick, rough), or the path of a .toml. Default: flat."""
+    learner: Literal["auto", "native", "rsl_rl"] | None = None
+    """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
+    perceptrons on a CPU. A resumed run may go on with the other one."""
+    logger: Literal["tensorboard", "none"] = "tensorboard"
+    """Where the curves go."""
+    resume: Annotated[str | None, arg(metavar="RUN")] = None
+    """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
+    init: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Begin with the networks of this checkpoint, of a run with the same observation and sizes of networks."""
+    run_name: Name = None
+    """Added to the name of the run's directory."""
+    log_dir: Path = Path("logs")
+    """Runs lie in LOG_DIR/rsl_rl/<experiment>/."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the learner runs; the simulator runs on the CPU."""
+    threads: Count = None
+    """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
+    set: Overrides = ()
+    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0. May be repeated."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        from polypod.training import session
+
+        return session.train(
+            session.Options(
+                task=self.task,
+                num_envs=self.num_envs,
+                robots=names(self.robots),
+                max_iterations=self.max_iterations,
+                seed=self.seed,
+                train_config=self.train_config,
+                learner=self.learner,
+                logger=self.logger,
+                resume=self.resume,
+                init=self.init,
+                run_name=self.run_name,
+                log_dir=self.log_dir,
+                device=self.device,
+                threads=checked_threads(self.threads, "--threads"),
+                overrides=list(self.set),
+            )
+        )

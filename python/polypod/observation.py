@@ -1,0 +1,117 @@
+"""Terms of an observation as the simulator states them: nothing about a term is known by its name here.
+
+A term is stated once, where it is registered in Rust (`TermSpec`). `terms_of` reads those of a simulation.
+"""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from polypod import _core
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Block:
+    """Consecutive numbers of a term of the kind `body`."""
+
+    per: str
+    """What they belong to: body, length, width, role or joint; see `VecSim.observation_terms`."""
+    count: int
+    """How many for each: of the body, of one role, of one joint."""
+
+    def size(self, roles: int, joints: int) -> int:
+        """How many numbers it has in all."""
+        return self.count * {"role": roles, "joint": joints}.get(self.per, 1)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Treatment:
+    """What the task does to a term after it is measured, in this order."""
+
+    offset: float = 0.0
+    """Taken off."""
+    clip: tuple[float, float] | None = None
+    """Limits."""
+    scale: float = 1.0
+    """Factor of the limited numbers."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Term:
+    """One term of an observation; `VecSim.observation_terms` documents the values of `kind` and `source`."""
+
+    term: str
+    """Its name."""
+    size: int
+    kind: str = "scalar"
+    units: str = ""
+    description: str = ""
+    source: str = "measured"
+    """What it is computed from on a robot, and by which formula."""
+    inputs: tuple[str, ...] = ()
+    """What a robot's sensors have to give for it, in the order in which the formula takes them."""
+    magnitude: float = 1.0
+    """Typical magnitude of its numbers, in `units`."""
+    blocks: tuple[Block, ...] = ()
+    """What its numbers belong to, for the kind `body`."""
+    treatment: Treatment = Treatment()
+
+    @classmethod
+    def read(cls, entry: Mapping[str, Any]) -> "Term":
+        """Reads an entry of `VecSim.observation_terms`, or the part of one that a manifest holds."""
+        known = {field.name for field in dataclasses.fields(cls)} - {"inputs", "blocks", "treatment"}
+        clip = entry.get("clip")
+        return cls(
+            **{key: value for key, value in entry.items() if key in known},
+            inputs=tuple(entry.get("inputs", ())),
+            blocks=tuple(Block(**block) for block in entry.get("blocks", ())),
+            treatment=Treatment(
+                offset=entry.get("offset", 0.0),
+                clip=None if clip is None else (clip[0], clip[1]),
+                scale=entry.get("scale", 1.0),
+            ),
+        )
+
+
+Layout = Sequence[Mapping[str, Any] | tuple[str, int]]
+"""Terms of an observation in order, as manifests of networks of joints hold them: `layout_of` writes them. Manifests of
+earlier versions hold (term, size) alone."""
+
+
+def terms_of(sim: _core.VecSim) -> tuple[Term, ...]:
+    """Terms of the observation of `sim`, in order."""
+    return tuple(Term.read(entry) for entry in json.loads(sim.observation_terms()))
+
+
+def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:
+    """What a network of joints has to know of an observation, for its manifest."""
+    return [
+        {
+            "term": term.term,
+            "size": term.size,
+            "kind": term.kind,
+            "magnitude": term.magnitude,
+            "blocks": [dataclasses.asdict(block) for block in term.blocks],
+        }
+        for term in terms
+    ]
+
+
+def read_layout(layout: Layout) -> list[Term]:
+    """Terms of a layout; of those of which it tells name and size alone, this version's terms say the rest."""
+    return [
+        Term.read(entry if isinstance(entry, Mapping) else {**_spec(entry[0]), "term": entry[0], "size": entry[1]})
+        for entry in layout
+    ]
+
+
+def _spec(name: str) -> dict[str, Any]:
+    specs: dict[str, dict[str, Any]] = _specs()
+    return specs.get(name, {})
+
+
+@functools.cache
+def _specs() -> Any:
+    return json.loads(_core.observation_specs())
