@@ -145,7 +145,7 @@ doc: ## Build the documentation of the Rust crates: target/doc/polypod/index.htm
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
 
 package: ## Pack the crates as `cargo publish` would: target/package
-	cargo package --locked --no-verify --allow-dirty --package polypod-dynamics --package polypod
+	cargo package --locked --no-verify --allow-dirty --package polypod-dynamics --package polypod-learner --package polypod
 
 format: $(VENV)/.dependencies ## Format all code
 	cargo fmt

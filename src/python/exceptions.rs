@@ -124,10 +124,10 @@ impl<S: Send + Sync> Guarded<S> {
         py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.get_or_init(|| message)))
     }
 
-    /// Changes it in the midst of a change of something else, which has its own guard.
+    /// Changes it within [`Guarded::run`] or [`Guarded::look`] of something else, whose guard catches a panic.
     ///
     /// # Errors
-    /// As [`Guarded::run`] raises, as an error of the library.
+    /// Those of `f`.
     pub(super) fn try_run<T>(&mut self, f: impl FnOnce(&mut S) -> Result<T, Error>) -> Result<T, Error> {
         f(&mut self.sim)
     }

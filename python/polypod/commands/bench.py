@@ -11,8 +11,16 @@ from polypod.commands.arguments import Count, arg, checked_threads, positive, wr
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure the speed, physics beside MuJoCo in the same run."""
+    """Measure the speed, physics beside MuJoCo in the same run; or that of trainings."""
 
+    learner: bool = False
+    """Measure instead where an iteration of a training goes, for every learner of this machine."""
+    walk: bool = False
+    """Measure instead the time and the samples until all robots walk. Three seeds, from 42 on."""
+    train_config: str = "quick"
+    """What --learner and --walk train."""
+    seeds: int = 3
+    """Trainings of --walk."""
     quick: bool = False
     """Only the main figures, in less than a minute."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -34,6 +42,8 @@ class Bench:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        if self.learner or self.walk:
+            return self._train()
         from polypod import bench
 
         for value, flag in (
@@ -56,4 +66,29 @@ class Bench:
         write_json(self.json, result)
         if self.plot is not None:
             bench.picture(result, self.plot)
+        return 0
+
+    def _train(self) -> int:
+        """Measures trainings."""
+        import torch
+
+        from polypod.bench import learners, walking
+        from polypod.training.session import DEFAULT_SEED
+
+        threads = checked_threads(self.step_threads, "--step-threads")
+        num_envs = None if self.num_envs == Bench.num_envs else positive(self.num_envs, "--num-envs")
+        seed = self.seed or DEFAULT_SEED
+        options = learners.Options(self.train_config, num_envs, threads, seed)
+        progress = functools.partial(print, file=sys.stderr, flush=True)
+        if self.learner:
+            result = learners.measure(options, progress)
+            print(learners.table(result))
+        else:
+            positive(self.seeds, "--seeds")
+            device = "cuda" if torch.cuda.is_available() else "cpu"
+            result = walking.measure(options, "auto", range(seed, seed + self.seeds), device, progress)
+            print(walking.table(result))
+        write_json(self.json, result)
+        if self.plot is not None and self.walk:
+            walking.picture(result, self.plot)
         return 0

@@ -198,6 +198,7 @@ class TrainConfig:
         return {
             "num_steps_per_env": self.run.num_steps_per_env,
             "save_interval": self.run.save_interval,
+            "max_iterations": self.run.max_iterations,
             "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
             "normalize_advantage_per_robot": self.run.normalize_advantage_per_robot,
             "symmetry": self.run.symmetry,

@@ -105,7 +105,7 @@ def train(options: Options) -> int:
     with run_dir.locked(run):
         with _kept_if_begun(run, plan.checkpoint is None):
             env.sim.set_dump_dir(run)
-            runner = _runner(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter)
+            runner = runner_of(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter)
             if plan.checkpoint is not None:
                 runner.load(str(plan.checkpoint))
             elif options.init is not None:
@@ -213,7 +213,8 @@ def _device(options: Options, train_config: config.TrainConfig) -> str:
     return "cuda:0"
 
 
-def _runner(env: VecEnv, train_config: config.TrainConfig, run: Path, device: str, reporter: Reporter) -> Runner:
+def runner_of(env: VecEnv, train_config: config.TrainConfig, run: Path, device: str, reporter: Reporter) -> Runner:
+    """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
         return NativeRunner(env, train_config, run, device, reporter)
     return Runner(env, train_config.rsl_rl_cfg(env.unwrapped.sim), run, device, reporter)

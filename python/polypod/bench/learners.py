@@ -1,0 +1,128 @@
+"""Where an iteration of a training goes, for every learner in turn: `polypod bench --learner`."""
+
+import contextlib
+import dataclasses
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+
+import polypod
+from polypod import _core, provenance
+from polypod.bench.report import Progress
+from polypod.rsl_rl import VecEnv
+from polypod.training import config, run_dir
+from polypod.training.report import Reporter
+from polypod.training.runner import Runner
+from polypod.training.session import runner_of
+
+ITERATIONS = 3
+"""Timed after one that is not."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to train."""
+
+    train_config: str = "quick"
+    num_envs: int | None = None
+    """None: the train config's."""
+    threads: int | None = None
+    """None: one per core."""
+    seed: int = 42
+
+
+class Silent(Reporter):
+    """Shows nothing."""
+
+    def message(self, text: str) -> None:
+        """Shows nothing."""
+
+    def iteration(self, figures: Any) -> None:
+        """Shows nothing."""
+
+    def robots(self, stats: Any) -> None:
+        """Shows nothing."""
+
+
+@contextlib.contextmanager
+def training(options: Options, learner: str, device: str, precision: str = "off") -> Iterator[Runner]:
+    """A new training in a folder that goes when the context ends. Raises ConfigError like `polypod train`."""
+    train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
+    algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
+    train_config = dataclasses.replace(train_config, algorithm=algorithm)
+    train_config = train_config.with_mixed_precision_resolved(device).with_learner_resolved(learner, device)
+    run = train_config.run
+    if options.threads is not None:
+        torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    env = polypod.make(run.task, run.num_envs, seed=options.seed, threads=options.threads)
+    with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
+        path = Path(folder)
+        run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")
+        where = "cuda:0" if device == "cuda" else device
+        runner = runner_of(VecEnv(env, where, log_extras=False), train_config, path, where, Silent())
+        runner.logger.open("none", 0, print)
+        yield runner
+
+
+def measure(options: Options, progress: Progress) -> dict[str, Any]:
+    """Seconds per iteration of every learner that this machine has, one after the other."""
+    learners = [("native", "cpu", "off"), ("rsl_rl", "cpu", "off"), ("rsl_rl, bfloat16", "cpu", "auto")]
+    if torch.cuda.is_available():
+        learners.append(("rsl_rl, CUDA", "cuda", "off"))
+    rows: dict[str, dict[str, float]] = {}
+    for name, device, precision in learners:
+        progress(f"{name} on {device}")
+        with training(options, name.split(",")[0], device, precision) as runner:
+            if precision == "auto" and runner.cfg["algorithm"]["use_mixed_precision"] is False:
+                continue
+            rows[name] = _times(runner)
+            run = runner.cfg["num_steps_per_env"] * runner.env.num_envs
+    return {
+        "measured": provenance.measured(),
+        "simd": _core.info()["simd"],
+        "train_config": options.train_config,
+        "samples": run,
+        "threads": options.threads or _core.info()["threads"],
+        "learners": rows,
+    }
+
+
+def _times(runner: Runner) -> dict[str, float]:
+    """Medians of the parts of an iteration, s."""
+    parts: list[tuple[float, float]] = []
+    runner.alg.train_mode()
+    observations = runner.env.get_observations()
+    for _ in range(ITERATIONS + 1):
+        begin = time.perf_counter()
+        observations = runner._collect(observations)
+        collected = time.perf_counter()
+        runner._update(observations)
+        if runner.device != "cpu":
+            torch.cuda.synchronize()
+        parts.append((collected - begin, time.perf_counter() - collected))
+        runner.current_learning_iteration += 1
+    collection, update = (median(part[k] for part in parts[1:]) for k in (0, 1))
+    return {"collection_s": collection, "update_s": update, "iteration_s": collection + update}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The figures as Markdown."""
+    head = [
+        provenance.sentence(result["measured"]),
+        f"Train config {result['train_config']}, {result['samples']} samples an iteration, {result['threads']} "
+        f"threads, {result['simd']}; medians of {ITERATIONS} iterations.",
+        "",
+        "| learner | collection, s | update, s | iteration, s | env-steps/s |",
+        "|---|---|---|---|---|",
+    ]
+    for name, row in result["learners"].items():
+        rate = result["samples"] / row["iteration_s"]
+        times = (f"{row[key]:.3f}" for key in ("collection_s", "update_s", "iteration_s"))
+        head.append(f"| {name} | {' | '.join(times)} | {rate:,.0f} |")
+    return "\n".join(head)

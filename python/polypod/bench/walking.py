@@ -1,0 +1,107 @@
+"""Time and samples until all robots walk: `polypod bench --walk`."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import mean, stdev
+from typing import Any
+
+from polypod import _core, provenance
+from polypod.bench.learners import Options, training
+from polypod.bench.report import Progress
+from polypod.drawing import pyplot_for, save
+from polypod.evaluation import evaluate_checkpoint
+from polypod.training import run_dir
+
+INTERVAL = 25
+"""Iterations between evaluations."""
+ENVS_PER_ROBOT = 64
+WALKS = {"error_vel_xy": 0.20, "fall_rate": 0.05}
+"""A robot walks with a planar velocity error (m/s) and a share of falls of at most this."""
+
+
+def measure(options: Options, learner: str, seeds: Sequence[int], device: str, progress: Progress) -> dict[str, Any]:
+    """Trains until every robot walks, for each seed.
+
+    The deterministic policy is evaluated every `INTERVAL` iterations on `ENVS_PER_ROBOT` envs per robot, without noise.
+    The evaluations take none of the time.
+    """
+    runs = []
+    for seed in seeds:
+        of_seed = Options(options.train_config, options.num_envs, options.threads, seed)
+        with training(of_seed, learner, device) as runner:
+            runs.append(_walk(runner, seed, options.threads, progress))
+    return {
+        "measured": provenance.measured(),
+        "simd": _core.info()["simd"],
+        "train_config": options.train_config,
+        "learner": learner,
+        "device": device,
+        "threads": options.threads or _core.info()["threads"],
+        "walks": WALKS,
+        "runs": runs,
+    }
+
+
+def _walk(runner: Any, seed: int, threads: int | None, progress: Progress) -> dict[str, Any]:
+    samples_per_iteration = runner.cfg["num_steps_per_env"] * runner.env.num_envs
+    most = math.ceil(runner.cfg["max_iterations"] / INTERVAL)
+    seconds, curve, walked = 0.0, [], False
+    for turn in range(most):
+        begin = time.perf_counter()
+        runner.learn(INTERVAL, init_at_random_ep_len=turn == 0)
+        seconds += time.perf_counter() - begin
+        path = run_dir.checkpoint_path(Path(runner.run), runner.current_learning_iteration)
+        robots = runner.env.unwrapped.sim.robots
+        result = evaluate_checkpoint(path, num_envs=ENVS_PER_ROBOT * len(robots), threads=threads)
+        path.unlink()
+        worst = {key: max(getattr(robot, key) for robot in result.robots.values()) for key in WALKS}
+        samples = samples_per_iteration * runner.current_learning_iteration
+        curve.append({"samples": samples, "seconds": seconds, **worst})
+        progress(
+            f"seed {seed}: {samples / 1e6:.1f} million samples, {seconds:.0f} s, worst error "
+            f"{worst['error_vel_xy']:.2f} m/s, most falls {worst['fall_rate']:.1%}"
+        )
+        walked = all(worst[key] <= bound for key, bound in WALKS.items())
+        if walked or runner.stopped_by is not None:
+            break
+    return {"seed": seed, "walked": walked, "samples": samples, "seconds": seconds, "curve": curve}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The figures as Markdown."""
+    lines = [
+        provenance.sentence(result["measured"]),
+        f"Train config {result['train_config']}, learner {result['learner']} on {result['device']}, "
+        f"{result['threads']} threads, {result['simd']}.",
+        "",
+        "| seed | all robots walk | million samples | s |",
+        "|---|---|---|---|",
+    ]
+    for run in result["runs"]:
+        walked = "yes" if run["walked"] else "no"
+        lines.append(f"| {run['seed']} | {walked} | {run['samples'] / 1e6:.1f} | {run['seconds']:.0f} |")
+    done = [run for run in result["runs"] if run["walked"]]
+    if len(done) > 1:
+        both = [[run["samples"] / 1e6 for run in done], [run["seconds"] for run in done]]
+        cells = [f"{mean(values):.1f} ± {stdev(values):.1f}" for values in both]
+        lines.append(f"| mean and deviation of {len(done)} | | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def picture(result: Mapping[str, Any], out: Path) -> None:
+    """Plots worst error and most falls over samples. Raises ConfigError without matplotlib."""
+    pyplot = pyplot_for("--plot")
+    figure, axes = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    labels = {"error_vel_xy": "worst planar velocity error, m/s", "fall_rate": "most falls of a robot"}
+    for axis, (key, bound) in zip(axes, WALKS.items(), strict=True):
+        for run in result["runs"]:
+            points = run["curve"]
+            samples = [point["samples"] / 1e6 for point in points]
+            axis.plot(samples, [point[key] for point in points], marker="o", label=f"seed {run['seed']}")
+        axis.axhline(bound, color="grey", linestyle=":")
+        axis.set(xlabel="million samples", ylabel=labels[key], ylim=(0, None))
+        axis.legend()
+    save(figure, out, "--plot")
+    pyplot.close(figure)
