@@ -74,7 +74,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
-        | {"--quadrupeds": NAMES},
+        | {"--quadrupeds": NAMES, "--learner": NAMES},
     ),
     "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (
@@ -93,7 +93,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "bench": (
         ("--robot", "nobody"),
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
-        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS},
+        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),
@@ -105,7 +105,7 @@ _POLYPOD_SWITCHES = {
     "play": ("--headless", "--no-headless"),
     "sim2sim": ("--soft-contact", "--no-soft-contact"),
     "robot": ("--force", "--no-force"),
-    "bench": ("--quick", "--no-quick"),
+    "bench": ("--quick", "--no-quick", "--learner", "--no-learner", "--walk", "--no-walk"),
 }
 _SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "rollout": (
