@@ -133,6 +133,9 @@ class Learner:
             bias [outputs] of each layer; flat.
         """
 
+    def action_std(self) -> npt.NDArray[np.float32]:
+        """Returns the deviations of the actions, [num_actions]."""
+
     def set_network(
         self,
         name: str,

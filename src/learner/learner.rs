@@ -135,6 +135,11 @@ impl Learner {
         fits.then_some(()).ok_or_else(|| LearnerError::new("state", "its arrays have other sizes than the network's"))
     }
 
+    /// Deviations of the actions, `[num_actions]`.
+    pub fn deviations(&self) -> Vec<f32> {
+        self.actor.perceptron.extra().iter().flat_map(|line| line.0).take(self.settings.num_actions).collect()
+    }
+
     /// A network's statistics of the observations, if it has any.
     pub fn normalizer(&self, which: Which) -> Option<&Normalizer> {
         self.net(which).normalizer.as_ref()
@@ -318,7 +323,6 @@ impl Learner {
 
     /// Decides what brings the advantages to one scale: that of each robot's own, or that of all.
     fn scale_advantages(&mut self, parts: &[Vec<Moments>]) {
-        const EPSILON: f64 = 1e-8;
         let mut of_robots = vec![Moments::default(); self.settings.robots.len()];
         for (part, moments) in self.parts.iter().zip(parts) {
             for (&(robot, _), &of) in part.blocks.iter().zip(moments) {
@@ -330,9 +334,9 @@ impl Learner {
             if self.settings.options.algorithm.normalize_advantage_per_mini_batch {
                 (0.0, 1.0)
             } else if self.settings.options.normalize_advantage_per_robot {
-                (of.mean as f32, (1.0 / (of.variance().max(0.0).sqrt() + EPSILON)) as f32)
+                of.scale(of.variance())
             } else {
-                (all.mean as f32, (1.0 / (all.unbiased_variance().max(0.0).sqrt() + EPSILON)) as f32)
+                all.scale(all.unbiased_variance())
             }
         };
         self.advantage_scale = of_robots.iter().map(scale).collect();

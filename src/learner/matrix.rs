@@ -100,30 +100,48 @@ impl Blocking for Pair<Portable> {
     const MANY_REGISTERS: bool = false;
 }
 
-impl<L: Blocking> Kernel<L> for Product<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn run(mut self) {
-        let panels = self.out.len() / self.rows;
-        if L::MANY_REGISTERS {
-            let mut panel = 0;
-            while panel + 2 <= panels {
-                self.columns::<L, BLOCK, 2>(panel);
-                panel += 2;
-            }
-            if panel < panels {
-                self.columns::<L, BLOCK, 1>(panel);
-            }
-        } else {
-            for panel in 0..panels {
-                self.columns::<L, { BLOCK / 2 }, 1>(panel);
-            }
+/// A product that is computed panel by panel.
+trait Panels {
+    /// How many there are.
+    fn count(&self) -> usize;
+    /// Computes `W` panels, blocks of `R` lines at a time.
+    fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize);
+}
+
+/// Computes all panels, as many side by side as the registers hold.
+#[inline(always)]
+fn all_panels<L: Blocking>(mut product: impl Panels) {
+    let panels = product.count();
+    if L::MANY_REGISTERS {
+        let mut panel = 0;
+        while panel + 2 <= panels {
+            product.columns::<L, BLOCK, 2>(panel);
+            panel += 2;
+        }
+        if panel < panels {
+            product.columns::<L, BLOCK, 1>(panel);
+        }
+    } else {
+        for panel in 0..panels {
+            product.columns::<L, { BLOCK / 2 }, 1>(panel);
         }
     }
 }
 
-impl Product<'_> {
-    /// All rows of `W` panels, `R` rows at a time.
+impl<L: Blocking> Kernel<L> for Product<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        all_panels::<L>(self);
+    }
+}
+
+impl Panels for Product<'_> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.out.len() / self.rows
+    }
+
     #[inline(always)]
     fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize) {
         let (rows, inner) = (self.rows, self.inner);
@@ -170,7 +188,9 @@ impl Product<'_> {
             row += R;
         }
     }
+}
 
+impl Product<'_> {
     /// Applies the activation or its derivative to `R` lines.
     #[inline(always)]
     fn finish<L: Real, const R: usize>(&mut self, first: usize) {
@@ -194,27 +214,17 @@ impl Product<'_> {
 impl<L: Blocking> Kernel<L> for WeightGradient<'_> {
     type Output = ();
     #[inline(always)]
-    fn run(mut self) {
-        let panels = self.gradient.len() / (self.inner + 1);
-        if L::MANY_REGISTERS {
-            let mut panel = 0;
-            while panel + 2 <= panels {
-                self.columns::<L, BLOCK, 2>(panel);
-                panel += 2;
-            }
-            if panel < panels {
-                self.columns::<L, BLOCK, 1>(panel);
-            }
-        } else {
-            for panel in 0..panels {
-                self.columns::<L, { BLOCK / 2 }, 1>(panel);
-            }
-        }
+    fn run(self) {
+        all_panels::<L>(self);
     }
 }
 
-impl WeightGradient<'_> {
-    /// The gradients of `W` panels, those of `R` inputs at a time.
+impl Panels for WeightGradient<'_> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.gradient.len() / (self.inner + 1)
+    }
+
     #[inline(always)]
     fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize) {
         let (rows, inner) = (self.rows, self.inner);

@@ -44,6 +44,12 @@ impl Moments {
         }
     }
 
+    /// What brings samples to mean 0 and deviation 1: their mean, and one over the deviation of this variance.
+    pub(crate) fn scale(&self, variance: f64) -> (f32, f32) {
+        const EPSILON: f64 = 1e-8;
+        (self.mean as f32, (1.0 / (variance.max(0.0).sqrt() + EPSILON)) as f32)
+    }
+
     /// Mean squared deviation.
     pub(crate) fn variance(&self) -> f64 {
         self.squares / self.count

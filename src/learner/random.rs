@@ -47,18 +47,14 @@ impl Stream {
 
 /// What a stream is for.
 pub(crate) enum Use {
-    Noise,
-    Order,
+    Noise = 1,
+    Order = 2,
 }
 
 impl Use {
     /// The stream of an env at a control step, or of a part in an iteration.
     pub(crate) fn stream(self, seed: u64, time: u64, place: usize) -> Stream {
-        let what = match self {
-            Self::Noise => 1,
-            Self::Order => 2,
-        };
-        Stream::new(seed, [what, time, place as u64])
+        Stream::new(seed, [self as u64, time, place as u64])
     }
 }
 

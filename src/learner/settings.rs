@@ -93,6 +93,13 @@ pub enum Symmetry {
     Alternate,
 }
 
+impl Symmetry {
+    /// Rows of a mini-batch for each of its samples.
+    pub(crate) fn rows_per_sample(self) -> usize {
+        if self == Self::Both { 2 } else { 1 }
+    }
+}
+
 /// A block of envs with the same robot.
 #[derive(Clone, Debug)]
 pub struct Robot {

@@ -39,8 +39,8 @@ const RATES: [f64; 2] = [1e-5, 1e-2];
 struct Gradient {
     lines: Vec<Line>,
     loss: f64,
-    /// Divergence from the policy that collected the samples, and the number of samples it was summed over.
-    divergence: (f64, usize),
+    /// Divergence from the policy that collected the samples, summed over them.
+    divergence: f64,
 }
 
 /// What all parts share in a mini-batch.
@@ -66,9 +66,8 @@ impl MiniBatch<'_> {
     /// beside them.
     fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample], bool)) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
-        let passes = if self.settings.options.symmetry == Symmetry::Both { 2 } else { 1 };
         let mut tile = Vec::with_capacity(size);
-        for pass in 0..passes {
+        for pass in 0..self.settings.options.symmetry.rows_per_sample() {
             for chunk in samples.chunks(size) {
                 tile.clear();
                 tile.extend(chunk.iter().map(|&sample| {
@@ -111,9 +110,8 @@ impl MiniBatch<'_> {
                         *line = tile.output()[panel * rows + row];
                     }
                     if own {
-                        gradient.divergence.0 +=
+                        gradient.divergence +=
                             f64::from(self.new.divergence(&mean, old_mean, self.divergence_of_deviations));
-                        gradient.divergence.1 += 1;
                     }
                     let (about, scale) = self.advantages[part.robot_of[sample % part.len()]];
                     let surrogate = Surrogate {
@@ -177,15 +175,15 @@ impl Learner {
         let mini_batches = algorithm.num_mini_batches;
         for epoch in 0..algorithm.num_learning_epochs {
             for batch in 0..mini_batches {
-                let entropy = self.compute_gradients(team, epoch, batch, &mut gradients);
+                let samples: usize = self.parts.iter().map(|part| part.mini_batch(batch, mini_batches).len()).sum();
+                let rows = samples * self.settings.options.symmetry.rows_per_sample();
+                let entropy = self.compute_gradients(team, (epoch, batch), rows, &mut gradients);
                 let sum = |f: fn(&[Gradient; 2]) -> f64| gradients.iter().map(f).sum::<f64>();
-                let samples: usize = gradients.iter().map(|[actor, _]| actor.divergence.1).sum();
-                let rows = samples * if self.settings.options.symmetry == Symmetry::Both { 2 } else { 1 };
                 losses.surrogate += sum(|[actor, _]| actor.loss) / rows as f64;
                 losses.value += sum(|[_, critic]| critic.loss) / rows as f64;
                 losses.entropy += entropy;
                 if let Some(desired) = algorithm.desired_kl {
-                    let divergence = sum(|[actor, _]| actor.divergence.0) / samples as f64;
+                    let divergence = sum(|[actor, _]| actor.divergence) / samples as f64;
                     losses.learning_rate = adapted(losses.learning_rate, divergence, desired);
                 }
                 self.step_networks(team, &gradients, losses.learning_rate);
@@ -199,13 +197,16 @@ impl Learner {
         losses
     }
 
-    /// Fills `gradients` of each part and network; returns the entropy.
-    fn compute_gradients(&self, team: &impl Team, epoch: usize, batch: usize, gradients: &mut [[Gradient; 2]]) -> f64 {
+    /// Fills `gradients` of each part and network, of a mini-batch with so many rows; returns the entropy.
+    fn compute_gradients(
+        &self,
+        team: &impl Team,
+        (epoch, batch): (usize, usize),
+        rows: usize,
+        gradients: &mut [[Gradient; 2]],
+    ) -> f64 {
         let algorithm = &self.settings.options.algorithm;
         let new = Gaussian::new(self.actor.perceptron.extra(), self.settings.num_actions);
-        let count = |part: &Part| part.mini_batch(batch, algorithm.num_mini_batches).len();
-        let images = if self.settings.options.symmetry == Symmetry::Both { 2 } else { 1 };
-        let rows = images * self.parts.iter().map(count).sum::<usize>();
         let advantages = if algorithm.normalize_advantage_per_mini_batch {
             self.scale_of_mini_batch(batch)
         } else {
@@ -229,7 +230,7 @@ impl Learner {
         }
         team.for_each(tasks, |(place, part, net, gradient, is_actor)| {
             gradient.lines.fill(Line::ZERO);
-            (gradient.loss, gradient.divergence) = (0.0, (0.0, 0));
+            (gradient.loss, gradient.divergence) = (0.0, 0.0);
             if is_actor {
                 if place == 0 {
                     new.add_entropy(algorithm.entropy_coef, &mut gradient.lines[net.perceptron.first_extra()..]);
@@ -250,8 +251,7 @@ impl Learner {
             Moments::of(samples.map(|&sample| part.advantages[sample as usize]))
         };
         let all = self.parts.iter().map(of).fold(Moments::default(), Moments::merge);
-        let scale = (all.mean as f32, (1.0 / (all.unbiased_variance().max(0.0).sqrt() + 1e-8)) as f32);
-        vec![scale; self.mirrors.len()]
+        vec![all.scale(all.unbiased_variance()); self.mirrors.len()]
     }
 
     /// Sums the parts' gradients, limits their norms, and takes a step with each network.

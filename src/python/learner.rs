@@ -77,6 +77,10 @@ impl Learner {
         Ok((arrays(py, weights), arrays(py, first), arrays(py, second), steps))
     }
 
+    fn action_std<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_vec(py, self.learner.deviations())
+    }
+
     fn set_network(
         &mut self,
         py: Python<'_>,

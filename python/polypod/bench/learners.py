@@ -18,8 +18,9 @@ from polypod.rsl_rl import VecEnv
 from polypod.training import config, run_dir
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
-from polypod.training.session import runner_of
+from polypod.training.session import DEFAULT_SEED, runner_of
 
+CUDA = "cuda:0"
 ITERATIONS = 3
 """Timed after one that is not."""
 
@@ -33,7 +34,17 @@ class Options:
     """None: the train config's."""
     threads: int | None = None
     """None: one per core."""
-    seed: int = 42
+    seed: int = DEFAULT_SEED
+
+    def conditions(self) -> dict[str, Any]:
+        """What figures of these trainings were measured on."""
+        info = _core.info()
+        return {
+            "measured": provenance.measured(),
+            "simd": info["simd"],
+            "train_config": self.train_config,
+            "threads": self.threads or info["threads"],
+        }
 
 
 class Silent(Reporter):
@@ -55,7 +66,8 @@ def training(options: Options, learner: str, device: str, precision: str = "off"
     train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
-    train_config = train_config.with_mixed_precision_resolved(device).with_learner_resolved(learner, device)
+    kind = torch.device(device).type
+    train_config = train_config.with_mixed_precision_resolved(kind).with_learner_resolved(learner, kind)
     run = train_config.run
     if options.threads is not None:
         torch.set_num_threads(options.threads)
@@ -64,8 +76,7 @@ def training(options: Options, learner: str, device: str, precision: str = "off"
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
         path = Path(folder)
         run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")
-        where = "cuda:0" if device == "cuda" else device
-        runner = runner_of(VecEnv(env, where, log_extras=False), train_config, path, where, Silent())
+        runner = runner_of(VecEnv(env, device, log_extras=False), train_config, path, device, Silent())
         runner.logger.open("none", 0, print)
         yield runner
 
@@ -74,7 +85,7 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     """Seconds per iteration of every learner that this machine has, one after the other."""
     learners = [("native", "cpu", "off"), ("rsl_rl", "cpu", "off"), ("rsl_rl, bfloat16", "cpu", "auto")]
     if torch.cuda.is_available():
-        learners.append(("rsl_rl, CUDA", "cuda", "off"))
+        learners.append(("rsl_rl, CUDA", CUDA, "off"))
     rows: dict[str, dict[str, float]] = {}
     for name, device, precision in learners:
         progress(f"{name} on {device}")
@@ -83,14 +94,13 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
                 continue
             rows[name] = _times(runner)
             run = runner.cfg["num_steps_per_env"] * runner.env.num_envs
-    return {
-        "measured": provenance.measured(),
-        "simd": _core.info()["simd"],
-        "train_config": options.train_config,
-        "samples": run,
-        "threads": options.threads or _core.info()["threads"],
-        "learners": rows,
-    }
+    return {**options.conditions(), "samples": run, "learners": rows}
+
+
+def heading(result: Mapping[str, Any], what: str) -> list[str]:
+    """The lines before a table: what the figures were measured on."""
+    conditions = f"Train config {result['train_config']}, {what}, {result['threads']} threads, {result['simd']}."
+    return [provenance.sentence(result["measured"]), conditions, ""]
 
 
 def _times(runner: Runner) -> dict[str, float]:
@@ -114,10 +124,7 @@ def _times(runner: Runner) -> dict[str, float]:
 def table(result: Mapping[str, Any]) -> str:
     """The figures as Markdown."""
     head = [
-        provenance.sentence(result["measured"]),
-        f"Train config {result['train_config']}, {result['samples']} samples an iteration, {result['threads']} "
-        f"threads, {result['simd']}; medians of {ITERATIONS} iterations.",
-        "",
+        *heading(result, f"{result['samples']} samples an iteration, medians of {ITERATIONS} iterations"),
         "| learner | collection, s | update, s | iteration, s | env-steps/s |",
         "|---|---|---|---|---|",
     ]

@@ -1,5 +1,6 @@
 """Time and samples until all robots walk: `polypod bench --walk`."""
 
+import dataclasses
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -7,8 +8,7 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
-from polypod import _core, provenance
-from polypod.bench.learners import Options, training
+from polypod.bench.learners import Options, heading, training
 from polypod.bench.report import Progress
 from polypod.drawing import pyplot_for, save
 from polypod.evaluation import evaluate_checkpoint
@@ -29,16 +29,12 @@ def measure(options: Options, learner: str, seeds: Sequence[int], device: str, p
     """
     runs = []
     for seed in seeds:
-        of_seed = Options(options.train_config, options.num_envs, options.threads, seed)
-        with training(of_seed, learner, device) as runner:
+        with training(dataclasses.replace(options, seed=seed), learner, device) as runner:
             runs.append(_walk(runner, seed, options.threads, progress))
     return {
-        "measured": provenance.measured(),
-        "simd": _core.info()["simd"],
-        "train_config": options.train_config,
+        **options.conditions(),
         "learner": learner,
         "device": device,
-        "threads": options.threads or _core.info()["threads"],
         "walks": WALKS,
         "runs": runs,
     }
@@ -72,10 +68,7 @@ def _walk(runner: Any, seed: int, threads: int | None, progress: Progress) -> di
 def table(result: Mapping[str, Any]) -> str:
     """The figures as Markdown."""
     lines = [
-        provenance.sentence(result["measured"]),
-        f"Train config {result['train_config']}, learner {result['learner']} on {result['device']}, "
-        f"{result['threads']} threads, {result['simd']}.",
-        "",
+        *heading(result, f"learner {result['learner']} on {result['device']}"),
         "| seed | all robots walk | million samples | s |",
         "|---|---|---|---|",
     ]

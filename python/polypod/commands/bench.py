@@ -8,6 +8,8 @@ from typing import Annotated
 
 from polypod.commands.arguments import Count, arg, checked_threads, positive, write_json
 
+NUM_ENVS = 4096
+
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
@@ -16,11 +18,11 @@ class Bench:
     learner: bool = False
     """Measure instead where an iteration of a training goes, for every learner of this machine."""
     walk: bool = False
-    """Measure instead the time and the samples until all robots walk. Three seeds, from 42 on."""
+    """Measure instead the time and the samples until all robots walk."""
     train_config: str = "quick"
     """What --learner and --walk train."""
     seeds: int = 3
-    """Trainings of --walk."""
+    """Trainings of --walk, each with the next seed."""
     quick: bool = False
     """Only the main figures, in less than a minute."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -29,16 +31,16 @@ class Bench:
     """Also plot how the speed scales (.png, .svg, .pdf)."""
     robot: str = "unitree_a1"
     """Whose physics is compared."""
-    num_envs: int = 4096
-    """Number of envs, but where it is varied."""
+    num_envs: Count = None
+    """Number of envs, but where it is varied. Default: 4096; of trainings, the train config's."""
     threads: int = 1
     """Threads of the physics figures, polypod's and MuJoCo's."""
     step_threads: Count = None
     """Threads of the whole control steps. Default: one per core."""
     largest: int = 65536
     """Number of envs that the scaling goes up to."""
-    seed: int = 0
-    """Of every random stream."""
+    seed: Count = None
+    """Of every random stream; the first of --walk. Default: 0; of trainings, 42."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
@@ -54,10 +56,10 @@ class Bench:
         checked_threads(self.threads, "--threads")
         options = bench.Options(
             robot=self.robot,
-            num_envs=self.num_envs,
+            num_envs=NUM_ENVS if self.num_envs is None else self.num_envs,
             threads=self.threads,
             step_threads=checked_threads(self.step_threads, "--step-threads"),
-            seed=self.seed,
+            seed=self.seed or 0,
             quick=self.quick,
             largest=self.largest,
         )
@@ -76,8 +78,7 @@ class Bench:
         from polypod.training.session import DEFAULT_SEED
 
         threads = checked_threads(self.step_threads, "--step-threads")
-        num_envs = None if self.num_envs == Bench.num_envs else positive(self.num_envs, "--num-envs")
-        seed = self.seed or DEFAULT_SEED
+        num_envs, seed = positive(self.num_envs, "--num-envs"), DEFAULT_SEED if self.seed is None else self.seed
         options = learners.Options(self.train_config, num_envs, threads, seed)
         progress = functools.partial(print, file=sys.stderr, flush=True)
         if self.learner:
@@ -85,7 +86,7 @@ class Bench:
             print(learners.table(result))
         else:
             positive(self.seeds, "--seeds")
-            device = "cuda" if torch.cuda.is_available() else "cpu"
+            device = learners.CUDA if torch.cuda.is_available() else "cpu"
             result = walking.measure(options, "auto", range(seed, seed + self.seeds), device, progress)
             print(walking.table(result))
         write_json(self.json, result)

@@ -47,8 +47,7 @@ class NativeRunner(Runner):
         return loss
 
     def _action_std(self) -> torch.Tensor:
-        weights, *_ = self._learner.network("actor")
-        return torch.from_numpy(weights[0])
+        return torch.from_numpy(self._learner.action_std())
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint that either learner can go on from."""
