@@ -47,6 +47,9 @@ class EnvOptions(TypedDict, total=False):
     """Hands out fresh arrays rather than the simulator's own, see `VectorEnv`. False by default."""
     overrides: Sequence[str]
     """`key=value` pairs for the task's configuration, e.g. `"sim.episode_length_s=10.0"`."""
+    share: tuple[int, int] | None
+    """Envs [start, end) of `num_envs` that are simulated here; another process has the others. They are, bit for bit,
+    these rows of the whole batch. None, the default: all."""
     dump_dir: str | os.PathLike[str] | None
     """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps it again.
     None, the default: no dump."""
@@ -59,7 +62,7 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
         task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
         num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
             robot.
-        **options: robots, seed, autoreset, threads, copy, overrides and dump_dir; `EnvOptions` documents them.
+        **options: robots, seed, autoreset, threads, copy, overrides, share and dump_dir; `EnvOptions` documents them.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
@@ -103,6 +106,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             overrides=list(options.get("overrides", ())),
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
             dump_dir=options.get("dump_dir"),
+            share=options.get("share"),
         )
         self._sim: _core.VecSim | None
         self._sim = _one_env_per_robot(build, task, robots) if num_envs is None else build(_index(num_envs, "num_envs"))

@@ -36,7 +36,7 @@ class NativeRunner(Runner):
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         sim = self.env.unwrapped.sim
-        for reward, length in self._learner.collect(sim, self.current_learning_iteration):
+        for _, _, reward, length in self._learner.collect(sim, self.current_learning_iteration):
             self.logger.rewbuffer.append(reward)
             self.logger.lenbuffer.append(length)
         return observations
