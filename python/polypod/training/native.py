@@ -17,6 +17,7 @@ from polypod.rsl_rl import VecEnv
 from polypod.training.config import TrainConfig
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
+from polypod.training.workers import Workers
 
 NETWORKS = ("actor", "critic")
 
@@ -24,21 +25,31 @@ NETWORKS = ("actor", "critic")
 class NativeRunner(Runner):
     """A `Runner` whose iterations are computed by `polypod._core.Learner`."""
 
-    def __init__(self, env: VecEnv, config: TrainConfig, run: Path, device: str, reporter: Reporter) -> None:
+    draws = False
+
+    def __init__(
+        self,
+        env: VecEnv,
+        config: TrainConfig,
+        run: Path,
+        device: str,
+        reporter: Reporter,
+        workers: Workers | None = None,
+    ) -> None:
         """Builds the networks; `config` is one for the native learner."""
         sim = env.unwrapped.sim
         cfg = config.rsl_rl_cfg(sim)
         # samples and mirror images are the native learner's: rsl_rl stores none
-        super().__init__(env, {**cfg, "symmetry": False, "num_steps_per_env": 1}, run, device, reporter)
+        super().__init__(env, {**cfg, "symmetry": False, "num_steps_per_env": 1}, run, device, reporter, workers)
         self.cfg = self.logger.cfg = cfg
-        self._learner = _core.Learner(sim, json.dumps(config.native_options()))
+        options, workers = json.dumps(config.native_options()), self.workers
+        peers = workers if workers.count > 1 else None
+        self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
         self._give()
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         sim = self.env.unwrapped.sim
-        for _, _, reward, length in self._learner.collect(sim, self.current_learning_iteration):
-            self.logger.rewbuffer.append(reward)
-            self.logger.lenbuffer.append(length)
+        self.logger.ended = self._learner.collect(sim, self.current_learning_iteration)
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:

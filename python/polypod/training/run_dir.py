@@ -110,11 +110,21 @@ def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dic
         ConfigError: for a file that is none, that is damaged, whose SHA-256 is not that of the manifest beside it, or
             whose weights are not all finite.
     """
+    return checkpoint_of(read_checkpoint(path), path, map_location)
+
+
+def read_checkpoint(path: Path) -> bytes:
+    """The bytes of a checkpoint. Raises ConfigError like `load_checkpoint` where they are not those that were written."""
     try:
         data = read_bytes(path, MAX_CHECKPOINT)
     except OSError as error:
         raise _core.ConfigError(f"cannot read {path}: {error.strerror}") from error
     _check_sum(path, data)
+    return data
+
+
+def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "cpu") -> dict[str, Any]:
+    """The checkpoint that bytes are; `path` names them in errors. Raises ConfigError like `load_checkpoint`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if (broken := archive.testzip()) is not None:
@@ -227,7 +237,7 @@ def manifest_of(
         "robot_sources": [source(robot) for robot in robots or sim.robots],
         "overrides": overrides,
         "seed": sim.seed,
-        "num_envs": sim.num_envs,
+        "num_envs": sim.total_num_envs,
         "step_dt": sim.step_dt,
         "config_hash": sim.config_hash(),
         "canonical_joint_names": sim.canonical_joint_names,
