@@ -114,8 +114,8 @@ class Learner:
 
         Raises:
             ValueError: for options that cannot be read.
-            ConfigError: for options that are out of range, more workers than blocks of envs, and a simulation of another
-                share.
+            ConfigError: for options that are out of range, more workers than blocks of envs, and the simulation of
+                another share.
         """
 
     def collect(self, sim: VecSim, iteration: int) -> list[tuple[int, int, float, float]]:
@@ -237,8 +237,8 @@ class VecSim:
             overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML syntax.
             autoreset: "same_step", "next_step" or "disabled".
             dump_dir: see `set_dump_dir`.
-            share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit for bit, these rows of
-                the whole batch.
+            share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit for bit, these rows
+                of the whole batch.
 
         Raises:
             ConfigError: for an unknown task, robot, key or autoreset mode, and for a value out of range.

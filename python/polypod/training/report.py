@@ -77,8 +77,8 @@ class Reporter:
     def slow_worker(self, index: int, host: str, seconds: float, count: int) -> None:
         """Warns of a worker that keeps the others waiting."""
         self.message(
-            f"polypod: warning: worker {index} of {count} on {host} works {seconds:.2f} s an iteration, and the others wait "
-            "for it; see Perf/worker_*/work_time in the curves"
+            f"polypod: warning: worker {index} of {count} on {host} works {seconds:.2f} s an iteration, and the others "
+            "wait for it; see Perf/worker_*/work_time in the curves"
         )
 
     def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:

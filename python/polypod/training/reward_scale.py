@@ -16,7 +16,9 @@ class RewardScale:
     update averages over all advantages. Scaling changes no robot's own preferences: its rewards keep their proportions.
     """
 
-    def __init__(self, blocks: list[tuple[int, int]], gamma: float, device: str, workers: Workers | None = None) -> None:
+    def __init__(
+        self, blocks: list[tuple[int, int]], gamma: float, device: str, workers: Workers | None = None
+    ) -> None:
         """Before the first reward.
 
         Args:

@@ -114,7 +114,7 @@ def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dic
 
 
 def read_checkpoint(path: Path) -> bytes:
-    """The bytes of a checkpoint. Raises ConfigError like `load_checkpoint` where they are not those that were written."""
+    """The bytes of a checkpoint. Raises ConfigError, like `load_checkpoint`, for a damaged file."""
     try:
         data = read_bytes(path, MAX_CHECKPOINT)
     except OSError as error:

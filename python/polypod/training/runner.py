@@ -101,7 +101,11 @@ class Runner(OnPolicyRunner):
     def _configure_multi_gpu(self) -> None:
         """Tells rsl_rl of the workers."""
         workers = self.workers
-        self.gpu_global_rank, self.gpu_local_rank, self.gpu_world_size = workers.index, workers.local_index, workers.count
+        self.gpu_global_rank, self.gpu_local_rank, self.gpu_world_size = (
+            workers.index,
+            workers.local_index,
+            workers.count,
+        )
         self.is_distributed = workers.count > 1
         ranks = {"global_rank": workers.index, "local_rank": workers.local_index, "world_size": workers.count}
         self.cfg["multi_gpu"] = ranks if self.is_distributed else None
@@ -278,7 +282,7 @@ class Runner(OnPolicyRunner):
         return infos
 
     def _of_workers(self) -> dict[str, Any]:
-        """What a checkpoint holds of all workers' envs, for worker 0: whole arrays, and the simulator as of one process."""
+        """What a checkpoint holds of all workers, for worker 0: whole arrays, and the simulator as of one process."""
         if self.workers.count == 1:
             return {"sim": self.env.unwrapped.sim.snapshot(), "worker_rng": [], "logger": {}, "reward_scale": {}}
         workers, logger = self.workers, self.logger.state()
@@ -298,7 +302,9 @@ class Runner(OnPolicyRunner):
         returns = {"returns": whole.pop("returns")} if "returns" in whole else {}
         return {
             "sim": _core.join_snapshots([of["sim"] for of in of_workers]),
-            "worker_rng": [[_byte_tensor(stream) for stream in of["streams"]] for of in of_workers[1:] if of["streams"]],
+            "worker_rng": [
+                [_byte_tensor(stream) for stream in of["streams"]] for of in of_workers[1:] if of["streams"]
+            ],
             "logger": whole,
             "reward_scale": returns,
         }

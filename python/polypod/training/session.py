@@ -86,7 +86,7 @@ def train(options: Options) -> int:
     is_cuda = options.device != "cpu" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
     try:
-        plan, run, runner = _train(options, workers)
+        run, runner = _train(options, workers)
     finally:
         workers.close()
     if not workers.is_first:
@@ -103,8 +103,8 @@ def train(options: Options) -> int:
     return 0
 
 
-def _train(options: Options, workers: Workers) -> tuple["_Plan", Path, Runner]:
-    """Trains with the other workers."""
+def _train(options: Options, workers: Workers) -> tuple[Path, Runner]:
+    """Trains with the other workers; returns the run's directory and what has trained it."""
     plan = _new_plan(options) if options.resume is None else _resumed_plan(options, workers)
     _check_same_plan(plan, options, workers)
     device = plan.device
@@ -158,10 +158,10 @@ def _train(options: Options, workers: Workers) -> tuple["_Plan", Path, Runner]:
             runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
         finally:
             runner.logger.close()
-    return plan, run, runner
+    return run, runner
 
 
-def _check_same_plan(plan: "_Plan", options: Options, workers: Workers) -> None:
+def _check_same_plan(plan: _Plan, options: Options, workers: Workers) -> None:
     """Refuses workers that would train something else. Raises ConfigError, which names the difference."""
     versions = {
         "polypod": polypod.__version__,

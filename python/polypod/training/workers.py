@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import torch.distributed as dist
+from torch.distributed.rendezvous import rendezvous
 
 from polypod import _core
 
@@ -36,7 +37,7 @@ SLOW = 1.5
 class Workers:
     """This process among the workers. All of them must call the same methods in the same order."""
 
-    def __init__(self, index: int, count: int, local_index: int, local_count: int, store: dist.Store | None) -> None:
+    def __init__(self, index: int, count: int, local_index: int, local_count: int, store: Any) -> None:
         """Use `alone` or `join`."""
         self.index = index
         """Number of this worker, counted from 0. Worker 0 writes and reports."""
@@ -71,12 +72,12 @@ class Workers:
         store = None
         if not dist.is_initialized():
             try:
-                store, index, count = next(dist.rendezvous("env://", timeout=TIMEOUT))
+                store, index, count = next(rendezvous("env://", timeout=TIMEOUT))
                 backend = "cpu:gloo,cuda:nccl" if cuda else "gloo"
                 dist.init_process_group(backend, store=store, rank=index, world_size=count, timeout=TIMEOUT)
             except (RuntimeError, ValueError) as error:
                 raise _core.ConfigError(
-                    f"cannot join the other workers: {_first_line(error)}; start them with torchrun, see docs/cluster.md"
+                    f"cannot join the other workers: {_first_line(error)}; start them as docs/cluster.md says"
                 ) from error
         workers = cls(dist.get_rank(), dist.get_world_size(), local_index, local_count, store)
         workers.places = [tuple(place) for place in workers.gather_messages(list(workers.places[0]))]
@@ -108,7 +109,7 @@ class Workers:
             return _core.share_of_worker(num_envs, self.index, self.count)
         if num_envs % self.count:
             raise _core.ConfigError(
-                f"rsl_rl gives all workers equally many envs, and {num_envs} are none that {self.count} workers can share; "
+                f"{self.count} workers cannot have equally many of {num_envs} envs, which rsl_rl asks for; "
                 f"set --num-envs to a multiple of {self.count}"
             )
         own = num_envs // self.count
@@ -220,8 +221,8 @@ class Workers:
                     if not self.is_first:
                         raise SystemExit(2)
                     raise _core.ConfigError(
-                        f"worker {index} on {self.places[index][0]} has {name} {_shown(theirs.get(name))}, and worker 0 "
-                        f"on {self.places[0][0]} has {_shown(value)}; {remedy}"
+                        f"worker {index} on {self.places[index][0]} has {name} {_shown(theirs.get(name))}, "
+                        f"and worker 0 on {self.places[0][0]} has {_shown(value)}; {remedy}"
                     )
 
     @contextlib.contextmanager
