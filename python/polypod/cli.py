@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
             if not _is_text(argument):
                 raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
         command = tyro.cli(
-            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments) or ["--help"]
+            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_flags(arguments) or ["--help"]
         )
         _check_seed(command)
         code = _run(command)
@@ -106,13 +106,17 @@ def _run(command: Any) -> int:
     return code
 
 
-def _with_bare_resume(arguments: Sequence[str]) -> list[str]:
-    """`--resume` without a value stands for `--resume latest`."""
+_BARE = {"--resume": "latest", "--ray": "auto"}
+"""What flags mean without a value."""
+
+
+def _with_bare_flags(arguments: Sequence[str]) -> list[str]:
+    """`--resume` without a value stands for `--resume latest`, and `--ray` for `--ray auto`."""
     completed = []
     for argument, following in zip(arguments, [*arguments, "--"][1:], strict=True):
         completed.append(argument)
-        if argument == "--resume" and following.startswith("-"):
-            completed.append("latest")
+        if argument in _BARE and following.startswith("-"):
+            completed.append(_BARE[argument])
     return completed
 
 

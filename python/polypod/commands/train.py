@@ -4,7 +4,8 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names
+from polypod import _core
+from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names, positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,27 +43,39 @@ class Train:
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     set: Overrides = ()
     """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0. May be repeated."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is started
+    if there is none. Needs the extra ray."""
+    workers: Count = None
+    """Workers of --ray. Default: one per node. Without Ray, torchrun starts workers: see docs/cluster.md."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         from polypod.training import session
 
-        return session.train(
-            session.Options(
-                task=self.task,
-                num_envs=self.num_envs,
-                robots=names(self.robots),
-                max_iterations=self.max_iterations,
-                seed=self.seed,
-                train_config=self.train_config,
-                learner=self.learner,
-                logger=self.logger,
-                resume=self.resume,
-                init=self.init,
-                run_name=self.run_name,
-                log_dir=self.log_dir,
-                device=self.device,
-                threads=checked_threads(self.threads, "--threads"),
-                overrides=list(self.set),
-            )
+        options = session.Options(
+            task=self.task,
+            num_envs=self.num_envs,
+            robots=names(self.robots),
+            max_iterations=self.max_iterations,
+            seed=self.seed,
+            train_config=self.train_config,
+            learner=self.learner,
+            logger=self.logger,
+            resume=self.resume,
+            init=self.init,
+            run_name=self.run_name,
+            log_dir=self.log_dir,
+            device=self.device,
+            threads=checked_threads(self.threads, "--threads"),
+            overrides=list(self.set),
         )
+        if self.ray is not None:
+            from polypod.training import on_ray
+
+            return on_ray.train(options, self.ray, positive(self.workers, "--workers"))
+        if self.workers is not None:
+            raise _core.ConfigError(
+                "--workers is of --ray; on one machine use torchrun --nproc-per-node N -m polypod train"
+            )
+        return session.train(options)

@@ -98,6 +98,14 @@ def latest_checkpoint(run: Path) -> Path:
     return checkpoints[-1]
 
 
+def iterations_of(checkpoint: Path) -> int:
+    """Finished iterations, by the checkpoint's name. Raises ConfigError for another name."""
+    match = _CHECKPOINT.fullmatch(checkpoint.name)
+    if match is None:
+        raise _core.ConfigError(f"{checkpoint} is not named model_<n>.pt; name it as polypod train does")
+    return int(match[1])
+
+
 def checkpoint_path(run: Path, iterations: int) -> Path:
     """Where the checkpoint after `iterations` iterations lies."""
     return run / f"model_{iterations}.pt"

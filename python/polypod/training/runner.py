@@ -4,7 +4,7 @@ import contextlib
 import io
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -93,6 +93,8 @@ class Runner(OnPolicyRunner):
         self.stopped_by: signal.Signals | None = None
         """The first signal that asked the training to end; of several workers, once all know of it."""
         self._signal: signal.Signals | None = None
+        self.watch: Callable[[int, Mapping[str, float]], None] | None = None
+        """Is told the number of finished iterations and the scalars of each."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
@@ -169,6 +171,8 @@ class Runner(OnPolicyRunner):
         self.reporter.iteration(
             Iteration(iteration + 1, stop, self.logger.mean_reward, self.logger.mean_episode_length, steps_per_second)
         )
+        if self.watch is not None:
+            self.watch(iteration + 1, scalars)
         if (iteration + 1) % STATS_INTERVAL == 0:
             self.reporter.robots(sim.episode_stats(clear=True))
         return observations

@@ -2,10 +2,9 @@
 
 import contextlib
 import dataclasses
-import os
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -48,6 +47,8 @@ class Options:
     device: str = "auto"
     threads: int | None = None
     overrides: list[str] = dataclasses.field(default_factory=list)
+    run: Path | None = None
+    """An empty directory that was made for the run; None: a new one in `log_dir`. No flag of the command line."""
 
     @property
     def command(self) -> str:
@@ -55,7 +56,7 @@ class Options:
         words = ["polypod", "train"]
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if value is None or (field.default is not dataclasses.MISSING and value == field.default):
+            if field.name == "run" or value is None or (field.default is not dataclasses.MISSING and value == field.default):
                 continue
             if field.name == "overrides":
                 words += [word for change in value for word in ("--set", change)]
@@ -66,7 +67,7 @@ class Options:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Plan:
+class Plan:
     """What to train, all questions settled."""
 
     config: config.TrainConfig
@@ -86,7 +87,7 @@ def train(options: Options) -> int:
     is_cuda = options.device != "cpu" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
     try:
-        run, runner = _train(options, workers)
+        run, runner = train_with(options, workers)
     finally:
         workers.close()
     if not workers.is_first:
@@ -103,9 +104,24 @@ def train(options: Options) -> int:
     return 0
 
 
-def _train(options: Options, workers: Workers) -> tuple[Path, Runner]:
-    """Trains with the other workers; returns the run's directory and what has trained it."""
-    plan = _new_plan(options) if options.resume is None else _resumed_plan(options, workers)
+def train_with(
+    options: Options, workers: Workers, watch: Callable[[int, Mapping[str, float]], None] | None = None
+) -> tuple[Path, Runner]:
+    """Trains with the other workers.
+
+    Args:
+        options: the same for all workers.
+        workers: the others.
+        watch: is told the number of finished iterations and the scalars of each, in worker 0.
+
+    Returns:
+        The run's directory, and what has trained it.
+
+    Raises:
+        ConfigError: as `train`.
+        SystemExit: in workers that have nothing to say of an error that another one reports.
+    """
+    plan = new_plan(options) if options.resume is None else _resumed_plan(options, workers)
     _check_same_plan(plan, options, workers)
     device = plan.device
     begin_with = plan.checkpoint or options.init
@@ -130,7 +146,7 @@ def _train(options: Options, workers: Workers) -> tuple[Path, Runner]:
     reporter = Reporter(quiet=not workers.is_first)
 
     def new_run() -> str:
-        run = run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
+        run = options.run or run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
         run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command)
         return str(run)
 
@@ -139,6 +155,7 @@ def _train(options: Options, workers: Workers) -> tuple[Path, Runner]:
         with _kept_if_begun(run, plan.checkpoint is None and workers.is_first):
             env.sim.set_dump_dir(run if run.is_dir() else None)
             runner = runner_of(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter, workers)
+            runner.watch = watch
             if plan.checkpoint is not None:
                 runner.load(str(plan.checkpoint))
             elif options.init is not None:
@@ -161,7 +178,7 @@ def _train(options: Options, workers: Workers) -> tuple[Path, Runner]:
     return run, runner
 
 
-def _check_same_plan(plan: _Plan, options: Options, workers: Workers) -> None:
+def _check_same_plan(plan: Plan, options: Options, workers: Workers) -> None:
     """Refuses workers that would train something else. Raises ConfigError, which names the difference."""
     versions = {
         "polypod": polypod.__version__,
@@ -194,7 +211,8 @@ def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
         raise
 
 
-def _new_plan(options: Options) -> _Plan:
+def new_plan(options: Options) -> Plan:
+    """What a new run is to train. Raises ConfigError for options that contradict each other or name nothing."""
     train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
     device = _device(options, train_config)
     train_config = train_config.with_run(
@@ -213,10 +231,10 @@ def _new_plan(options: Options) -> _Plan:
             f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
             "leave out slashes, and use 100 letters at most"
         )
-    return _Plan(train_config, options.robots, seed, options.overrides, None, device)
+    return Plan(train_config, options.robots, seed, options.overrides, None, device)
 
 
-def _resumed_plan(options: Options, workers: Workers) -> _Plan:
+def _resumed_plan(options: Options, workers: Workers) -> Plan:
     """The plan of the run that is resumed; it goes on as it was begun, so nothing in it may be given anew."""
     fixed: dict[str, Any] = {
         "--task": options.task,
@@ -243,7 +261,7 @@ def _resumed_plan(options: Options, workers: Workers) -> _Plan:
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
     train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
-    return _Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint, device)
+    return Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint, device)
 
 
 def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
@@ -263,7 +281,7 @@ def _device(options: Options, train_config: config.TrainConfig) -> str:
         return "cpu"
     if not torch.cuda.is_available():
         raise _core.ConfigError("--device cuda, but torch finds no CUDA device; use --device cpu or auto")
-    return f"cuda:{os.environ.get('LOCAL_RANK', 0) if is_among_workers() else 0}"
+    return f"cuda:{torch.cuda.current_device() if is_among_workers() else 0}"
 
 
 def runner_of(

@@ -34,6 +34,10 @@ SLOW = 1.5
 """A worker is slow that works so many times as long as the median of all."""
 
 
+class LostWorkerError(_core.ConfigError):
+    """A worker is gone, or a connection to one is broken."""
+
+
 class Workers:
     """This process among the workers. All of them must call the same methods in the same order."""
 
@@ -71,6 +75,8 @@ class Workers:
         local_index, local_count = int(os.environ.get("LOCAL_RANK", 0)), int(os.environ.get("LOCAL_WORLD_SIZE", 1))
         store = None
         if not dist.is_initialized():
+            if cuda:
+                torch.cuda.set_device(local_index)
             try:
                 store, index, count = next(rendezvous("env://", timeout=TIMEOUT))
                 backend = "cpu:gloo,cuda:nccl" if cuda else "gloo"
@@ -239,14 +245,14 @@ class Workers:
     def _fail(self, error: Exception) -> NoReturn:
         """Raises what a user is to read: in one of those that are left. The others end without a word."""
         if len(self.places) < self.count:
-            raise _core.ConfigError(f"cannot reach the other workers: {_first_line(error)}; start all of them anew")
+            raise LostWorkerError(f"cannot reach the other workers: {_first_line(error)}; start all of them anew")
         lost = self._lost()
         left = [index for index in range(self.count) if index not in lost]
         if lost and self.index != min(left, default=self.index):
             raise SystemExit(2)
         names = [f"worker {index} (process {self.places[index][1]} on {self.places[index][0]})" for index in lost]
         what = f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} gone" if names else "a connection is broken"
-        raise _core.ConfigError(
+        raise LostWorkerError(
             f"{what}, and the training ends ({_first_line(error)}); go on from the last checkpoint with --resume"
         ) from error
 
