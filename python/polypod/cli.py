@@ -20,11 +20,13 @@ from polypod.commands.play import Play
 from polypod.commands.results import ResultsOf
 from polypod.commands.robot import Robot
 from polypod.commands.sim2sim import Sim2sim
+from polypod.commands.sweep import SweepOf
 from polypod.commands.terrain import Terrain
 from polypod.commands.train import Train
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[SweepOf, tyro.conf.subcommand("sweep")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]

@@ -74,8 +74,9 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
-        | {"--quadrupeds": NAMES, "--learner": NAMES},
+        | {"--quadrupeds": NAMES, "--learner": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]},
     ),
+    "sweep": (("empty.pt",), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
     "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (
         ("new", str(URDF), "--out", "/nothing/spot.toml"),

@@ -44,8 +44,8 @@ class Train:
     set: Overrides = ()
     """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0. May be repeated."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is started
-    if there is none. Needs the extra ray."""
+    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
+    started if there is none. Needs the extra ray."""
     workers: Count = None
     """Workers of --ray. Default: one per node. Without Ray, torchrun starts workers: see docs/cluster.md."""
 

@@ -21,8 +21,6 @@ AUTO = "auto"
 """Address: the cluster of this machine if there is one, else a new one for the time of the command."""
 MOST_FAILURES = 10
 """How often the workers of a training are started anew."""
-WATCH_SCALARS = "Metrics/"
-"""Scalars of a training that Ray is told."""
 
 
 def connected(address: str, purpose: str, module: str) -> tuple[Any, Any]:
@@ -60,8 +58,11 @@ def train(options: session.Options, address: str, count: int | None) -> int:
     if is_among_workers():
         raise _core.ConfigError("--ray starts its workers itself; run it without torchrun")
     options = absolute(options)
-    run, target = (_new_run if options.resume is None else _begun_run)(options)
+    package("ray", "--ray", "ray")
+    if options.resume is None:
+        session.new_plan(options)  # what is wrong with it is said before a cluster is asked
     ray, train_torch = connected(address, "--ray", "ray.train.torch")
+    run, target = (_new_run if options.resume is None else _begun_run)(options)
     ray_train = package("ray.train", "--ray", "ray")
     nodes = [node for node in ray.nodes() if node["Alive"]]
     count = count or len(nodes)
@@ -107,25 +108,6 @@ def absolute(options: session.Options) -> session.Options:
     )
 
 
-def next_options(options: session.Options, run: Path, target: int) -> session.Options | None:
-    """The options to begin a run with, or to go on with it from its last checkpoint; None: it is done."""
-    if not any(run.glob("model_*.pt")):
-        return dataclasses.replace(options, run=run, max_iterations=target)
-    checkpoint = run_dir.latest_checkpoint(run)
-    left = target - run_dir.iterations_of(checkpoint)
-    if left <= 0:
-        return None
-    return session.Options(
-        resume=str(checkpoint),
-        max_iterations=left,
-        learner=options.learner,
-        logger=options.logger,
-        log_dir=options.log_dir,
-        device=options.device,
-        threads=options.threads,
-    )
-
-
 def _new_run(options: session.Options) -> tuple[Path, int]:
     """Makes the directory of a new run whose options are in order; returns it and its iterations."""
     plan = session.new_plan(options)
@@ -156,7 +138,7 @@ def _work(config: dict[str, Any]) -> None:
     begun = workers.from_first(lambda: any(options.run.glob("model_*.pt")))
     if begun and not any(options.run.glob("model_*.pt")):
         raise RuntimeError(f"{options.run} is on another node alone; choose a --log-dir that all nodes share")
-    following = next_options(options, options.run, target)
+    following = session.next_options(options, options.run, target)
     if following is None:
         return
     try:

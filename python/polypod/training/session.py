@@ -56,7 +56,11 @@ class Options:
         words = ["polypod", "train"]
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name == "run" or value is None or (field.default is not dataclasses.MISSING and value == field.default):
+            if (
+                field.name == "run"
+                or value is None
+                or (field.default is not dataclasses.MISSING and value == field.default)
+            ):
                 continue
             if field.name == "overrides":
                 words += [word for change in value for word in ("--set", change)]
@@ -176,6 +180,25 @@ def train_with(
         finally:
             runner.logger.close()
     return run, runner
+
+
+def next_options(options: Options, run: Path, target: int) -> Options | None:
+    """The options to begin a run with, or to go on with it from its last checkpoint; None: it is done."""
+    if not any(run.glob("model_*.pt")):
+        return dataclasses.replace(options, run=run, max_iterations=target)
+    checkpoint = run_dir.latest_checkpoint(run)
+    left = target - run_dir.iterations_of(checkpoint)
+    if left <= 0:
+        return None
+    return Options(
+        resume=str(checkpoint),
+        max_iterations=left,
+        learner=options.learner,
+        logger=options.logger,
+        log_dir=options.log_dir,
+        device=options.device,
+        threads=options.threads,
+    )
 
 
 def _check_same_plan(plan: Plan, options: Options, workers: Workers) -> None:
