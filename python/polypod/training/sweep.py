@@ -236,7 +236,8 @@ def run_on_ray(sweep: Sweep, address: str, reporter: Reporter) -> int:
     if sweep.early_stopping is not None:
         scheduler = tune.schedulers.ASHAScheduler(
             time_attr="iterations",
-            max_t=max(trial.iterations for trial in trials),
+            # who comes so far ends by itself, after its last checkpoint
+            max_t=max(trial.iterations for trial in trials) + 1,
             grace_period=sweep.early_stopping.grace_iterations,
             reduction_factor=sweep.early_stopping.reduction_factor,
         )

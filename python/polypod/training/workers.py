@@ -51,6 +51,8 @@ class Workers:
         self.local_count = local_count
         self.waited = 0.0
         """Seconds that were spent in messages."""
+        self.sent = 0
+        """Bytes that this worker sent to the others for the native learner."""
         self.places = [(socket.gethostname(), os.getpid())]
         """Host and process of each worker."""
         self._store = store
@@ -125,6 +127,7 @@ class Workers:
         """`mine` of all workers, in their order; all have one length."""
         if self.count == 1:
             return mine
+        self.sent += mine.size * (self.count - 1)
         all_of_them = np.empty(self.count * mine.size, np.uint8)
         with self._talking():
             dist.all_gather_into_tensor(torch.from_numpy(all_of_them), torch.from_numpy(mine))
@@ -134,6 +137,7 @@ class Workers:
         """The pieces of all workers for this one, in their order; `mine` has a piece of one length for each of them."""
         if self.count == 1:
             return mine
+        self.sent += mine.size // self.count * (self.count - 1)
         pieces = np.empty_like(mine)
         with self._talking():
             dist.all_to_all_single(torch.from_numpy(pieces), torch.from_numpy(mine))
