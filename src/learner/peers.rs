@@ -5,7 +5,10 @@ use std::ops::Range;
 use crate::lines::{Line, WIDTH};
 use crate::rollout::parts_of;
 use crate::settings::LearnerError;
-use crate::tree::{Term, Tree, halves};
+use crate::tree::{NUMBERS, Term, Tree, halves};
+
+/// Bytes of a term in a message.
+const BYTES: usize = size_of::<[f64; NUMBERS]>();
 
 /// Connects the workers of a training. All of them call the same functions in the same order.
 pub trait Peers: Send + Sync {
@@ -111,9 +114,9 @@ impl Shares {
         } else {
             let mut message = Message::default();
             own.iter().flatten().for_each(|term| message.numbers(&term.numbers()));
-            let size = size_of::<[f64; 3]>() * length;
+            let size = BYTES * length;
             let nodes = self.gather(peers, message, size)?;
-            nodes.iter().map(|node| node.chunks_exact(size_of::<[f64; 3]>()).map(term).collect()).collect()
+            nodes.iter().map(|node| node.chunks_exact(BYTES).map(term).collect()).collect()
         };
         Ok(self.top.fold(leaves, add).unwrap_or_default())
     }
@@ -186,9 +189,9 @@ impl Message {
     }
 }
 
-/// Three numbers of a message.
+/// A term of a message.
 pub(crate) fn term<T: Term>(bytes: &[u8]) -> T {
-    let mut numbers = [0.0; 3];
+    let mut numbers = [0.0; NUMBERS];
     for (x, bytes) in numbers.iter_mut().zip(bytes.as_chunks::<8>().0) {
         *x = f64::from_le_bytes(*bytes);
     }

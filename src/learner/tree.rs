@@ -65,21 +65,24 @@ fn descend(parts: Range<usize>, is_leaf: &impl Fn(&Range<usize>) -> bool, comple
     }
 }
 
+/// Numbers of a [`Term`].
+pub(crate) const NUMBERS: usize = 4;
+
 /// What is summed over parts and told to other workers.
 pub(crate) trait Term: Copy + Default {
     /// Its numbers.
-    fn numbers(self) -> [f64; 3];
+    fn numbers(self) -> [f64; NUMBERS];
     /// The reverse.
-    fn from_numbers(numbers: [f64; 3]) -> Self;
+    fn from_numbers(numbers: [f64; NUMBERS]) -> Self;
     /// The sum of two.
     fn add(self, other: Self) -> Self;
 }
 
-impl Term for [f64; 3] {
-    fn numbers(self) -> [f64; 3] {
+impl Term for [f64; NUMBERS] {
+    fn numbers(self) -> [f64; NUMBERS] {
         self
     }
-    fn from_numbers(numbers: [f64; 3]) -> Self {
+    fn from_numbers(numbers: [f64; NUMBERS]) -> Self {
         numbers
     }
     fn add(self, other: Self) -> Self {
@@ -88,10 +91,10 @@ impl Term for [f64; 3] {
 }
 
 impl Term for Moments {
-    fn numbers(self) -> [f64; 3] {
-        [self.count, self.mean, self.squares]
+    fn numbers(self) -> [f64; NUMBERS] {
+        [self.count, self.mean, self.squares, 0.0]
     }
-    fn from_numbers([count, mean, squares]: [f64; 3]) -> Self {
+    fn from_numbers([count, mean, squares, _]: [f64; NUMBERS]) -> Self {
         Self { count, mean, squares }
     }
     fn add(self, other: Self) -> Self {

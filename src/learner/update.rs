@@ -14,7 +14,7 @@ use crate::network::{Mirror, Net, mirrored};
 use crate::peers::{Message, lines, term};
 use crate::rollout::{Part, parts_of, share};
 use crate::settings::{LearnerError, Settings, Symmetry};
-use crate::tree::{SumLines, Term, Tree};
+use crate::tree::{NUMBERS, SumLines, Term, Tree};
 
 /// Means over the mini-batches of an update.
 #[derive(Clone, Copy, Debug, Default)]
@@ -35,7 +35,7 @@ const CHUNK: usize = 256;
 /// many bytes, and the first way sends them at once.
 const MOST_GATHERED: usize = 2;
 /// Bytes of the figures that come with gradients.
-const FIGURES: usize = size_of::<[f64; 3]>();
+const FIGURES: usize = size_of::<Figures>();
 /// What a norm is divided by at least.
 const EPSILON: f64 = 1e-6;
 /// The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted.
@@ -48,8 +48,10 @@ const RATES: [f64; 2] = [1e-5, 1e-2];
 struct Gradient {
     lines: Vec<Line>,
     loss: f64,
-    /// Divergence from the policy that collected the samples, summed over them.
+    /// Divergence from the policy that collected the samples, summed over those that are no images.
     divergence: f64,
+    /// Samples that are no images.
+    samples: usize,
 }
 
 /// What all parts share in a mini-batch.
@@ -71,9 +73,8 @@ struct MiniBatch<'a> {
 type Sample<'a> = (usize, Option<&'a Mirror>);
 
 impl MiniBatch<'_> {
-    /// Calls `f` with the samples of a part in tiles of at most `size`, and whether they are samples of their own rather than images
-    /// beside them.
-    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample], bool)) {
+    /// Calls `f` with the samples of a part in tiles of at most `size`.
+    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample])) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
         let mut tile = Vec::with_capacity(size);
         for pass in 0..self.settings.options.symmetry.rows_per_sample() {
@@ -88,7 +89,7 @@ impl MiniBatch<'_> {
                     };
                     (sample, is_image.then(|| &self.mirrors[part.robot_of[sample % part.len()]]))
                 }));
-                f(&tile, pass == 0);
+                f(&tile);
             }
         }
     }
@@ -100,7 +101,7 @@ impl MiniBatch<'_> {
         let mut images = vec![Line::ZERO; 2 * lines[1]];
         let mut mean = vec![Line::ZERO; lines[1]];
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples, own| {
+            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
                 let observation = |sample: usize| &part.observations[sample * lines[0]..][..lines[0]];
                 let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
                 net.perceptron.forward(self.matrix, rows, tile);
@@ -118,9 +119,10 @@ impl MiniBatch<'_> {
                     for (panel, line) in mean.iter_mut().enumerate() {
                         *line = tile.output()[panel * rows + row];
                     }
-                    if own {
+                    if mirror.is_none() {
                         gradient.divergence +=
                             f64::from(self.new.divergence(&mean, old_mean, self.divergence_of_deviations));
+                        gradient.samples += 1;
                     }
                     let (about, scale) = self.advantages[part.robot_of[sample % part.len()]];
                     let surrogate = Surrogate {
@@ -145,7 +147,7 @@ impl MiniBatch<'_> {
         let lines = lines_of(self.settings.num_obs);
         let algorithm = &self.settings.options.algorithm;
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples, _| {
+            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
                 let observation = |sample: usize| &part.observations[sample * lines..][..lines];
                 let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
                 net.perceptron.forward(self.matrix, rows, tile);
@@ -173,10 +175,13 @@ impl MiniBatch<'_> {
     }
 }
 
+/// What comes with gradients; see [`Total`].
+type Figures = [f64; NUMBERS];
+
 /// A mini-batch's gradients of both networks, summed over the parts of all workers.
 struct Total {
-    /// Surrogate loss, value loss and divergence, summed over the samples.
-    sums: [f64; 3],
+    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images.
+    sums: Figures,
     /// Squared norm of each network's gradient.
     squares: [f64; 2],
 }
@@ -198,12 +203,16 @@ impl Learner {
                 let samples = self.samples_of(batch);
                 let rows = samples * self.settings.options.symmetry.rows_per_sample();
                 let entropy = self.compute_gradients(team, (epoch, batch), rows, &mut gradients);
-                let Total { sums: [surrogate, value, divergence], squares } = self.sum_gradients(team, &gradients)?;
+                let Total { sums: [surrogate, value, divergence, seen], squares } =
+                    self.sum_gradients(team, &gradients)?;
                 losses.surrogate += surrogate / rows as f64;
                 losses.value += value / rows as f64;
                 losses.entropy += entropy;
                 if let Some(desired) = algorithm.desired_kl {
-                    losses.learning_rate = adapted(losses.learning_rate, divergence / samples as f64, desired);
+                    // an image's divergence also has what the policy lacks in symmetry
+                    if seen > 0.0 {
+                        losses.learning_rate = adapted(losses.learning_rate, divergence / seen, desired);
+                    }
                 }
                 self.step_networks(team, squares, losses.learning_rate);
             }
@@ -257,7 +266,7 @@ impl Learner {
         }
         team.for_each(tasks, |(part, net, gradient, is_actor)| {
             gradient.lines.fill(Line::ZERO);
-            (gradient.loss, gradient.divergence) = (0.0, 0.0);
+            (gradient.loss, gradient.divergence, gradient.samples) = (0.0, 0.0, 0);
             if is_actor {
                 if part.envs.start == 0 {
                     new.add_entropy(algorithm.entropy_coef, &mut gradient.lines[net.perceptron.first_extra()..]);
@@ -272,7 +281,9 @@ impl Learner {
 
     /// Sums the parts' gradients of all workers into the networks' own, and what comes with them.
     fn sum_gradients(&mut self, team: &impl Team, parts: &[[Gradient; 2]]) -> Result<Total, LearnerError> {
-        let figures = |[actor, critic]: &[Gradient; 2]| vec![[actor.loss, critic.loss, actor.divergence]];
+        let figures = |[actor, critic]: &[Gradient; 2]| -> Vec<Figures> {
+            vec![[actor.loss, critic.loss, actor.divergence, actor.samples as f64]]
+        };
         let dispatch = self.dispatch;
         let lengths = [self.actor.gradient.len(), self.critic.gradient.len()];
         let leaves_of = |which: usize, range: Range<usize>| -> Vec<&[Line]> {
@@ -287,7 +298,7 @@ impl Learner {
             let sums = self.shares.sum(&*self.peers, &figures)?.first().copied().unwrap_or_default();
             return Ok(Total { sums, squares });
         }
-        let mut nodes: Vec<(Vec<Line>, [f64; 3])> = Vec::new();
+        let mut nodes: Vec<(Vec<Line>, Figures)> = Vec::new();
         for (range, tree) in &self.shares.nodes {
             let mut total = vec![Line::ZERO; lengths[0] + lengths[1]];
             let (actor, critic) = total.split_at_mut(lengths[0]);
@@ -309,7 +320,7 @@ impl Learner {
     }
 
     /// The subtrees of all workers, and the sums of their figures: for few workers, to each of whom all are sent.
-    fn gather(&self, nodes: &[(Vec<Line>, [f64; 3])]) -> Result<(Vec<Vec<Line>>, [f64; 3]), LearnerError> {
+    fn gather(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
         let mut message = Message::default();
         for (total, figures) in nodes {
             message.numbers(figures);
@@ -322,7 +333,7 @@ impl Learner {
     }
 
     /// The sum of the subtrees of all workers, and of their figures: each worker sums a piece, and sends it to the others.
-    fn reduce(&self, nodes: &[(Vec<Line>, [f64; 3])]) -> Result<(Vec<Vec<Line>>, [f64; 3]), LearnerError> {
+    fn reduce(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
         let (count, length) = (self.shares.worker.count, nodes[0].0.len());
         let piece = length.div_ceil(count);
         let range = |worker: usize| (worker * piece).min(length)..((worker + 1) * piece).min(length);

@@ -37,13 +37,12 @@ class NativeRunner(Runner):
         workers: Workers | None = None,
     ) -> None:
         """Builds the networks; `config` is one for the native learner."""
-        sim = env.unwrapped.sim
-        cfg = config.rsl_rl_cfg(sim)
         # samples and mirror images are the native learner's: rsl_rl stores none
-        super().__init__(env, {**cfg, "symmetry": False, "num_steps_per_env": 1}, run, device, reporter, workers)
-        self.cfg = self.logger.cfg = cfg
-        options, workers = json.dumps(config.native_options()), self.workers
+        super().__init__(env, config, run, device, reporter, workers, symmetry=False, num_steps_per_env=1)
+        sim, workers = env.unwrapped.sim, self.workers
+        self.cfg = self.logger.cfg = config.rsl_rl_cfg(sim)
         peers = workers if workers.count > 1 else None
+        options = json.dumps(config.native_options())
         self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
         self._give()
 
@@ -53,6 +52,7 @@ class NativeRunner(Runner):
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
+        self._learner.set_goals(self.alg.entropy_coef, self.alg.desired_kl if self.alg.schedule == "adaptive" else None)
         loss = self._learner.update(self.env.unwrapped.sim, self.alg.learning_rate)
         self.alg.learning_rate = loss.pop("learning_rate")
         return loss

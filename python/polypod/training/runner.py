@@ -20,6 +20,7 @@ from polypod import _core
 from polypod.rsl_rl import VecEnv
 from polypod.training import run_dir
 from polypod.training.advantages import normalize_per_robot
+from polypod.training.config import TrainConfig
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
@@ -53,23 +54,26 @@ class Runner(OnPolicyRunner):
     def __init__(
         self,
         env: VecEnv,
-        cfg: dict[str, Any],
+        config: TrainConfig,
         run: Path,
         device: str,
         reporter: Reporter,
         workers: Workers | None = None,
+        **changes: Any,
     ) -> None:
         """Builds networks and storage.
 
         Args:
             env: this worker's envs.
-            cfg: rsl_rl's configuration.
+            config: what to train.
             run: directory of the run, which worker 0 writes to.
             device: where the learner is.
             reporter: what the user sees, of worker 0.
             workers: those that have the other envs; None: there are none.
+            changes: values of rsl_rl's configuration other than those of `config`.
         """
         self.workers = workers or Workers.alone()
+        cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **changes}
         if cfg["symmetry"]:
             mirror = Mirror(env, device)
             symmetry = {"data_augmentation_func": mirror.augment, "use_data_augmentation": True}
@@ -88,6 +92,7 @@ class Runner(OnPolicyRunner):
             device=device,
         )
         self.logger.begin(sim.share[0], sim.total_num_envs)
+        self.config = config
         self.run = run
         self.reporter = reporter
         self.stopped_by: signal.Signals | None = None
@@ -157,6 +162,7 @@ class Runner(OnPolicyRunner):
         started, waited = time.perf_counter(), self.workers.waited
         observations = self._collect(observations)
         collected = time.perf_counter()
+        self.alg.entropy_coef, self.alg.desired_kl = self.config.goals(iteration)
         loss = self._update(observations)
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1

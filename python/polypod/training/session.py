@@ -318,7 +318,7 @@ def runner_of(
     """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
         return NativeRunner(env, train_config, run, device, reporter, workers)
-    return Runner(env, train_config.rsl_rl_cfg(env.unwrapped.sim), run, device, reporter, workers)
+    return Runner(env, train_config, run, device, reporter, workers)
 
 
 def _learner(learner: str, device: str) -> str:
