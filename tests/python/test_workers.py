@@ -205,7 +205,7 @@ def test_rewards_and_advantages_are_scaled_as_by_one_process():
     one = RewardScale(blocks, 0.9, "cpu")
     expected = torch.stack([one(*step) for step in zip(rewards, dones, strict=True)])
     advantages = rewards.unsqueeze(-1).clone()
-    normalize_per_robot(advantages, blocks, Workers.alone())
+    normalize_per_robot(advantages, blocks)
 
     sent, barrier, found = [None, None], threading.Barrier(2), [None, None]
 

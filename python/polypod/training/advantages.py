@@ -7,7 +7,9 @@ from polypod.training.workers import Workers
 EPSILON = 1e-8
 
 
-def normalize_per_robot(advantages: torch.Tensor, blocks: list[tuple[int, int]], workers: Workers) -> None:
+def normalize_per_robot(
+    advantages: torch.Tensor, blocks: list[tuple[int, int]], workers: Workers | None = None
+) -> None:
     """Gives each robot's advantages mean 0 and deviation 1, in place.
 
     Over all robots together, those whose returns spread least, because they stand or fall alike, count least: their
@@ -16,9 +18,9 @@ def normalize_per_robot(advantages: torch.Tensor, blocks: list[tuple[int, int]],
     Args:
         advantages: float [steps, num_envs, 1].
         blocks: the env range [start, stop) of each robot.
-        workers: those that have the other envs.
+        workers: those that have the other envs; None: there are none.
     """
-    if workers.count > 1:
+    if workers is not None and workers.count > 1:
         _normalize_with_others(advantages, blocks, workers)
         return
     for start, stop in blocks:

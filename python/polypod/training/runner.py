@@ -96,8 +96,9 @@ class Runner(OnPolicyRunner):
         self.run = run
         self.reporter = reporter
         self.stopped_by: signal.Signals | None = None
-        """The first signal that asked the training to end; of several workers, once all know of it."""
-        self._signal: signal.Signals | None = None
+        """The first signal that asked the training to end."""
+        self._told_all: signal.Signals | None = None
+        """The same of any worker, once all know of it."""
         self.watch: Callable[[int, Mapping[str, float]], None] | None = None
         """Is told the number of finished iterations and the scalars of each."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
@@ -143,11 +144,18 @@ class Runner(OnPolicyRunner):
         with self._stop_on_signals(), self.reporter.training(start, stop):
             for iteration in range(start, stop):
                 observations = self._iterate(iteration, stop, observations)
-                last = iteration + 1 == stop or self.stopped_by is not None  # the same for all workers
+                last = iteration + 1 == stop or self._is_to_stop()
                 if last or (iteration + 1) % self.cfg["save_interval"] == 0:
                     self._try_to_save(run_dir.checkpoint_path(self.run, iteration + 1), last)
                 if last:
                     break
+
+    def _is_to_stop(self) -> bool:
+        """Whether a signal ends the training now: for all workers after the same iteration."""
+        if self.workers.count > 1 and self._told_all is None:
+            return False
+        self.stopped_by = self.stopped_by or self._told_all
+        return self.stopped_by is not None
 
     def _try_to_save(self, path: Path, last: bool) -> None:
         try:
@@ -196,11 +204,11 @@ class Runner(OnPolicyRunner):
             "ended": self.logger.ended,
             "logs": b"" if workers.is_first else sim.take_logs(),
             "times": (worked, waited),
-            "stopped_by": self._signal,
+            "stopped_by": self.stopped_by,
         }
         of_workers = workers.gather_messages(mine)
         signals = [of["stopped_by"] for of in of_workers if of["stopped_by"] is not None]
-        self.stopped_by = signal.Signals(signals[0]) if signals else None
+        self._told_all = signal.Signals(signals[0]) if signals else None
         self.logger.finish([episode for of in of_workers for episode in of["ended"]])
         times = [tuple(of["times"]) for of in of_workers]
         if workers.is_first:
@@ -369,14 +377,12 @@ class Runner(OnPolicyRunner):
 
         def stop(number: int, frame: FrameType | None) -> None:
             nonlocal begin
-            if self._signal is not None:
+            if self.stopped_by is not None:
                 if number != signal.SIGINT and time.monotonic() - begin < SAME_SIGNAL_S:
                     return
                 raise KeyboardInterrupt
             begin = time.monotonic()
-            self._signal = signal.Signals(number)
-            if self.workers.count == 1:
-                self.stopped_by = self._signal
+            self.stopped_by = signal.Signals(number)
             again = "Ctrl-C again" if number == signal.SIGINT else "a second signal"
             self.reporter.message(f"stopping after this iteration ({again}: at once, without a checkpoint)")
 
