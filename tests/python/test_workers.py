@@ -134,6 +134,7 @@ def test_a_killed_worker_is_named(team, tmp_path):
     assert "is gone" in errors
     assert "--resume" in errors
     assert "Traceback" not in errors
+    assert ".cc:" not in errors
     run_dir.load_checkpoint(run_dir.find_checkpoint(tmp_path / "logs", "latest"))
 
 

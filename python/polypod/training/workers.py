@@ -7,6 +7,7 @@ between GPUs. Messages are MessagePack, which holds numbers and text alone.
 
 import contextlib
 import os
+import re
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -323,4 +324,6 @@ def _shown(value: Any) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    """The first line of a message of torch's, without the place in its source and its advice."""
+    line = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    return re.sub(r"^\[[^\]]*\.cc:\d+\] ", "", line).partition(". ")[0]
