@@ -38,6 +38,7 @@ mod no_renderer_is_compiled;
 mod no_robot_is_named_in_the_code;
 mod normal_forces_mean_the_same;
 mod obstacles_are_one_terrain;
+mod other_bodies_match_the_facts;
 mod plugins_can_be_replaced;
 mod randomisation_follows_its_ranges;
 mod reward_terms_match_hand_computed_values;
