@@ -148,7 +148,8 @@ impl ConfiguredRobot {
         };
         options.package_dirs.extend(package_dirs.clone());
         let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
-        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
+        let roles = robot::detect(&model, &config.joint_roles, &config.feet)
+            .map_err(|error| robot::naming_missing_meshes(error, &model))?;
         let (default_pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
         let mut default_position = vec![0.0; model.joints.len()];
         for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {

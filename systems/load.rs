@@ -85,7 +85,7 @@ fn read(options: &SimOptions) -> Result<Loaded, Error> {
     let task = library.task(&options.task, &options.overrides)?;
     let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
     check_arguments(&names, options.num_envs, options.threads)?;
-    let robots = names.iter().map(|name| library.robot_in(name, &task.config)).collect::<Result<Vec<_>, _>>()?;
+    let robots = library.robots_in(&names, &task.config)?;
     check_distinct(&robots)?;
     Ok(Loaded { task, robots })
 }

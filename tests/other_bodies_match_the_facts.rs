@@ -148,7 +148,8 @@ fn feet_of_the_default_pose() {
             let what = format!("{name}, foot on {}", foot.link);
             let link = model.links.iter().position(|link| link.name == foot.link).unwrap();
             let middles: Vec<DVec3> = foot.shapes.iter().map(|&middle| DVec3::from_array(middle)).collect();
-            let centre = middles.iter().map(|&at| links[link].transform_point(at)).sum::<DVec3>() / middles.len() as f64;
+            let centre =
+                middles.iter().map(|&at| links[link].transform_point(at)).sum::<DVec3>() / middles.len() as f64;
             assert_near(centre.to_array(), &foot.centre_in_base, 1e-6, &what);
             // on that link, or on a massless one fixed to it
             let bodies = || model.bodies.iter().filter(|body| body.link == link);

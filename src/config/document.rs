@@ -135,6 +135,6 @@ pub(super) fn unreadable(file: &str, problem: String) -> ConfigError {
         .of_kind(ConfigErrorKind::Unreadable)
 }
 
-fn stem_of(path: &Path) -> String {
+pub(super) fn stem_of(path: &Path) -> String {
     path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }

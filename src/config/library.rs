@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use include_dir::{Dir, include_dir};
 use toml::{Table, Value};
 
-use super::document::{Document, Kind, documents, is_toml, unreadable};
+use super::document::{Document, Kind, documents, is_toml, stem_of, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
 use super::names::{RobotEntry, TaskEntry, TaskNames, single_robot_name, task_names, unknown_name};
@@ -83,10 +83,28 @@ impl Library {
     /// A robot as a task has it: with the task's `[robot_overrides]` on top.
     ///
     /// # Errors
-    /// As [`Library::robot`]; overrides of a robot that does not exist.
+    /// As [`Library::robots_in`].
     pub fn robot_in(&self, name_or_path: &str, task: &TaskConfig) -> Result<LoadedRobot, ConfigError> {
-        let known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
-        let is_known = |name: &String| known.contains(name) || task.robots.contains(name) || name == name_or_path;
+        self.check_overrides(std::slice::from_ref(&name_or_path.to_owned()), task)?;
+        self.robot_with(name_or_path, Some(task))
+    }
+
+    /// Robots, by name or path, as a task has them: with the task's `[robot_overrides]` on top, by name or by a path's stem.
+    ///
+    /// # Errors
+    /// As [`Library::robot`]; overrides of a robot that does not exist.
+    pub fn robots_in(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<Vec<LoadedRobot>, ConfigError> {
+        self.check_overrides(names_or_paths, task)?;
+        names_or_paths.iter().map(|name| self.robot_with(name, Some(task))).collect()
+    }
+
+    fn check_overrides(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<(), ConfigError> {
+        let mut known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
+        known.extend(task.robots.iter().chain(names_or_paths).map(|name| match Path::new(name) {
+            path if is_toml(path) => stem_of(path),
+            _ => name.clone(),
+        }));
+        let is_known = |name: &String| known.contains(name);
         if let Some(stranger) = task.robot_overrides.keys().find(|name| !is_known(name)) {
             let element = format!("robot_overrides.{stranger}");
             let remedy = did_you_mean(stranger, known.iter().map(String::as_str), "robots");
@@ -94,7 +112,7 @@ impl Library {
                 ConfigError::invalid(task.name.clone(), element, format!("there is no robot `{stranger}`"), remedy);
             return Err(error.of_kind(ConfigErrorKind::UnknownName));
         }
-        self.robot_with(name_or_path, Some(task))
+        Ok(())
     }
 
     fn robot_with(&self, name_or_path: &str, task: Option<&TaskConfig>) -> Result<LoadedRobot, ConfigError> {

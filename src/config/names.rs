@@ -5,6 +5,7 @@ use toml::Value;
 use super::document::{Document, Kind};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{parse, string_key};
+use super::library::PATH_VARIABLE;
 use super::suggest::nearest;
 
 /// Part of a task's name that stands for "many robots"; put a robot's title in its place to get that robot's own task.
@@ -89,11 +90,13 @@ pub(super) fn unknown_name(
         let ConfigError { file, element, problem: why, .. } = error;
         problem += &format!(", unless it is in {file}, which is broken ({element}: {why})");
     }
+    let folder = format!("configs/{}", kind.folder());
+    let own = format!("one of your own: the path of its .toml, or {folder} in a folder that {PATH_VARIABLE} names");
     ConfigError::invalid(
-        format!("configs/{}", kind.folder()),
+        folder,
         format!("{noun} `{name}`"),
         problem,
-        format!("{guess}known: {}", known.join(", ")),
+        format!("{guess}known: {}; {own}", known.join(", ")),
     )
     .of_kind(ConfigErrorKind::UnknownName)
 }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
 use crate::morphology::MorphologyModel;
-use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load};
+use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load, naming_missing_meshes};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
@@ -42,6 +42,8 @@ pub struct DraftOptions {
     pub urdf: Option<PathBuf>,
     /// ROS package -> folder.
     pub package_dirs: BTreeMap<String, PathBuf>,
+    /// Leg -> link of the URDF that is its foot, where geometry alone does not tell.
+    pub feet: BTreeMap<String, String>,
     /// Multiplies the gains that follow from mass and leg length. Default: 1.
     pub gain_factor: Option<f64>,
 }
@@ -72,7 +74,7 @@ struct Group {
 }
 
 /// Drafts the config of the robot whose URDF is at `file`: a quadruped's roles and feet from geometry, every other joint
-/// held, a standing pose with the feet level about the centre of mass, gains in proportion to weight times leg length, rewards as
+/// held, a standing pose with the feet level that policies of the known robots know, gains in proportion to weight times leg length, rewards as
 /// of the known robot whose mass is nearest.
 ///
 /// # Errors
@@ -87,14 +89,15 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     }
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
     let whole = load(file, &load_options)?;
-    let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
+    let roles =
+        detect(&whole, &BTreeMap::new(), &options.feet).map_err(|error| naming_missing_meshes(error, &whole))?;
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
     load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
         let model = load(file, &load_options)?;
-        let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new())?;
+        let roles = detect(&model, &BTreeMap::new(), &options.feet)?;
         (model, roles)
     };
 

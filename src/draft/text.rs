@@ -67,7 +67,7 @@ fn pose(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let stance = findings.stance;
     writeln!(
         out,
-        "\n# Joint angles of the default pose, rad: feet level below the hips, the base frame {:.3} m above their soles.",
+        "\n# Joint angles of the default pose, rad: feet level, the base frame {:.3} m above their soles.",
         stance.height
     )?;
     writeln!(out, "[default_pose]")?;

@@ -83,16 +83,17 @@ fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>)
 }
 
 #[pyfunction]
-#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), gain_factor=1.0))]
+#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), feet=BTreeMap::new(), gain_factor=1.0))]
 fn draft_robot(
     py: Python<'_>,
     path: PathBuf,
     name: Option<String>,
     urdf: Option<PathBuf>,
     package_dirs: BTreeMap<String, PathBuf>,
+    feet: BTreeMap<String, String>,
     gain_factor: f64,
 ) -> PyResult<Bound<'_, PyDict>> {
-    let options = DraftOptions { name, urdf, package_dirs, gain_factor: Some(gain_factor) };
+    let options = DraftOptions { name, urdf, package_dirs, feet, gain_factor: Some(gain_factor) };
     let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;

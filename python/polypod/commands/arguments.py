@@ -42,15 +42,20 @@ def checked_threads(value: int | None, flag: str) -> int | None:
     return value
 
 
-def package_dirs(pairs: Sequence[str]) -> dict[str, str]:
+def pairs(texts: Sequence[str], flag: str, metavar: str) -> dict[str, str]:
+    """Values by name, of texts NAME=VALUE. Raises ConfigError."""
+    values = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if not name or not value:
+            raise _core.ConfigError(f"{flag} {text} is not {metavar}")
+        values[name] = value
+    return values
+
+
+def package_dirs(texts: Sequence[str]) -> dict[str, str]:
     """Folders of ROS packages by name, of NAME=DIR pairs. Raises ConfigError."""
-    folders = {}
-    for pair in pairs:
-        name, _, folder = pair.partition("=")
-        if not name or not folder:
-            raise _core.ConfigError(f"--package-dir {pair} is not NAME=DIR")
-        folders[name] = folder
-    return folders
+    return pairs(texts, "--package-dir", "NAME=DIR")
 
 
 def write_json(path: Path | None, content: dict[str, Any]) -> None:
