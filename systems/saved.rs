@@ -128,7 +128,7 @@ macro_rules! of_any_value {
         )*
     };
 }
-of_any_value!(EnvRng, Command, BasePose, BaseVelocity, Feet, ExternalWrench, Imu);
+of_any_value!(EnvRng, Command, BasePose, BaseVelocity, ExternalWrench, Imu);
 
 /// Largest count of a snapshot. No run gets there, and what counts on from there does not overflow.
 const MAX_COUNT: u32 = u32::MAX / 2;
@@ -198,10 +198,17 @@ impl Saved for ConstraintImpulses {
     }
 }
 
+impl Saved for Feet {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        let sizes = |feet: &Self| (feet.position.len(), feet.velocity.len(), feet.height.len());
+        sizes(self) == sizes(present)
+    }
+}
+
 impl Saved for ContactForces {
     fn fits(&self, present: &Self, place: &Place) -> bool {
         let bodies = place.morphology.topology.num_bodies;
-        self.feet_normal.len() == present.feet_normal.len()
+        (self.feet.len(), self.feet_normal.len()) == (present.feet.len(), present.feet_normal.len())
             && self.others.iter().all(|force| (force.body as usize) < bodies)
     }
 }
@@ -232,7 +239,11 @@ impl Saved for Stance {
 
 impl Saved for ContactSensor {
     fn fits(&self, present: &Self, _: &Place) -> bool {
-        self.peak_force.len() == present.peak_force.len()
+        let times = |sensor: &Self| {
+            [&sensor.contact_time, &sensor.air_time, &sensor.last_contact_time, &sensor.last_air_time]
+                .map(|times| times.len())
+        };
+        self.peak_force.len() == present.peak_force.len() && times(self) == times(present)
     }
 }
 

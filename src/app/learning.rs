@@ -28,7 +28,7 @@ impl Sim {
         let robots = self.morphologies().iter().enumerate().map(|(index, robot)| {
             let envs = self.env_ids(index);
             let (observation_mirror, action_mirror) = if has_mirrors {
-                (self.task().mirrored_observation(robot), robot.mirrored_slots().to_vec())
+                (self.task().mirrored_observation(robot), robot.mirrored_columns(self.batch().num_actions))
             } else {
                 (Vec::new(), Vec::new())
             };

@@ -1,5 +1,6 @@
 //! A first config for a robot of which only the URDF is known: roles, a pose to stand in, gains, ranges.
 
+mod quadruped;
 mod stance;
 mod text;
 
@@ -9,7 +10,8 @@ use std::path::{Path, PathBuf};
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
 use crate::morphology::MorphologyModel;
-use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load, naming_missing_meshes};
+use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Warning, load};
+use quadruped::{Roles, detect};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
@@ -89,15 +91,14 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     }
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
     let whole = load(file, &load_options)?;
-    let roles =
-        detect(&whole, &BTreeMap::new(), &options.feet).map_err(|error| naming_missing_meshes(error, &whole))?;
+    let roles = detect(&whole, &options.feet)?;
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
     load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
         let model = load(file, &load_options)?;
-        let roles = detect(&model, &BTreeMap::new(), &options.feet)?;
+        let roles = detect(&model, &options.feet)?;
         (model, roles)
     };
 
@@ -124,7 +125,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     Ok(Draft { toml: text::write(&findings), notes: notes(&findings), name })
 }
 
-/// That of the known robot whose mass is nearest to `mass` (kg), as a ratio.
+/// That of the known quadruped whose mass is nearest to `mass` (kg), as a ratio.
 fn reward_set(mass: f64) -> Result<String, Error> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(f64, String)> = None;
@@ -133,6 +134,9 @@ fn reward_set(mass: f64) -> Result<String, Error> {
         let Some(robot) = library.robot(&entry.name).ok().and_then(|loaded| MorphologyModel::new(&loaded).ok()) else {
             continue;
         };
+        if robot.quadruped.is_none() {
+            continue;
+        }
         let distance = (robot.model.total_mass() / mass).ln().abs();
         if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
             nearest = Some((distance, robot.config.reward_set));

@@ -4,7 +4,8 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3};
 
-use crate::robot::{Joint, LEGS, Model, Pose, Roles};
+use super::quadruped::Roles;
+use crate::robot::{Joint, LEGS, Model, Pose};
 
 /// Share of thigh and shank together by which the foot lies below the hip. This and the next two are the pose in which most
 /// of the known quadrupeds are trained (thighs 0.8 rad to the rear in front and 1.0 behind, knees bent by 1.5, legs 0.1
