@@ -49,6 +49,17 @@ pub struct RobotView<'a> {
     pub step_dt: f32,
 }
 
+impl RobotView<'_> {
+    /// Height of the base above the env's origin, m; above the mean of the ground below the height scanner's rays where the
+    /// task has one, as Isaac Lab does.
+    #[inline(always)]
+    pub fn base_height(&self) -> f32 {
+        let scan = self.height_scan;
+        let ground = if scan.is_empty() { 0.0 } else { scan.iter().sum::<f32>() / scan.len() as f32 };
+        self.pose.position[2] - ground
+    }
+}
+
 /// System parameter that gives [`Views`].
 #[derive(SystemParam)]
 pub(super) struct ViewParam<'w, 's> {

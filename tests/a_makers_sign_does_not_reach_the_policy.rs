@@ -38,7 +38,8 @@ fn library(robot: &str) -> PathBuf {
     assert_eq!(turned.matches("xyz=\"0 -1 0\"").count(), 8);
     for (name, text) in [("straight", &urdf), ("turned", &turned)] {
         std::fs::write(root.join(format!("{name}.urdf")), text).unwrap();
-        let config = format!("extends = \"{robot}\"\nname = \"{name}\"\ntitle = \"{name}\"\nurdf = \"../../{name}.urdf\"\n");
+        let config =
+            format!("extends = \"{robot}\"\nname = \"{name}\"\ntitle = \"{name}\"\nurdf = \"../../{name}.urdf\"\n");
         std::fs::write(root.join(format!("configs/robots/{name}.toml")), config).unwrap();
     }
     root

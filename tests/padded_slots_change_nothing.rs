@@ -11,8 +11,7 @@ use polypod::{Sim, SimOptions};
 use crate::common::{self, busy, env_bits};
 
 /// Bodies on two, four and six legs, with 8 to 20 joints.
-const BODIES: [&str; 6] =
-    ["small_biped", "unitree_go2", "small_hexapod", "small_humanoid", "small_quadruped", "spot"];
+const BODIES: [&str; 6] = ["small_biped", "unitree_go2", "small_hexapod", "small_humanoid", "small_quadruped", "spot"];
 const EACH: usize = 5;
 const STEPS: usize = 60;
 

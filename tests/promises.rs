@@ -61,5 +61,6 @@ mod simulation_api;
 mod snapshot_round_trip_is_exact;
 mod tasks_run_on_avian;
 mod terms_describe_themselves;
+mod terms_of_any_body_match_their_formulas;
 mod thread_count_does_not_change_bits;
 mod varied_bodies_are_what_their_numbers_say;

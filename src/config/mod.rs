@@ -20,6 +20,7 @@ pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry};
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
+pub(crate) use robot::matches;
 pub use robot::{
     ActuatorConfig, ActuatorModel, BodiesConfig, JointPositionMode, JointPositionReset, RangeConfig, ResetConfig,
     RobotConfig,

@@ -396,7 +396,7 @@ impl RobotConfig {
 }
 
 /// Whether `pattern`, in which `*` stands for any run of characters, is all of `name`.
-fn matches(pattern: &str, name: &str) -> bool {
+pub(crate) fn matches(pattern: &str, name: &str) -> bool {
     match pattern.split_once('*') {
         None => pattern == name,
         Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {

@@ -352,13 +352,16 @@ fn curriculum_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table
 pub struct RewardConfig {
     /// Factor of the term's value, per second; 0 switches the term off.
     pub weight: f64,
+    /// Name of the term, where the key is not it: a set may have a term several times, for other joints say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub term: Option<String>,
     /// The remaining keys, for [`parse_params`](super::parse_params).
     #[serde(flatten, deserialize_with = "reward_params")]
     pub params: Table,
 }
 
 fn reward_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
-    params_beside(deserializer, &["weight"])
+    params_beside(deserializer, &["weight", "term"])
 }
 
 impl TaskConfig {

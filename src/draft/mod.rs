@@ -9,8 +9,7 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::morphology::MorphologyModel;
-use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Warning, load};
+use crate::robot::{CANONICAL_JOINT_NAMES, Joint, LEGS, LoadOptions, Model, ROLES, Warning, load, load_str};
 use quadruped::{Roles, detect};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
@@ -131,13 +130,17 @@ fn reward_set(mass: f64) -> Result<String, Error> {
     let mut nearest: Option<(f64, String)> = None;
     for entry in library.robots()? {
         // a broken config of another robot is no reason to stop
-        let Some(robot) = library.robot(&entry.name).ok().and_then(|loaded| MorphologyModel::new(&loaded).ok()) else {
+        let Ok(robot) = library.robot(&entry.name) else {
             continue;
         };
-        if robot.quadruped.is_none() {
+        let is_quadruped = robot.config.default_pose.keys().all(|joint| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
+        let options = LoadOptions { locked_joints: robot.config.locked_joints.clone(), ..LoadOptions::default() };
+        let Some(model) =
+            load_str(&robot.urdf_text, &robot.urdf_path, &options).ok().filter(|_| is_quadruped)
+        else {
             continue;
-        }
-        let distance = (robot.model.total_mass() / mass).ln().abs();
+        };
+        let distance = (model.total_mass() / mass).ln().abs();
         if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
             nearest = Some((distance, robot.config.reward_set));
         }

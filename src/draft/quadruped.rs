@@ -24,8 +24,8 @@ pub(super) struct Roles {
 /// # Errors
 /// Those of [`robot::detect`]; a robot that is no quadruped of twelve joints.
 pub(super) fn detect(model: &Model, feet: &BTreeMap<String, String>) -> Result<Roles, Error> {
-    let roles = robot::detect(model, &BTreeMap::new(), feet)
-        .map_err(|error| robot::naming_missing_meshes(error, model))?;
+    let roles =
+        robot::detect(model, &BTreeMap::new(), feet).map_err(|error| robot::naming_missing_meshes(error, model))?;
     let slot = |name: &&str| Slot::parse(name).and_then(|slot| roles.slots.binary_search(&slot).ok());
     let slots: Vec<usize> = CANONICAL_JOINT_NAMES.iter().filter_map(slot).collect();
     let leg = |name: &&str| Place::parse(name).and_then(|place| roles.legs.iter().position(|leg| *leg == place));

@@ -14,7 +14,7 @@ use crate::systems::view::RobotView;
 /// A group of contact bodies, as configs name it.
 #[derive(Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
-enum Group {
+pub(in crate::systems) enum Group {
     Base,
     Torso,
     Hip,
@@ -27,7 +27,7 @@ enum Group {
 
 impl Group {
     #[inline(always)]
-    fn holds(self, group: BodyGroup) -> bool {
+    pub(in crate::systems) fn holds(self, group: BodyGroup) -> bool {
         let own = match self {
             Group::Base => BodyGroup::Base,
             Group::Torso => BodyGroup::Torso,
@@ -51,10 +51,10 @@ struct AirTimeThreshold {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct BodiesInContact {
+pub(in crate::systems) struct BodiesInContact {
     /// Normal force that counts, N.
-    threshold: f32,
-    bodies: Vec<Group>,
+    pub(in crate::systems) threshold: f32,
+    pub(in crate::systems) bodies: Vec<Group>,
 }
 
 #[derive(Deserialize)]

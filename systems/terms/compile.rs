@@ -15,7 +15,7 @@ use crate::morphology::{Morphologies, MorphologyModel};
 
 /// One term of a reward set.
 pub struct RewardTerm {
-    /// Its name.
+    /// Its name in the reward set.
     pub name: String,
     /// Factor of its value.
     pub weight: f32,
@@ -161,8 +161,8 @@ impl CompiledTask {
                     continue;
                 }
                 let element = format!("rewards.{set}.{name}");
-                let build = find(&registry.rewards, name, file, &element, "reward")?;
-                let value = build(file, &element, &term.params)?;
+                let build = find(&registry.rewards, term.term.as_ref().unwrap_or(name), file, &element, "reward")?;
+                let value = build(file, &element, &term.params, morphology)?;
                 terms.push(RewardTerm { name: name.clone(), weight: term.weight as f32, value });
             }
             rewards.push(terms);

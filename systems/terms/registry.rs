@@ -12,12 +12,15 @@ use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
 use crate::config::{ConfigError, TaskConfig, parse_params};
 use crate::dynamics::lanes::{Kernel, SimdDispatch};
+use crate::morphology::MorphologyModel;
 
 /// The parameters of a term that has none.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct NoParams {}
 
+/// Makes a reward term of its parameters for a robot.
+type RewardBuilder = Box<dyn Fn(&str, &str, &Table, &MorphologyModel) -> Result<RewardFn, ConfigError> + Send + Sync>;
 type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
 pub(super) type RewardFn = Box<dyn Fn(&RobotView, SimdDispatch) -> f32 + Send + Sync>;
 /// Writes an observation; none where a system of its own does so, see [`add_observation`](super::super::add_observation).
@@ -33,7 +36,7 @@ pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sy
 /// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the app.
 #[derive(Resource, Default)]
 pub struct Registry {
-    pub(super) rewards: BTreeMap<&'static str, Builder<RewardFn>>,
+    pub(super) rewards: BTreeMap<&'static str, RewardBuilder>,
     pub(super) observations: BTreeMap<&'static str, RegisteredObservation>,
     pub(super) terminations: BTreeMap<&'static str, (bool, Builder<TerminationFn>)>,
     pub(super) body: Events<BodyFn>,
@@ -65,8 +68,25 @@ impl Registry {
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        let build: Builder<RewardFn> = Box::new(move |file, element, table| {
+        self.reward_for(name, |p: P, _| Ok(p), f);
+    }
+
+    /// A reward term that is prepared for each kind of robot: `prepare` makes of the task's parameters what the term computes with,
+    /// such as the joints that patterns name; or it gives key, problem and remedy.
+    pub fn reward_for<P, Q>(
+        &mut self,
+        name: &'static str,
+        prepare: fn(P, &MorphologyModel) -> Result<Q, (String, String, String)>,
+        f: impl Fn(&Q, &RobotView) -> f32 + Copy + Send + Sync + 'static,
+    ) where
+        P: DeserializeOwned + 'static,
+        Q: Send + Sync + 'static,
+    {
+        let build: RewardBuilder = Box::new(move |file, element, table, robot| {
             let p: P = parse_params(file, element, table)?;
+            let p = prepare(p, robot).map_err(|(key, problem, remedy)| {
+                ConfigError::invalid(file, format!("{element}.{key}"), problem, remedy)
+            })?;
             Ok(Box::new(move |view: &RobotView, simd: SimdDispatch| simd.vectorize(Reward { f: &f, p: &p, view })))
         });
         self.rewards.insert(name, build);
