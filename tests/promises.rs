@@ -25,6 +25,7 @@ mod dynamics_identities;
 mod energy_drift_has_the_expected_order;
 mod envs_are_shared_out_among_robots;
 mod equal_numbers_are_kept_once;
+mod every_robot_stands_or_says_why;
 mod examples_run;
 mod external_wrenches_move_the_base;
 mod files_are_written_whole_or_not_at_all;

@@ -31,6 +31,7 @@ class TaskEntry(TypedDict):
     file: str
     num_robots: int
     """0 for a file that names no robots and is only there to be extended."""
+    robots: list[str]
 
 class RobotEntry(TypedDict):
     name: str

@@ -15,6 +15,7 @@ use super::suggest::did_you_mean;
 use super::task::TaskConfig;
 use crate::files;
 use crate::hash::fnv1a;
+use crate::robot::CANONICAL_JOINT_NAMES;
 
 /// Environment variable with further roots, separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
@@ -181,7 +182,8 @@ impl Library {
     /// # Errors
     /// A root that is no folder, an unreadable folder.
     pub fn robots(&self) -> Result<Vec<RobotEntry>, ConfigError> {
-        let mut robots: Vec<_> = self.listed(Kind::Robot)?.iter().flat_map(robot_entry).collect();
+        let mut robots: Vec<_> =
+            self.listed(Kind::Robot)?.into_iter().flat_map(|document| self.robot_entry(document)).collect();
         robots.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(robots)
     }
@@ -197,8 +199,8 @@ impl Library {
         let mut single = Vec::new();
         for robot in self.robots()? {
             single.extend(tasks.iter().filter_map(|task| {
-                let name = single_robot_name(&task.name, &robot.name)?;
-                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone(), num_robots: 1 })
+                let name = single_robot_name(&task.name, &robot.name, robot.is_quadruped)?;
+                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone(), robots: vec![robot.name.clone()] })
             }));
         }
         single.retain(|made| tasks.iter().all(|task| task.name != made.name));
@@ -212,7 +214,7 @@ impl Library {
     /// # Errors
     /// A root that is no folder, an unreadable folder.
     pub fn broken(&self) -> Result<Vec<ConfigError>, ConfigError> {
-        let robots = self.listed(Kind::Robot)?.into_iter().filter_map(|document| robot_entry(&document).err());
+        let robots = self.listed(Kind::Robot)?.into_iter().filter_map(|document| self.robot_entry(document).err());
         let tasks = self.listed(Kind::Task)?.into_iter().filter_map(|document| self.task_entry(document).err());
         let mut broken: Vec<ConfigError> = Vec::new();
         for error in robots.chain(tasks) {
@@ -224,12 +226,24 @@ impl Library {
         Ok(broken)
     }
 
+    fn robot_entry(&self, document: Document) -> Result<RobotEntry, ConfigError> {
+        let table = parse(&document)?;
+        let title = string_key(&document, &table, "title")?.unwrap_or(&document.stem).to_owned();
+        let (name, file) = (document.stem.clone(), document.file.clone());
+        // what a broken layer says is told where the robot is used
+        let merged = self.layers(Kind::Robot, document).and_then(|layers| layers.merged()).unwrap_or_default();
+        let pose = merged.get("default_pose").and_then(Value::as_table).into_iter().flatten();
+        let is_quadruped = pose.into_iter().all(|(joint, _)| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
+        Ok(RobotEntry { name, title, file, is_quadruped })
+    }
+
     fn task_entry(&self, document: Document) -> Result<TaskEntry, ConfigError> {
         let TaskNames { name, aliases } = task_names(&document)?;
         let file = document.file.clone();
         let merged = self.layers(Kind::Task, document)?.merged()?;
-        let num_robots = merged.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
-        Ok(TaskEntry { name, aliases, file, num_robots })
+        let robots = merged.get("robots").and_then(Value::as_array).into_iter().flatten();
+        let robots = robots.filter_map(Value::as_str).map(str::to_owned).collect();
+        Ok(TaskEntry { name, aliases, file, robots })
     }
 
     /// The layers of the task `name`, if it is one made for one robot.
@@ -239,8 +253,9 @@ impl Library {
             let Ok(TaskNames { name: base_name, .. }) = task_names(&base) else {
                 continue;
             };
-            let of_robot =
-                |robot: &&RobotEntry| single_robot_name(&base_name, &robot.name).is_some_and(|made| made == name);
+            let of_robot = |robot: &&RobotEntry| {
+                single_robot_name(&base_name, &robot.name, robot.is_quadruped).is_some_and(|made| made == name)
+            };
             let Some(robot) = robots.iter().find(of_robot) else {
                 continue;
             };
@@ -345,12 +360,12 @@ impl Library {
         known.sort();
         known.dedup();
         let robots = match kind {
-            Kind::Task => self.listed(Kind::Robot)?,
+            Kind::Task => self.robots()?,
             Kind::Robot | Kind::Train => Vec::new(),
         };
         let made: Vec<String> = robots
             .iter()
-            .flat_map(|robot| known.iter().filter_map(|task| single_robot_name(task, &robot.stem)))
+            .flat_map(|robot| known.iter().filter_map(|task| single_robot_name(task, &robot.name, robot.is_quadruped)))
             .collect();
         Err(unknown_name(kind, name, &known, &made, &broken))
     }
@@ -400,12 +415,6 @@ impl Library {
         );
         Err(layers.locate(error.of_kind(ConfigErrorKind::Unreadable), &[]))
     }
-}
-
-fn robot_entry(document: &Document) -> Result<RobotEntry, ConfigError> {
-    let table = parse(document)?;
-    let title = string_key(document, &table, "title")?.unwrap_or(&document.stem).to_owned();
-    Ok(RobotEntry { name: document.stem.clone(), title, file: document.file.clone() })
 }
 
 /// Relative package folders are meant from the folder of the file that names them.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::robot::{CANONICAL_JOINT_NAMES, Joint, LEGS, LoadOptions, Model, ROLES, Warning, load, load_str};
+use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Warning, load, load_str};
 use quadruped::{Roles, detect};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
@@ -128,16 +128,13 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
 fn reward_set(mass: f64) -> Result<String, Error> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(f64, String)> = None;
-    for entry in library.robots()? {
+    for entry in library.robots()?.into_iter().filter(|entry| entry.is_quadruped) {
         // a broken config of another robot is no reason to stop
         let Ok(robot) = library.robot(&entry.name) else {
             continue;
         };
-        let is_quadruped = robot.config.default_pose.keys().all(|joint| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
         let options = LoadOptions { locked_joints: robot.config.locked_joints.clone(), ..LoadOptions::default() };
-        let Some(model) =
-            load_str(&robot.urdf_text, &robot.urdf_path, &options).ok().filter(|_| is_quadruped)
-        else {
+        let Ok(model) = load_str(&robot.urdf_text, &robot.urdf_path, &options) else {
             continue;
         };
         let distance = (model.total_mass() / mass).ln().abs();

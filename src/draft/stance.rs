@@ -9,7 +9,7 @@ use crate::robot::{Joint, LEGS, Model, Pose};
 
 /// Share of thigh and shank together by which the foot lies below the hip. This and the next two are the pose in which most
 /// of the known quadrupeds are trained (thighs 0.8 rad to the rear in front and 1.0 behind, knees bent by 1.5, legs 0.1
-/// outwards: Isaac Lab's unitree.py), with all feet on one level: a policy walks best from a pose that it knows.
+/// outwards: Isaac Lab), with all feet on one level: a policy walks best from a pose that it knows.
 const CROUCH: f64 = 0.72;
 /// How far front and hind feet lie behind their hips, in the same share.
 const BEHIND: [f64; 2] = [0.037, 0.181];

@@ -27,7 +27,8 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         dict.set_item("name", task.name)?;
         dict.set_item("aliases", task.aliases)?;
         dict.set_item("file", task.file)?;
-        dict.set_item("num_robots", task.num_robots)?;
+        dict.set_item("num_robots", task.robots.len())?;
+        dict.set_item("robots", task.robots)?;
         Ok(dict)
     };
     tasks.into_iter().map(entry).collect()

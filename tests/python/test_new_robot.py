@@ -17,7 +17,11 @@ from polypod.new_robot import new_robot
 from polypod.training import run_dir
 
 ROOT = Path(__file__).parents[2]
-ROBOTS = [*(robot["name"] for robot in polypod.robots())]
+ROBOTS = [
+    path.stem
+    for path in sorted((ROOT / "configs/robots").glob("*.toml"))
+    if "LF_HAA" in tomllib.loads(path.read_text())["default_pose"]
+]
 NEW = ["unitree_aliengo", "unitree_laikago", "unitree_b1", "unitree_a2", "unitree_as2"]
 """Robots that the bundled policy was not trained on."""
 QUICK = ("--num-envs", "16", "--max-iterations", "2", "--logger", "none", "--set", "sim.episode_length_s=0.4")

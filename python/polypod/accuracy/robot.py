@@ -89,15 +89,22 @@ class Robot:
         return dataclasses.replace(self, actuators=dataclasses.replace(actuators, stiffness=stiffness, damping=damping))
 
 
-def names() -> list[str]:
-    """The robots of the library."""
-    return [entry["name"] for entry in _core.robots()]
+TASK = "velocity_flat_legged_play"
+"""Has a reward set for every robot of the library."""
+
+
+def names(task: str | None = None) -> list[str]:
+    """The robots of the library, or those of a task by an alias."""
+    if task is None:
+        return [entry["name"] for entry in _core.robots()]
+    (robots,) = (entry["robots"] for entry in _core.tasks() if task in entry["aliases"])
+    return robots
 
 
 @functools.cache
 def load(name: str) -> Robot:
     """Reads a robot of the library with its actuators. Raises UnknownNameError."""
-    return of(_core.VecSim("velocity_flat_play", 1, robots=[name], threads=1), name, name)
+    return of(_core.VecSim(TASK, 1, robots=[name], threads=1), name, name)
 
 
 def of(sim: _core.VecSim, name: str, source: str) -> Robot:
