@@ -11,6 +11,7 @@ import tyro
 from polypod import _core
 from polypod.commands.accuracy import Accuracy
 from polypod.commands.bench import Bench
+from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
 from polypod.commands.eval import Eval
 from polypod.commands.export import Export
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Bodies, tyro.conf.subcommand("bodies")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[ResultsOf, tyro.conf.subcommand("results")]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use include_dir::{Dir, include_dir};
 use toml::{Table, Value};
 
-use super::document::{Document, Kind, documents, is_toml, stem_of, unreadable};
+use super::document::{Document, Kind, documents, documents_named, is_toml, stem_of, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
 use super::names::{RobotEntry, TaskEntry, TaskNames, single_robot_name, task_names, unknown_name};
@@ -100,6 +100,9 @@ impl Library {
     }
 
     fn check_overrides(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<(), ConfigError> {
+        if task.robot_overrides.is_empty() {
+            return Ok(());
+        }
         let mut known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
         known.extend(task.robots.iter().chain(names_or_paths).map(|name| match Path::new(name) {
             path if is_toml(path) => stem_of(path),
@@ -329,6 +332,11 @@ impl Library {
             let document = Document::read(&dir.unwrap_or(Path::new("")).join(name), None);
             document.text()?;
             return if is_free(&document) { Ok(document) } else { Err(cycle()) };
+        }
+        // most names are those of files: a library of thousands is not read for one of them
+        let named = documents_named(kind, &self.roots, name)?;
+        if let Some(document) = named.iter().find(|document| is_free(document)) {
+            return Ok(document.clone());
         }
         let documents = documents(kind, &self.roots)?;
         let mut matching: Vec<&Document> = documents.iter().filter(|d| d.stem == name).collect();

@@ -81,6 +81,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("new", str(URDF), "--out", "/nothing/spot.toml"),
         {"": FILES, "--name": NAMES, "--out": OUTPUTS, "--package-dir": _PACKAGES, "--foot": [*_PACKAGES, "LF=nothing", "XX=base"]},
     ),
+    "bodies": (
+        ("generate", "new", "--count", "1"),
+        {"": OUTPUTS, "--count": COUNTS, "--seed": _SEEDS[:1], "--kinds": NAMES, "--prefix": [*NAMES, "Spot", "a b"]},
+    ),
     "terrain": (
         ("--out", "map.npz", "--task", "velocity_flat"),
         {"--out": OUTPUTS, "--task": NAMES, "--set": OVERRIDES},
@@ -105,6 +109,7 @@ _POLYPOD_SWITCHES = {
     "play": ("--headless", "--no-headless"),
     "sim2sim": ("--soft-contact", "--no-soft-contact"),
     "robot": ("--force", "--no-force"),
+    "bodies": ("--force", "--no-force"),
     "bench": ("--quick", "--no-quick", "--learner", "--no-learner", "--walk", "--no-walk"),
 }
 _SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {
