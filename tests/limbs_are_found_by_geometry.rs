@@ -8,7 +8,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use glam::DVec3;
-use polypod::robot::{BodyGroup, LimbKind, LoadOptions, Model, Place, Roles, Side, Slot, body_groups, detect, load_str};
+use polypod::robot::{
+    BodyGroup, LimbKind, LoadOptions, Model, Place, Roles, Side, Slot, body_groups, detect, load_str,
+};
 use serde::Deserialize;
 
 /// Name, type, parent, child, origin (m), roll, pitch and yaw (rad), axis.

@@ -11,8 +11,7 @@ use polypod::{Sim, SimOptions};
 use crate::common::{self, busy, env_bits};
 
 /// Bodies on two, four and six legs, with 8 to 20 joints.
-const BODIES: [&str; 6] =
-    ["small_biped", "unitree_go2", "small_hexapod", "small_humanoid", "small_quadruped", "spot"];
+const BODIES: [&str; 6] = ["small_biped", "unitree_go2", "small_hexapod", "small_humanoid", "small_quadruped", "spot"];
 const EACH: usize = 5;
 const STEPS: usize = 60;
 
@@ -134,7 +133,9 @@ fn what_a_robot_lacks_is_zero() {
         }
     }
     assert!(finals > 10, "{finals} episodes ended");
-    // feet
+    // feet, while no robot has begun anew
+    let mut sim = self::sim(&BODIES);
+    sim.step(&vec![0.0; sim.batch().actions.len()]).unwrap();
     let width = sim.state_width(StateField::FeetPos);
     let mut feet = vec![0.0; width * sim.num_envs()];
     sim.state(StateField::FeetPos, &mut feet).unwrap();

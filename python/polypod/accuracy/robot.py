@@ -104,7 +104,7 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
     """The robot `name` of a simulation, which was made from `source`: its name, or the path of its config."""
     info = json.loads(sim.robot_info())[name]
     groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"]
-    slots = dict(zip(info["joint_of_slot"], sim.canonical_joint_names, strict=True))
+    slots = dict(zip(info["joint_of_slot"], info["slots"], strict=True))
     of_joint = [
         next(key for key, group in groups.items() if any(fnmatchcase(slots[joint], p) for p in group["joints"]))
         for joint in range(len(info["joint_names"]))

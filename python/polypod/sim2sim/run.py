@@ -208,6 +208,7 @@ class _Episode:
             seed=options.seed,
             overrides=[*manifest["overrides"], *options.overrides],
             autoreset="disabled",
+            slots=manifest["canonical_joint_names"],
         )
         self.envs_per_robot = options.envs_per_robot
         self.step_dt = self.sim.step_dt
