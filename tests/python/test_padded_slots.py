@@ -11,7 +11,8 @@ import torch
 import polypod
 from polypod import _core
 from polypod.evaluation.checkpoints import evaluate_checkpoint
-from polypod.export import export_checkpoint
+from polypod.evaluation import load_policy
+from polypod.export import OnnxPolicy, export_checkpoint
 from polypod.networks import ACTION_MASK, MaskedGaussian
 from polypod.networks.masked import MaskedNormalization
 from polypod.rsl_rl import VecEnv
@@ -111,6 +112,48 @@ def test_the_mask_is_data_of_the_rollout():
     assert set(VecEnv(make(["spot"])).get_observations().keys()) == {"policy"}
 
 
+def assert_folded_graph_is_the_policy(checkpoint, source, folder):
+    """On states of the simulator, also where joints turn the other way round than their slots."""
+    manifest = run_dir.read_manifest(checkpoint)
+    policy = load_policy(run_dir.load_checkpoint(checkpoint), manifest["policy"])
+    names = manifest["canonical_joint_names"]
+    env = make([source], 4, slots=names, overrides=["observations.enable_noise=false"])
+    (robot,), sim = env.robots, env.sim
+    info = json.loads(sim.robot_info())[robot]
+    assert min(info["slot_signs"]) < 0.0
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        action = np.where(env.action_mask, rng.standard_normal((4, len(names))), 0.0).astype(np.float32)
+        sim.step(action)
+    running = sim.episode_length == 3
+    assert running.any()
+    qpos, qvel = sim.qpos(robot), sim.qvel(robot)
+    observation = sim.observation.copy()
+    given = {
+        # those of the base have tests of their own
+        "base_ang_vel": qvel[:, 3:6],
+        "projected_gravity": observation[:, 6:9],
+        "velocity_commands": sim.command,
+        "joint_pos": qpos[:, 7:],
+        "joint_vel": qvel[:, 6:],
+        "last_action": action,
+    }
+    com = np.array(json.loads(sim.robot_shapes())[robot]["base_com"])
+    given["base_lin_vel"] = observation[:, :3] - np.cross(qvel[:, 3:6], com)
+    graph = OnnxPolicy(folder / f"policy_{robot}.onnx")
+    found = graph(**{name: np.asarray(given[name], dtype=np.float32) for name in graph.inputs})
+    wanted = np.where(env.action_mask, policy(observation), 0.0)
+    np.testing.assert_allclose(found["actions"][running], wanted[running], atol=2e-4)
+    targets = np.tile(np.array(info["default_pose"]), (4, 1))
+    for column, joint, sign in zip(info["columns"], info["joint_of_slot"], info["slot_signs"], strict=True):
+        targets[:, joint] += info["action_scale"] * sign * found["actions"][:, column]
+    np.testing.assert_allclose(found["joint_pos_target"], targets, atol=1e-5)
+    script = torch.jit.load(str(folder / f"policy_{robot}.pt"))
+    target, actions = script(*(torch.from_numpy(np.asarray(given[name], dtype=np.float32)) for name in graph.inputs))
+    np.testing.assert_allclose(actions.detach().numpy(), found["actions"], atol=1e-5)
+    np.testing.assert_allclose(target.detach().numpy(), found["joint_pos_target"], atol=1e-5)
+
+
 @pytest.mark.parametrize("learner", ["native", "rsl_rl"])
 def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path):
     options = {"num_envs": 32, "num_steps_per_env": 4, "learner": learner, "task": "velocity_flat"}
@@ -133,4 +176,6 @@ def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path
     folder = exported.files[0].parent
     biped = json.loads((folder / "policy_small_biped.json").read_text())
     sizes = {tensor["name"]: tensor["shape"][1] for tensor in biped["inputs"] + biped["outputs"]}
+    for index in (1, 3):
+        assert_folded_graph_is_the_policy(checkpoint, BODIES[index], folder)
     assert (sizes["joint_pos"], sizes["joint_pos_target"], sizes["actions"], sizes["last_action"]) == (8, 8, 38, 38)

@@ -340,7 +340,7 @@ def _run_mujoco(
     progress: Progress,
 ) -> Figures:
     robot = accuracy_robot.of(episode.sim, name, source)
-    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] == "base"]
+    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ("base", "torso")]
     twin = Twin(
         robot,
         interface,
