@@ -281,14 +281,18 @@ class VecSim:
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an action: (column, sign) of each of its [num_actions] numbers; those that the robot lacks stay.
+        """Mirror image of an action: (column, sign) of each of its [num_actions] numbers; what it lacks stays.
 
         Raises:
             UnknownNameError: for a robot that the run does not have.
         """
 
     def observation_mask(self, robot: str) -> list[bool]:
-        """[num_obs], True where the robot has the number: those of joints that it lacks are 0. Raises UnknownNameError."""
+        """[num_obs], True where the robot has the number; those of joints that it lacks are 0.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have.
+        """
 
     def env_ids(self, robot: str) -> tuple[int, int]:
         """The half-open range [start, stop) of the envs that hold `robot`. Raises UnknownNameError."""
@@ -299,8 +303,8 @@ class VecSim:
     def robot_info(self) -> str:
         """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
 
-        `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of the
-        action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
+        `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
+        the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
         """
 
     def robot_shapes(self) -> str:

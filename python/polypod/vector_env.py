@@ -82,9 +82,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
     the next one (two buffers alternate), rewards and flags until the next step. With `copy` they are yours to keep.
 
     An observation is float32 [num_envs, num_obs], see `observation_layout`; an action float32 [num_envs, num_actions],
-    one number per canonical joint: the target is `default_pose + action_scale * action`. Quadrupeds have twelve; a batch
-    of different bodies has the joints of all of them, and `action_mask` says which an env's robot has. What it lacks is
-    0 in observations, and an action for it does nothing. Such a batch has `action_mask` in its infos.
+    one number per canonical joint: the target is `default_pose + action_scale * action`. Quadrupeds have twelve; a
+    batch of different bodies has the joints of all of them, and `action_mask` says which an env's robot has. What it
+    lacks is 0 in observations, and an action for it does nothing. Such a batch has `action_mask` in its infos.
     """
 
     def __init__(self, task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> None:

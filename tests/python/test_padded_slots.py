@@ -10,8 +10,8 @@ import torch
 
 import polypod
 from polypod import _core
-from polypod.evaluation.checkpoints import evaluate_checkpoint
 from polypod.evaluation import load_policy
+from polypod.evaluation.checkpoints import evaluate_checkpoint
 from polypod.export import OnnxPolicy, export_checkpoint
 from polypod.networks import ACTION_MASK, MaskedGaussian
 from polypod.networks.masked import MaskedNormalization
@@ -31,11 +31,13 @@ def make(robots=BODIES, num_envs=8, **options):
 
 def test_masks_say_which_joints_there_are():
     env = make()
-    assert env.num_envs == 8 and env.single_action_space.shape == (38,)
+    assert env.num_envs == 8
+    assert env.single_action_space.shape == (38,)
     assert env.canonical_joint_names[:12] == make(["spot"], 1).canonical_joint_names
     assert env.feet_names == ["LF", "LM", "LH", "RF", "RM", "RH", "L", "R"]
     mask = env.action_mask
-    assert mask.dtype == np.bool_ and mask.shape == (8, 38)
+    assert mask.dtype == np.bool_
+    assert mask.shape == (8, 38)
     assert mask.sum(axis=1).tolist() == [count for count in JOINTS for _ in range(2)]
     assert (env.state.action_mask == mask).all()
     _, infos = env.reset()
@@ -50,12 +52,14 @@ def test_what_a_robot_lacks_is_zero_and_does_nothing():
     one, other = make(), make()
     mask = one.action_mask
     observed = np.array([one.sim.observation_mask(robot) for robot in one.robots]).repeat(2, axis=0)
-    assert observed.shape == (8, one.sim.num_obs) and not observed.all()
+    assert observed.shape == (8, one.sim.num_obs)
+    assert not observed.all()
     rng = np.random.default_rng(0)
     for _ in range(30):
         actions = rng.standard_normal((8, 38), dtype=np.float32)
         a, b = one.step(actions), other.step(np.where(mask, actions, 50.0 * actions).astype(np.float32))
-        assert a[0].tobytes() == b[0].tobytes() and a[1].tobytes() == b[1].tobytes()
+        assert a[0].tobytes() == b[0].tobytes()
+        assert a[1].tobytes() == b[1].tobytes()
         assert (a[0][~observed] == 0.0).all()
         for field in ("joint_pos", "joint_vel", "joint_effort", "last_action", "default_joint_pos"):
             assert (getattr(one.state, field)[~mask] == 0.0).all(), field
@@ -79,7 +83,8 @@ def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
     means = torch.randn(2, 3)
     masked.update(means)
     actions = masked.sample()
-    assert (actions[mask == 0] == 0).all() and (masked.mean[mask == 0] == 0).all()
+    assert (actions[mask == 0] == 0).all()
+    assert (masked.mean[mask == 0] == 0).all()
     for row, real in ((0, [0, 2]), (1, [1])):
         normal = whole(means[row, real], torch.full((len(real),), 0.7))
         assert torch.allclose(masked.log_prob(actions)[row], normal.log_prob(actions[row, real]).sum())
@@ -102,7 +107,8 @@ def test_normalisation_counts_what_is_there():
         real = numbers[present[:, column] == 1, column]
         assert torch.allclose(normalizer.mean[column], real.mean(), rtol=1e-5)
         assert torch.allclose(normalizer.std[column], real.std(unbiased=False), rtol=1e-2)
-    assert normalizer.mean[2] == 0.0 and normalizer.std[2] == 1.0
+    assert normalizer.mean[2] == 0.0
+    assert normalizer.std[2] == 1.0
 
 
 def test_the_mask_is_data_of_the_rollout():
@@ -165,7 +171,8 @@ def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path
     assert train(Options(train_config=str(file), robots=BODIES, log_dir=tmp_path, seed=1, device="cpu")) == 0
     (checkpoint,) = tmp_path.rglob("model_2.pt")
     manifest = run_dir.read_manifest(checkpoint)
-    assert manifest["policy"]["class_name"] == "MLPModel" and manifest["policy"]["num_actions"] == 38
+    assert manifest["policy"]["class_name"] == "MLPModel"
+    assert manifest["policy"]["num_actions"] == 38
     assert [len(manifest["joint_maps"][robot]) for robot in manifest["robots"]] == JOINTS
     # one robot alone
     evaluation = evaluate_checkpoint(checkpoint, robots=BODIES[1:2], num_envs=2, steps=5)

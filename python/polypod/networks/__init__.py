@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 NETWORKS: dict[str, type[MLPModel]] = {"MLPModel": MLPModel, "polypod.networks:UrmaModel": UrmaModel}
-"""By the class names of train configs and manifests. A masked perceptron is a `MLPModel` to those who use its policy."""
+"""By the class names of train configs and manifests, in which a masked perceptron is a `MLPModel`."""
 
 
 def build_actor(model: Mapping[str, Any]) -> MLPModel:

@@ -1,7 +1,7 @@
 """rsl_rl's perceptron for batches of different bodies: actions that a robot lacks count for nothing.
 
-The mask of an env's actions is data of its observations, the group `ACTION_MASK`, and so of the rollout. Weights are those
-of the plain perceptron, and so are checkpoints.
+The mask of an env's actions is data of its observations, the group `ACTION_MASK`, and so of the rollout. Weights and
+checkpoints are those of the plain perceptron.
 """
 
 from collections.abc import Sequence
@@ -123,7 +123,7 @@ class MaskedGaussian(GaussianDistribution):
     @property
     def entropy(self) -> torch.Tensor:
         """[n]."""
-        return (self._normal.entropy() * self.mask).sum(dim=-1)
+        return (self._normal.entropy() * self.mask).sum(dim=-1)  # type: ignore[no-untyped-call]
 
     @property
     def params(self) -> tuple[torch.Tensor, ...]:
@@ -132,12 +132,12 @@ class MaskedGaussian(GaussianDistribution):
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """[n], of actions [n, output_dim]."""
-        return (self._normal.log_prob(outputs) * self.mask).sum(dim=-1)
+        return (self._normal.log_prob(outputs) * self.mask).sum(dim=-1)  # type: ignore[no-untyped-call]
 
     def kl_divergence(self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]) -> torch.Tensor:
         """[n]."""
         (old_mean, old_std, mask), (new_mean, new_std, _) = old_params, new_params
-        divergence = kl_divergence(Normal(old_mean, old_std), Normal(new_mean, new_std))  # type: ignore[no-untyped-call]
+        divergence = kl_divergence(Normal(old_mean, old_std), Normal(new_mean, new_std))
         return (divergence * mask).sum(dim=-1)
 
     @property

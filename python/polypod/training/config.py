@@ -74,8 +74,8 @@ class AlgorithmConfig:
 class AnnealConfig:
     """`[anneal]`: what the goals of PPO become towards the end of a run, for a policy that explores less and less.
 
-    From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the value
-    here, which it has in the last iteration and after it.
+    From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the
+    value here, which it has in the last iteration and after it.
     """
 
     start: float
@@ -251,7 +251,7 @@ def _masked(model: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
         return model
     if model["class_name"] != MLP:
         raise _core.ConfigError(
-            f"{model['class_name']} learns bodies with the same joints, and {', '.join(sim.robots)} have different ones; "
+            f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
             f'use class_name = "{MLP}"'
         )
     joint_of_number: list[int] = []
