@@ -447,6 +447,18 @@ pub struct ContactSensor {
     pub last_air_time: PerFoot,
 }
 
+/// What each joint of a robot's body is, as the body is since its episode began; for networks that learn bodies by their joints.
+///
+/// Of each joint, in the default pose, base frame and the direction of its slot: position (3, m), axis (3), default position, lower
+/// and upper limit (rad, at most half a turn), largest effort (100 N m), largest speed (20 rad/s), stiffness (100 N m/rad), damping
+/// (5 N m s/rad), rotor inertia (0.1 kg m^2), dry friction (N m), inertia of what hangs on it about its axis (kg m^2), share of the
+/// robot's mass that hangs on it, radians per unit of action, and the robot's mass (50 kg).
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct JointDescriptors {
+    /// All joints' first number, then their next, `[19, slots]`.
+    pub numbers: Box<[f32]>,
+}
+
 /// Height scanner on the base; the task's config says where its rays are.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct HeightScan {

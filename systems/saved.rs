@@ -8,8 +8,8 @@ use serde::de::DeserializeOwned;
 
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu, JointEffort,
-    JointState, JointTargets, Morphology, Stance, StartupBody,
+    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
+    JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
 };
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -244,6 +244,12 @@ impl Saved for ContactSensor {
                 .map(|times| times.len())
         };
         self.peak_force.len() == present.peak_force.len() && times(self) == times(present)
+    }
+}
+
+impl Saved for JointDescriptors {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.numbers.len() == present.numbers.len()
     }
 }
 

@@ -7,11 +7,10 @@ use polypod::{Sim, SimOptions};
 
 use crate::common::{busy, noise};
 
-/// A library with a copy of a robot, and one whose flexion joints turn the other way round.
-fn library(robot: &str) -> PathBuf {
+/// Libraries with a copy of a robot, and with one whose flexion joints turn the other way round. Both have one name, and so the same
+/// random numbers.
+fn libraries(robot: &str) -> [PathBuf; 2] {
     let assets = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let root = std::env::temp_dir().join(format!("polypod-signs-{}", std::process::id()));
-    std::fs::create_dir_all(root.join("configs/robots")).unwrap();
     let urdf = std::fs::read_to_string(assets.join(format!("assets/robots/{robot}/robot.urdf"))).unwrap();
     let mut turned = String::new();
     let mut is_turned = false;
@@ -36,26 +35,26 @@ fn library(robot: &str) -> PathBuf {
         turned += "\n";
     }
     assert_eq!(turned.matches("xyz=\"0 -1 0\"").count(), 8);
-    for (name, text) in [("straight", &urdf), ("turned", &turned)] {
-        std::fs::write(root.join(format!("{name}.urdf")), text).unwrap();
-        let config =
-            format!("extends = \"{robot}\"\nname = \"{name}\"\ntitle = \"{name}\"\nurdf = \"../../{name}.urdf\"\n");
-        std::fs::write(root.join(format!("configs/robots/{name}.toml")), config).unwrap();
-    }
-    root
+    [("straight", &urdf), ("turned", &turned)].map(|(kind, text)| {
+        let root = std::env::temp_dir().join(format!("polypod-{kind}-{}", std::process::id()));
+        std::fs::create_dir_all(root.join("configs/robots")).unwrap();
+        std::fs::write(root.join("copy.urdf"), text).unwrap();
+        let config = format!("extends = \"{robot}\"\nname = \"copy\"\ntitle = \"Copy\"\nurdf = \"../../copy.urdf\"\n");
+        std::fs::write(root.join("configs/robots/copy.toml"), config).unwrap();
+        root
+    })
 }
 
 #[test]
 fn turned_axes_give_the_same_robot() {
-    let root = library("unitree_go2");
-    let make = |robot: &str| {
+    let roots = libraries("unitree_go2");
+    let make = |root: &Path| {
         let overrides = ["observations.enable_noise=false", "events.push_robot.enabled=false"];
-        let mut options = SimOptions { roots: vec![root.clone()], ..busy(&[robot], 4) };
+        let mut options = SimOptions { roots: vec![root.to_path_buf()], ..busy(&["copy"], 4) };
         options.overrides.extend(overrides.map(String::from));
-        let sim = Sim::new(&options).unwrap_or_else(|error| panic!("{error}"));
-        sim
+        Sim::new(&options).unwrap_or_else(|error| panic!("{error}"))
     };
-    let (mut straight, mut turned) = (make("straight"), make("turned"));
+    let (mut straight, mut turned) = (make(&roots[0]), make(&roots[1]));
     let signs = |sim: &Sim| sim.morphologies()[0].slots.iter().map(|slot| slot.sign).collect::<Vec<_>>();
     assert_eq!(signs(&straight), [1.0; 12]);
     assert_eq!(signs(&turned), [1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0]);
@@ -90,5 +89,7 @@ fn turned_axes_give_the_same_robot() {
             near(&of(&mut straight), &of(&mut turned), field.name());
         }
     }
-    std::fs::remove_dir_all(root).unwrap();
+    for root in roots {
+        std::fs::remove_dir_all(root).unwrap();
+    }
 }

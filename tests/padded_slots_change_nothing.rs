@@ -133,7 +133,9 @@ fn what_a_robot_lacks_is_zero() {
         }
     }
     assert!(finals > 10, "{finals} episodes ended");
-    // feet
+    // feet, while no robot has begun anew
+    let mut sim = self::sim(&BODIES);
+    sim.step(&vec![0.0; sim.batch().actions.len()]).unwrap();
     let width = sim.state_width(StateField::FeetPos);
     let mut feet = vec![0.0; width * sim.num_envs()];
     sim.state(StateField::FeetPos, &mut feet).unwrap();

@@ -31,6 +31,7 @@ mod external_wrenches_move_the_base;
 mod files_are_written_whole_or_not_at_all;
 mod heights_are_one_surface;
 mod jammed_links_do_not_sink;
+mod joint_descriptors_say_what_a_body_is;
 mod joint_limits_hold_under_full_effort;
 mod limbs_are_found_by_geometry;
 mod links_have_mirrors_in_avians_world;

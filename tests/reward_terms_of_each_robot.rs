@@ -189,6 +189,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 contacts: &h.contacts,
                 feet: &h.feet,
                 height_scan: &[],
+                joint_descriptors: &[],
                 body: &model.nominal,
                 stance: &model.stance,
                 terminated: false,

@@ -32,7 +32,13 @@ impl Sim {
             } else {
                 (Vec::new(), Vec::new())
             };
-            Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror }
+            let is_padded = robot.slots.len() < self.batch().num_actions;
+            let (observation_mask, action_mask) = if is_padded {
+                (self.task().observation_mask(robot), robot.action_mask(self.batch().num_actions))
+            } else {
+                (Vec::new(), Vec::new())
+            };
+            Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror, observation_mask, action_mask }
         });
         let batch = self.batch();
         let settings = Settings {

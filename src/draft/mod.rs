@@ -79,7 +79,7 @@ struct Group {
 /// of the known robot whose mass is nearest.
 ///
 /// # Errors
-/// A name without letters or digits; those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
+/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot that is no quadruped of twelve joints; a robot of `POLYPOD_PATH` that cannot be read.
 pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     if let Some(name) = &options.name
         && !name.contains(|c: char| c.is_ascii_alphanumeric())

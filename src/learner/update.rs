@@ -3,14 +3,14 @@
 use polypod_dynamics::lanes::Kernel;
 
 use crate::adam::{Rates, Step, Sum};
-use crate::gaussian::{Gaussian, Surrogate};
+use crate::gaussian::{Distributions, Surrogate};
 use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
 use crate::network::{Mirror, Net, mirrored};
 use crate::rollout::Part;
-use crate::settings::{Settings, Symmetry};
+use crate::settings::{Robot, Settings, Symmetry};
 
 /// Means over the mini-batches of an update.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,8 +39,12 @@ const RATES: [f64; 2] = [1e-5, 1e-2];
 struct Gradient {
     lines: Vec<Line>,
     loss: f64,
-    /// Divergence from the policy that collected the samples, summed over them.
+    /// Divergence from the policy that collected the samples, summed over those that are no images.
     divergence: f64,
+    /// Samples that are no images.
+    samples: usize,
+    /// What the part's samples have of the mean entropy, where robots have different actions.
+    entropy: f64,
 }
 
 /// What all parts share in a mini-batch.
@@ -52,8 +56,9 @@ struct MiniBatch<'a> {
     batch: usize,
     /// One over the number of samples, mirror images included.
     weight: f32,
-    new: &'a Gaussian,
-    divergence_of_deviations: f32,
+    new: &'a Distributions,
+    /// Of each distribution.
+    divergence_of_deviations: &'a [f32],
     /// Mean and one over the deviation of the advantages, of each robot.
     advantages: &'a [(f32, f32)],
 }
@@ -62,9 +67,8 @@ struct MiniBatch<'a> {
 type Sample<'a> = (usize, Option<&'a Mirror>);
 
 impl MiniBatch<'_> {
-    /// Calls `f` with the samples of a part in tiles of at most `size`, and whether they are samples of their own rather than images
-    /// beside them.
-    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample], bool)) {
+    /// Calls `f` with the samples of a part in tiles of at most `size`.
+    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample])) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
         let mut tile = Vec::with_capacity(size);
         for pass in 0..self.settings.options.symmetry.rows_per_sample() {
@@ -79,19 +83,34 @@ impl MiniBatch<'_> {
                     };
                     (sample, is_image.then(|| &self.mirrors[part.robot_of[sample % part.len()]]))
                 }));
-                f(&tile, pass == 0);
+                f(&tile);
             }
         }
     }
 
-    /// The part's gradient of the surrogate loss and the entropy.
+    /// What a part has of the mean entropy of so many samples, where robots have different actions; its derivatives are added to those
+    /// of the deviations.
+    fn entropy_of(&self, part: &Part, samples: usize, deviation: &mut [Line]) -> f64 {
+        let algorithm = &self.settings.options.algorithm;
+        let mut counts = vec![0usize; self.new.gaussians.len()];
+        for &sample in part.mini_batch(self.batch, algorithm.num_mini_batches) {
+            counts[self.new.index(part.robot_of[sample as usize % part.len()])] += 1;
+        }
+        let shares = counts.into_iter().map(|count| count as f64 / samples as f64);
+        self.new.gaussians.iter().zip(shares).fold(0.0, |entropy, (gaussian, share)| {
+            gaussian.add_entropy(algorithm.entropy_coef * share as f32, deviation);
+            entropy + share * f64::from(gaussian.entropy())
+        })
+    }
+
+    /// The part's gradient of the surrogate loss.
     fn actor_gradient(&self, net: &Net, part: &Part, gradient: &mut Gradient) {
         let lines = [lines_of(self.settings.num_obs), lines_of(self.settings.num_actions)];
         let first_extra = net.perceptron.first_extra();
         let mut images = vec![Line::ZERO; 2 * lines[1]];
         let mut mean = vec![Line::ZERO; lines[1]];
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples, own| {
+            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
                 let observation = |sample: usize| &part.observations[sample * lines[0]..][..lines[0]];
                 let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
                 net.perceptron.forward(self.matrix, rows, tile);
@@ -109,11 +128,14 @@ impl MiniBatch<'_> {
                     for (panel, line) in mean.iter_mut().enumerate() {
                         *line = tile.output()[panel * rows + row];
                     }
-                    if own {
-                        gradient.divergence +=
-                            f64::from(self.new.divergence(&mean, old_mean, self.divergence_of_deviations));
+                    let robot = part.robot_of[sample % part.len()];
+                    let new = self.new.of(robot);
+                    if mirror.is_none() {
+                        let of_deviations = self.divergence_of_deviations[self.new.index(robot)];
+                        gradient.divergence += f64::from(new.divergence(&mean, old_mean, of_deviations));
+                        gradient.samples += 1;
                     }
-                    let (about, scale) = self.advantages[part.robot_of[sample % part.len()]];
+                    let (about, scale) = self.advantages[robot];
                     let surrogate = Surrogate {
                         clip: self.settings.options.algorithm.clip_param,
                         advantage: (part.advantages[sample] - about) * scale,
@@ -121,7 +143,7 @@ impl MiniBatch<'_> {
                         weight: self.weight,
                     };
                     let deviation = &mut gradient.lines[first_extra..];
-                    gradient.loss += f64::from(self.new.surrogate(action, &mut mean, deviation, &surrogate));
+                    gradient.loss += f64::from(new.surrogate(action, &mut mean, deviation, &surrogate));
                     for (panel, line) in mean.iter().enumerate() {
                         tile.delta[panel * rows + row] = *line;
                     }
@@ -136,7 +158,7 @@ impl MiniBatch<'_> {
         let lines = lines_of(self.settings.num_obs);
         let algorithm = &self.settings.options.algorithm;
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples, _| {
+            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
                 let observation = |sample: usize| &part.observations[sample * lines..][..lines];
                 let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
                 net.perceptron.forward(self.matrix, rows, tile);
@@ -183,8 +205,12 @@ impl Learner {
                 losses.value += sum(|[_, critic]| critic.loss) / rows as f64;
                 losses.entropy += entropy;
                 if let Some(desired) = algorithm.desired_kl {
-                    let divergence = sum(|[actor, _]| actor.divergence) / samples as f64;
-                    losses.learning_rate = adapted(losses.learning_rate, divergence, desired);
+                    // an image's divergence also has what the policy lacks in symmetry
+                    let samples: usize = gradients.iter().map(|[actor, _]| actor.samples).sum();
+                    if samples > 0 {
+                        let divergence = sum(|[actor, _]| actor.divergence) / samples as f64;
+                        losses.learning_rate = adapted(losses.learning_rate, divergence, desired);
+                    }
                 }
                 self.step_networks(team, &gradients, losses.learning_rate);
             }
@@ -206,7 +232,9 @@ impl Learner {
         gradients: &mut [[Gradient; 2]],
     ) -> f64 {
         let algorithm = &self.settings.options.algorithm;
-        let new = Gaussian::new(self.actor.perceptron.extra(), self.settings.num_actions);
+        let new = Distributions::new(self.actor.perceptron.extra(), &self.settings);
+        let pairs = new.gaussians.iter().zip(&self.old.gaussians);
+        let divergence_of_deviations: Vec<f32> = pairs.map(|(new, old)| new.divergence_of_deviations(old)).collect();
         let advantages = if algorithm.normalize_advantage_per_mini_batch {
             self.scale_of_mini_batch(batch)
         } else {
@@ -220,27 +248,35 @@ impl Learner {
             batch,
             weight: 1.0 / rows as f32,
             new: &new,
-            divergence_of_deviations: new.divergence_of_deviations(&self.old),
+            divergence_of_deviations: &divergence_of_deviations,
             advantages: &advantages,
         };
+        let samples = rows / self.settings.options.symmetry.rows_per_sample();
         let mut tasks = Vec::with_capacity(2 * self.parts.len());
-        for (place, (part, [actor, critic])) in self.parts.iter().zip(gradients).enumerate() {
+        for (place, (part, [actor, critic])) in self.parts.iter().zip(&mut *gradients).enumerate() {
             tasks.push((place, part, &self.actor, actor, true));
             tasks.push((place, part, &self.critic, critic, false));
         }
         team.for_each(tasks, |(place, part, net, gradient, is_actor)| {
             gradient.lines.fill(Line::ZERO);
-            (gradient.loss, gradient.divergence) = (0.0, 0.0);
+            (gradient.loss, gradient.divergence, gradient.entropy, gradient.samples) = (0.0, 0.0, 0.0, 0);
             if is_actor {
-                if place == 0 {
-                    new.add_entropy(algorithm.entropy_coef, &mut gradient.lines[net.perceptron.first_extra()..]);
+                let deviation = &mut gradient.lines[net.perceptron.first_extra()..];
+                if new.differ() {
+                    gradient.entropy = shared.entropy_of(part, samples, deviation);
+                } else if place == 0 {
+                    new.gaussians[0].add_entropy(algorithm.entropy_coef, deviation);
                 }
                 shared.actor_gradient(net, part, gradient);
             } else {
                 shared.critic_gradient(net, part, gradient);
             }
         });
-        f64::from(new.entropy())
+        if new.differ() {
+            gradients.iter().map(|[actor, _]| actor.entropy).sum::<f64>()
+        } else {
+            f64::from(new.gaussians[0].entropy())
+        }
     }
 
     /// What brings the advantages of a mini-batch to one scale.
@@ -292,9 +328,10 @@ impl Learner {
         let mut normalizers: Vec<_> = nets.into_iter().filter_map(|net| net.normalizer.as_mut()).collect();
         let Some(about) = normalizers.first().map(|normalizer| normalizer.mean.clone()) else { return };
         let mut moments = vec![Vec::new(); self.parts.len()];
-        let dispatch = self.dispatch;
+        let (dispatch, robots) = (self.dispatch, &self.settings.robots);
+        let samples = self.settings.num_envs * self.settings.options.num_steps_per_env;
         team.for_each(self.parts.iter().zip(&mut moments).collect(), |(part, moments)| {
-            *moments = dispatch.vectorize(OfObservations { part, about: &about });
+            *moments = dispatch.vectorize(OfObservations { part, about: &about, robots });
         });
         let mut all = vec![Moments::default(); about.len()];
         for part in moments {
@@ -303,7 +340,7 @@ impl Learner {
             }
         }
         for normalizer in &mut normalizers {
-            normalizer.update(&all);
+            normalizer.update(&all, samples as u64);
         }
     }
 }
@@ -312,13 +349,14 @@ impl Learner {
 struct OfObservations<'a> {
     part: &'a Part,
     about: &'a [f32],
+    robots: &'a [Robot],
 }
 
 impl Kernel<f32> for OfObservations<'_> {
     type Output = Vec<Moments>;
     #[inline(always)]
     fn run(self) -> Vec<Moments> {
-        self.part.observation_moments(self.about)
+        self.part.observation_moments(self.about, self.robots)
     }
 }
 

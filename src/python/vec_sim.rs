@@ -248,7 +248,7 @@ impl VecSim {
     #[getter]
     fn action_mask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
         let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
-        Ok(PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)?)
+        PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)
     }
 
     fn observation_mask(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<bool>> {

@@ -165,7 +165,12 @@ fn named_feet(model: &Model, overrides: &BTreeMap<String, String>) -> Result<BTr
 /// Limbs by geometry. A quadruped's joints that are named are taken into account; others are put in afterwards.
 fn found_limbs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<Vec<RawLimb>, RobotError> {
     let chains = pose.limb_chains();
-    let legs = pose.grounded(&chains.limbs);
+    let mut legs = pose.grounded(&chains.limbs);
+    // what has no knee is no leg
+    legs.retain(|leg| {
+        let chain = &chains.limbs[*leg];
+        pose.biped_leg(&chain.joints).contains(&Role::Knee) || pose.points_away(&chain.joints, tip(pose, chain))
+    });
     let feet: Vec<DVec3> = legs.iter().map(|leg| tip(pose, &chains.limbs[*leg])).collect();
     let radial = |at: usize| pose.points_away(&chains.limbs[legs[at]].joints, feet[at]);
     let is_quadruped = named.joints.keys().any(|slot| LEG_ROLES.contains(&slot.role) && CORNERS.contains(&slot.place));

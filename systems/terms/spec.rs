@@ -145,6 +145,8 @@ pub struct TermSpec {
 pub enum JointMirror {
     /// As the joint's position does: it takes the joint's sign.
     Position,
+    /// As the joint's position does, and once more: what an axis has forward and up.
+    Opposite,
     /// Not at all.
     Even,
     /// It changes its sign: what points to the left.
@@ -249,6 +251,7 @@ impl TermSpec {
             let kind = self.joint_mirror.get(k).copied().unwrap_or(JointMirror::Position);
             mirror.extend(joints.iter().map(|&(column, sign)| match kind {
                 JointMirror::Position => (k * columns + column, sign),
+                JointMirror::Opposite => (k * columns + column, -sign),
                 JointMirror::Even => (k * columns + column, 1.0),
                 JointMirror::Odd => (k * columns + column, -1.0),
                 JointMirror::Lower if sign < 0.0 => ((k + 1) * columns + column, -1.0),

@@ -6,7 +6,7 @@ import difflib
 import types
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any, NamedTuple, get_args, get_origin
 
 from polypod import _core
 from polypod.compat import tomllib
@@ -29,6 +29,8 @@ NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 MLP = "MLPModel"
 URMA = "polypod.networks:UrmaModel"
 ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
+MASKED_MLP = "polypod.networks:MaskedMLPModel"
+MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
 """Class names as rsl_rl resolves them."""
 
 
@@ -66,6 +68,19 @@ class AlgorithmConfig:
     max_grad_norm: float
     normalize_advantage_per_mini_batch: bool
     mixed_precision: str
+
+
+@dataclasses.dataclass(frozen=True)
+class AnnealConfig:
+    """`[anneal]`: what the goals of PPO become towards the end of a run, for a policy that explores less and less.
+
+    From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the
+    value here, which it has in the last iteration and after it.
+    """
+
+    start: float
+    entropy_coef: float
+    desired_kl: float
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -114,6 +129,13 @@ class ActorConfig(CriticConfig):
         return {**network, "distribution_cfg": distribution}
 
 
+class Goals(NamedTuple):
+    """What PPO aims at in an iteration."""
+
+    entropy_coef: float
+    desired_kl: float
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
     """One train config, complete."""
@@ -122,11 +144,24 @@ class TrainConfig:
     algorithm: AlgorithmConfig
     actor: ActorConfig
     critic: CriticConfig
+    anneal: AnnealConfig | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The config as it would stand in its file."""
-        sections = dataclasses.asdict(self)
+        sections = {name: table for name, table in dataclasses.asdict(self).items() if table is not None}
         return {name: {k: v for k, v in table.items() if v is not None} for name, table in sections.items()}
+
+    def goals(self, iteration: int) -> Goals:
+        """What PPO aims at in an iteration, counted from 0."""
+        begin = Goals(self.algorithm.entropy_coef, self.algorithm.desired_kl)
+        if self.anneal is None:
+            return begin
+        first = self.anneal.start * self.run.max_iterations
+        share = min(max((iteration + 1 - first) / max(self.run.max_iterations - first, 1.0), 0.0), 1.0)
+        return Goals(
+            begin.entropy_coef + share * (self.anneal.entropy_coef - begin.entropy_coef),
+            begin.desired_kl + share * (self.anneal.desired_kl - begin.desired_kl),
+        )
 
     def with_run(self, **values: Any) -> "TrainConfig":
         """The config with other values in `[run]`; None leaves a value alone."""
@@ -204,10 +239,29 @@ class TrainConfig:
             "symmetry": self.run.symmetry,
             "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
             "algorithm": {"class_name": "PPO", **algorithm},
-            "actor": self.actor.model_cfg(sim),
-            "critic": self.critic.model_cfg(sim),
+            "actor": _masked(self.actor.model_cfg(sim), sim),
+            "critic": _masked(self.critic.model_cfg(sim), sim),
             "check_for_nan": True,
         }
+
+
+def _masked(model: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
+    """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
+    if sim is None or sim.action_mask.all():
+        return model
+    if model["class_name"] != MLP:
+        raise _core.ConfigError(
+            f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
+            f'use class_name = "{MLP}"'
+        )
+    joint_of_number: list[int] = []
+    for term in terms_of(sim):
+        per_joint = term.kind == "per_joint"
+        joint_of_number += [index % sim.num_actions if per_joint else -1 for index in range(term.size)]
+    masked = {**model, "class_name": MASKED_MLP, "joint_of_number": joint_of_number}
+    if "distribution_cfg" in model:
+        masked["distribution_cfg"] = {**model["distribution_cfg"], "class_name": MASKED_GAUSSIAN}
+    return masked
 
 
 def load(name: str) -> TrainConfig:
@@ -222,12 +276,20 @@ def load(name: str) -> TrainConfig:
     return parse(_load_tables(name), name)
 
 
+_SECTIONS = {
+    "run": RunConfig,
+    "algorithm": AlgorithmConfig,
+    "actor": ActorConfig,
+    "critic": CriticConfig,
+    "anneal": AnnealConfig,
+}
+
+
 def parse(tables: dict[str, Any], source: str) -> TrainConfig:
     """Checks `tables` and builds the config; `source` names them in errors. Raises ConfigError."""
-    sections = {field.name: field.type for field in dataclasses.fields(TrainConfig)}
-    _check_keys(tables, sections, f"{source}: top level")
+    _check_keys(tables, _SECTIONS, f"{source}: top level", ["anneal"])
     config = TrainConfig(
-        **{key: _parse_section(type_, tables[key], f"{source}: [{key}]") for key, type_ in sections.items()}
+        **{key: _parse_section(_SECTIONS[key], table, f"{source}: [{key}]") for key, table in tables.items()}
     )
     _check_ranges(config, source)
     return config
@@ -360,6 +422,7 @@ _POSITIVE = (
     ("algorithm", "num_mini_batches", 2**24),
     ("algorithm", "learning_rate", 1.0),
     ("algorithm", "desired_kl", 100.0),
+    ("anneal", "desired_kl", 100.0),
     ("algorithm", "clip_param", 10.0),
     ("algorithm", "max_grad_norm", 1e6),
     ("actor", "init_std", 100.0),
@@ -371,18 +434,25 @@ _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("algorithm", "lam", 0.0, 1.0),
     ("algorithm", "value_loss_coef", 0.0, 1e6),
     ("algorithm", "entropy_coef", 0.0, 1e3),
+    ("anneal", "start", 0.0, 1.0),
+    ("anneal", "entropy_coef", 0.0, 1e3),
 )
 """Section, key, least and greatest value of the other numbers."""
 
 
 def _check_ranges(config: TrainConfig, source: str) -> None:
     run, algorithm = config.run, config.algorithm
+    sections = config.as_dict()
     for section, key, least, most in _RANGES:
-        value = getattr(getattr(config, section), key)
+        if section not in sections:
+            continue
+        value = sections[section][key]
         if not least <= value <= most:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be from {least:g} to {most:g}")
     for section, key, most in _POSITIVE:
-        value = getattr(getattr(config, section), key)
+        if section not in sections:
+            continue
+        value = sections[section][key]
         if not value > 0:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be greater than 0")
         if not value <= most:

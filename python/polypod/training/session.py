@@ -217,7 +217,7 @@ def runner_of(env: VecEnv, train_config: config.TrainConfig, run: Path, device: 
     """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
         return NativeRunner(env, train_config, run, device, reporter)
-    return Runner(env, train_config.rsl_rl_cfg(env.unwrapped.sim), run, device, reporter)
+    return Runner(env, train_config, run, device, reporter)
 
 
 def _learner(learner: str, device: str) -> str:
