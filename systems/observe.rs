@@ -1,4 +1,4 @@
-//! Observations: the terms of the policy's observation, side by side, with their noise.
+//! Observations: the terms of all groups, side by side, with their noise and what they remember.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -70,11 +70,15 @@ pub(super) fn observe_final(
     let width = batch.num_obs;
     let batch = &mut *batch;
     let out = MatrixRows { data: &mut batch.final_observations[..], width };
-    let rows = (episodes, rngs, out, &mut batch.has_final[..]);
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, has_final)| {
+    let before = MatrixRows { data: &mut batch.observations[..], width };
+    let (remembers, rows) = (task.has_history(), (episodes, rngs, out, before, &mut batch.has_final[..]));
+    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, mut before, has_final)| {
         for i in 0..n {
             has_final[i] = wanted && episodes[i].done();
             if has_final[i] {
+                if remembers {
+                    out.row(i).copy_from_slice(before.row(i));
+                }
                 let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
                 let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
                 workers.dispatch().vectorize(observation);
@@ -108,8 +112,10 @@ impl Kernel<f32> for Observation<'_> {
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
             if let Some(write) = &term.write {
-                write(&view, mine);
-                term.treat(mine, self.rng);
+                term.remember(mine, self.episode.fresh, |newest| {
+                    write(&view, newest);
+                    term.treat(newest, self.rng);
+                });
             }
             rest = more;
         }
@@ -117,6 +123,23 @@ impl Kernel<f32> for Observation<'_> {
 }
 
 impl ObservationTerm {
+    /// Moves what the term remembers on by a step and has `write` fill in the newest numbers. `row` holds the term's numbers as they
+    /// were observed in the step before. What a new episode remembers is its first numbers.
+    #[inline(always)]
+    fn remember(&self, row: &mut [f32], is_new: bool, write: impl FnOnce(&mut [f32])) {
+        if self.history == 1 {
+            write(row);
+            return;
+        }
+        let size = self.size / self.history;
+        row.copy_within(size.., 0);
+        let (older, newest) = row.split_at_mut(self.size - size);
+        write(newest);
+        if is_new {
+            older.chunks_exact_mut(size).for_each(|numbers| numbers.copy_from_slice(newest));
+        }
+    }
+
     /// Adds noise to what was written, limits and scales it.
     #[inline(always)]
     fn treat(&self, numbers: &mut [f32], rng: &mut EnvRng) {
@@ -174,8 +197,10 @@ pub fn add_observation<C: Component, K: RowKind>(
                         if episodes[env].invalid {
                             out.fill(0.0);
                         } else {
-                            f(&values[env], out);
-                            term.treat(out, &mut rngs[env]);
+                            term.remember(out, episodes[env].fresh, |newest| {
+                                f(&values[env], newest);
+                                term.treat(newest, &mut rngs[env]);
+                            });
                         }
                     }
                 }

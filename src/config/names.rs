@@ -80,22 +80,17 @@ pub(super) fn unknown_name(
     let noun = kind.noun();
     let made = made.iter().filter(|name| !known.contains(name));
     let near = nearest(name, known.iter().chain(made).map(String::as_str));
-    let guess = match near[..] {
-        [] => String::new(),
-        _ => format!("did you mean `{}`? ", near.join("`, `")),
+    let remedy = match near[..] {
+        [] => format!("known: {}", known.join(", ")),
+        _ => format!("did you mean `{}`? The command `list` shows all names", near.join("`, `")),
     };
     let mut problem = format!("there is no {noun} `{name}`");
     for error in broken {
         let ConfigError { file, element, problem: why, .. } = error;
         problem += &format!(", unless it is in {file}, which is broken ({element}: {why})");
     }
-    ConfigError::invalid(
-        format!("configs/{}", kind.folder()),
-        format!("{noun} `{name}`"),
-        problem,
-        format!("{guess}known: {}", known.join(", ")),
-    )
-    .of_kind(ConfigErrorKind::UnknownName)
+    ConfigError::invalid(format!("configs/{}", kind.folder()), format!("{noun} `{name}`"), problem, remedy)
+        .of_kind(ConfigErrorKind::UnknownName)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use crate::morphology::MorphologyModel;
 use crate::robot::{CANONICAL_JOINT_NAMES, ROLES};
 
 const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
+const FEET: usize = 4;
 
 /// What the numbers of a term are, which says how they change in a mirror that exchanges left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -22,6 +23,8 @@ pub enum TermKind {
     PlanarVelocity,
     /// A number of each joint, canonical order: joints change sides, and some of them their signs.
     PerJoint,
+    /// A number of each foot, in the order LF, LH, RF, RH: feet change sides.
+    PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
     /// What body the robot is, in blocks ([`TermSpec::blocks`]): numbers of joints change like those of `PerJoint`.
@@ -166,6 +169,7 @@ impl TermSpec {
             TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if !size.is_multiple_of(3) => {
                 Err("three numbers for each vector".into())
             }
+            TermKind::PerFoot if size != FEET => Err(format!("a number for each of {FEET} feet")),
             TermKind::Body if size != blocks => Err(format!("{blocks} numbers in its blocks")),
             _ => Ok(()),
         }
@@ -186,6 +190,7 @@ impl TermSpec {
             TermKind::Pseudovector => signs([-1.0, 1.0, -1.0]),
             TermKind::PlanarVelocity => signs([1.0, -1.0, -1.0]),
             TermKind::PerJoint => joints(0).collect(),
+            TermKind::PerFoot => (0..size).map(|foot| ((foot + FEET / 2) % FEET, 1.0)).collect(),
             TermKind::Scan => {
                 // rows from right to left, each from back to front
                 let rows = scanner.map_or(1, |scanner| scanner.counts()[1]).max(1);

@@ -5,7 +5,17 @@ from pathlib import Path
 from typing import Annotated
 
 from polypod import _core
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names, write_json
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    Robots,
+    arg,
+    check_names,
+    checked_threads,
+    names,
+    write_json,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +43,7 @@ class Eval:
     task: Name = None
     """Name or alias of the task. Default: the run's."""
     seed: int = 0
-    """Of every random stream."""
+    """Seed of every random stream."""
     threads: Count = None
     """Threads of the simulator and the policy. Default: one per core."""
     set: Overrides = ()
@@ -41,6 +51,7 @@ class Eval:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(self.task, names(self.robots))
         import torch
 
         from polypod.evaluation import evaluate_checkpoints, plot, summarize

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import RobotNames, arg, names
+from polypod.commands.arguments import RobotNames, arg, check_names, names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,10 +22,11 @@ class Export:
     fold: bool = False
     """The same for all robots that the policy was trained on."""
     formats: Annotated[tuple[Literal["onnx", "torchscript"], ...], arg(metavar="FORMAT")] = ("onnx", "torchscript")
-    """Kinds of files."""
+    """Kinds of files to write."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(None, names(self.robots))
         from polypod.export import export_checkpoint
 
         if not self.formats:

@@ -4,7 +4,17 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
-from polypod.commands.arguments import Count, Name, Overrides, RobotNames, Velocity, arg, checked_threads, names
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    RobotNames,
+    Velocity,
+    arg,
+    check_names,
+    checked_threads,
+    names,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,15 +40,15 @@ class Play:
     video: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write a film: .gif, .webp or .mp4."""
     fps: int = 25
-    """Of the film."""
+    """Frames of the film per second."""
     size: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (640, 360)
-    """Of the film, pixels."""
+    """Width and height of the film, pixels."""
     headless: bool = False
     """Neither browser nor file: only the table of how the robots did."""
     port: int = 8080
-    """Of the browser's page."""
+    """Port of the browser's page; 0 takes a free one."""
     seed: int = 0
-    """Of every random stream."""
+    """Seed of every random stream."""
     threads: Count = None
     """Threads of the simulator. Default: one per core."""
     set: Overrides = ()
@@ -46,6 +56,7 @@ class Play:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(self.task, names(self.robots))
         from polypod.play import session
         from polypod.play.report import show
 

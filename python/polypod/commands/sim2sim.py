@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, names, write_json
+from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, check_names, names, write_json
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,18 +30,19 @@ class Sim2sim:
     dt: Annotated[float | None, arg(metavar="S")] = None
     """MuJoCo's physics step, s. Default: the task's, on terrain 0.002."""
     integrator: Literal["implicitfast", "RK4"] = "implicitfast"
-    """MuJoCo's."""
+    """Integrator of MuJoCo."""
     friction: Annotated[float | None, arg(metavar="MU")] = None
-    """Of the ground in MuJoCo. Default: the task's static friction."""
+    """Friction coefficient of the ground in MuJoCo. Default: the task's static friction."""
     soft_contact: bool = False
     """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
     seed: int = 0
-    """Of initial states, commands and delays."""
+    """Seed of initial states, commands and delays."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(None, names(self.robots))
         from polypod import sim2sim
         from polypod.sim2sim.report import Progress, show
 

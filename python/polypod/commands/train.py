@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names
+from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, checked_threads, names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,15 +14,15 @@ class Train:
     task: Name = None
     """Name or alias of the task (`polypod list`). Default: the train config's."""
     num_envs: Count = None
-    """Number of envs, shared out evenly among the robots. Default: the train config's."""
+    """Number of envs, shared out evenly among the robots. Default: the train config's, 4096 of most."""
     robots: Robots = None
     """Names of the robots, with commas between (`polypod list`). Default: the task's."""
     max_iterations: Count = None
     """Learning iterations; with --resume, how many more. Default: the train config's; with --resume, what was left."""
     seed: Count = None
-    """Of every random stream. Default: 42."""
+    """Seed of every random stream. Default: 42."""
     train_config: Name = None
-    """Name of a file in configs/train (flat, flat_universal, quick, rough), or the path of a .toml. Default: flat."""
+    """Name of a file in configs/train (`polypod list`), or the path of a .toml. Default: flat."""
     learner: Literal["auto", "native", "rsl_rl"] | None = None
     """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
     perceptrons on a CPU. A resumed run may go on with the other one."""
@@ -41,10 +41,15 @@ class Train:
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     set: Overrides = ()
-    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0. May be repeated."""
+    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0, or with train. before the key the train
+    config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
+    headless: bool = False
+    """Accepted for scripts of other simulators: trainings open no window."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        if self.resume is None:
+            self._check()
         from polypod.training import session
 
         return session.train(
@@ -66,3 +71,11 @@ class Train:
                 overrides=list(self.set),
             )
         )
+
+    def _check(self) -> None:
+        """Refuses names and keys that do not exist before torch is imported."""
+        from polypod.training import config
+
+        of_task, of_training = config.split_overrides(self.set)
+        run = config.load(self.train_config or config.DEFAULT, of_training).run
+        check_names(self.task or run.task, names(self.robots), of_task)

@@ -3,8 +3,9 @@
 import contextlib
 import dataclasses
 import difflib
+import json
 import types
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -14,6 +15,10 @@ from polypod.files import read_bytes
 from polypod.observation import layout_of, terms_of
 from polypod.training.manifest import MAX_LAYER, Activation, check_size
 
+DEFAULT = "flat"
+"""Name of the train config that trainings use by default."""
+OVERRIDE = "train."
+"""What a `--set` begins with that changes the train config instead of the task."""
 MAX_BYTES = 1 << 20
 """Of a train config."""
 MAX_EXTENDS = 100
@@ -210,16 +215,30 @@ class TrainConfig:
         }
 
 
-def load(name: str) -> TrainConfig:
+def split_overrides(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The overrides of the task, and those of the train config without their `train.`."""
+    of_training = [text.removeprefix(OVERRIDE) for text in overrides if text.startswith(OVERRIDE)]
+    return [text for text in overrides if not text.startswith(OVERRIDE)], of_training
+
+
+def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
     """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
 
     `extends` is a name, a path relative to the file, or a list of them, of which the later ones win. A file may extend
     the one of the same name that it hides.
 
+    Args:
+        name: the name or the path.
+        overrides: `key=value` pairs, the key dotted as in the file, the value in TOML syntax.
+
     Raises:
         ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
     """
-    return parse(_load_tables(name), name)
+    config = parse(_load_tables(name), name)
+    if not overrides:
+        return config
+    tables = json.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
+    return parse(tables, f"{name} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
 
 
 def parse(tables: dict[str, Any], source: str) -> TrainConfig:

@@ -20,7 +20,6 @@ from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 
 DEFAULT_SEED = 42
-DEFAULT_TRAIN_CONFIG = "flat"
 LONGEST_EVALUATION_S = 60.0
 """Of the episodes after a training, s. Episodes of tasks without time-outs have no end."""
 
@@ -147,7 +146,8 @@ def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
 
 
 def _new_plan(options: Options) -> _Plan:
-    train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
+    of_task, of_training = config.split_overrides(options.overrides)
+    train_config = config.load(options.train_config or config.DEFAULT, of_training)
     device = _device(options, train_config)
     train_config = train_config.with_run(
         task=run_dir.source(options.task or train_config.run.task),
@@ -165,7 +165,7 @@ def _new_plan(options: Options) -> _Plan:
             f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
             "leave out slashes, and use 100 letters at most"
         )
-    return _Plan(train_config, options.robots, seed, options.overrides, None, device)
+    return _Plan(train_config, options.robots, seed, of_task, None, device)
 
 
 def _resumed_plan(options: Options) -> _Plan:
