@@ -41,7 +41,7 @@ ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc package format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -110,6 +110,13 @@ fuzz: ## Feed mutated files to the readers: make fuzz SECONDS=600 ARGS="urdf_loa
 
 test-python: build wheel
 	$(BIN)/pytest
+
+# An environment of its own in target/learners: these packages are large and pin others.
+test-learners: $(VENV)/.extension ## Run the tests of other learners: Stable-Baselines3, skrl, TorchRL, RLlib
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/learners
+	$(BIN)/uv pip install --quiet --python target/learners/bin/python --constraint $(VENV)/requirements.txt \
+		-r pyproject.toml --extra all --extra learners --group dev
+	PYTHONPATH=python target/learners/bin/python -m pytest -n 0 tests/python/test_learners.py tests/python/test_policies.py tests/python/test_docs_run.py
 
 wheel: $(VENV)/.extension ## Build the wheel: dist/*.whl
 	rm -rf dist

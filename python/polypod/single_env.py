@@ -1,6 +1,6 @@
 """One robot as a `gymnasium.Env`, for learners, wrappers and checkers that know no batch."""
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -24,7 +24,7 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
     Batches are what polypod is fast at: prefer `polypod.make` where the learner takes one.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012  (declared so by Gymnasium)
 
     def __init__(self, task_id: str, **options: "Unpack[EnvOptions]") -> None:
         """Builds the env; `EnvOptions` documents the arguments. The robot is the only one, or the first of the task.

@@ -6,6 +6,7 @@ checked says so in its first line, with the reason: three backticks and `bash no
 
 import contextlib
 import dataclasses
+import importlib.util
 import io
 import itertools
 import json
@@ -100,9 +101,20 @@ def test_every_block_is_checked_or_says_why_not():
     assert len([block for block in BLOCKS if block.is_checked]) > 50
 
 
+LEARNERS = ("ray", "skrl", "stable_baselines3", "torchrl")
+"""Packages of examples that the tests may lack: the extra `learners`."""
+
+
+def missing_learners(first: Block) -> list[str]:
+    text = "".join(b.text for b in of("python") if (b.page, b.section) == (first.page, first.section))
+    return [name for name in LEARNERS if re.search(rf"\b{name}\b", text) and importlib.util.find_spec(name) is None]
+
+
 @pytest.mark.parametrize("first", SECTIONS.values(), ids=str)
 def test_python_runs(first, tmp_path, monkeypatch):
     """The blocks of one section run one after another, as a reader would paste them."""
+    if missing := missing_learners(first):
+        pytest.skip(f"needs {', '.join(missing)}: make test-learners")
     monkeypatch.chdir(tmp_path)
     if first.page == "docs/export.md":
         # what the command at the head of the page leaves, for the one robot that the block uses

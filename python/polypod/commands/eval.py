@@ -23,7 +23,8 @@ class Eval:
     """Measure a trained policy: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
-    """A model_<n>.pt beside its manifest.json. Of several, the seeds of one training, the mean and its interval too."""
+    """A model_<n>.pt beside its manifest.json, or a policy as ONNX. Of several, the seeds of one training, the
+    mean and its interval too."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None

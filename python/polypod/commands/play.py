@@ -22,7 +22,7 @@ class Play:
     """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json."""
+    """A model_<n>.pt beside its manifest.json, or a policy as ONNX."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None

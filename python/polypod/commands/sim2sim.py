@@ -16,7 +16,7 @@ class Sim2sim:
     """
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json."""
+    """A model_<n>.pt beside its manifest.json, or a policy as ONNX."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None

@@ -13,7 +13,7 @@ from polypod import _core
 from polypod.networks import build_actor
 
 Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
-"""Observations [num_envs, num_obs] to actions [num_envs, num_actions]."""
+"""Observations [num_envs, num_obs] to actions [num_envs, num_actions], as `polypod.policy.Policy.act`."""
 
 
 def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
@@ -39,16 +39,21 @@ def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
 
 def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
     """The deterministic policy of a checkpoint; arguments and errors are those of `load_network`."""
-    network = load_network(checkpoint, model)
+    return network_policy(load_network(checkpoint, model), model["num_obs"])
+
+
+def network_policy(network: torch.nn.Module, num_obs: int) -> Policy:
+    """The deterministic policy of a network, which raises ConfigError for observations of another size."""
 
     def policy(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        if observations.shape[1] != model["num_obs"]:
+        if observations.shape[1] != num_obs:
             raise _core.ConfigError(
-                f"the policy takes observations of {model['num_obs']} numbers, and the task gives "
+                f"the policy takes observations of {num_obs} numbers, and the task gives "
                 f"{observations.shape[1]}; use the task that it was trained on"
             )
         with torch.inference_mode():
             batch = TensorDict({"policy": torch.from_numpy(observations)}, batch_size=[len(observations)])
-            return network(batch).numpy()
+            actions: npt.NDArray[np.float32] = network(batch).numpy()
+            return actions
 
     return policy

@@ -9,18 +9,17 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.evaluation import load_network
 from polypod.export import onnx_graph
 from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
+from polypod.networks.onnx_network import OnnxNetwork
 from polypod.observation import Term
-from polypod.training import run_dir
+from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
 
 Format = Literal["onnx", "torchscript"]
 
@@ -52,7 +51,7 @@ def export_checkpoint(
     """Writes the policy of a checkpoint, and one graph per robot where robots are named or `fold` is set.
 
     Args:
-        checkpoint: a `model_<n>.pt` beside its manifest.
+        checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
         out: the directory; None: `exported` beside the checkpoint.
         robots: names or paths of configs to fold the policy for, also of robots that it was not trained on.
         fold: fold for all robots of the training, where `robots` are not named.
@@ -62,14 +61,16 @@ def export_checkpoint(
         ConfigError: for a checkpoint, robot or directory that cannot be used, and where a package is missing.
         PolypodError: for a graph that does not compute what the checkpoint does.
     """
-    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    network = load_network(state, manifest["policy"])
+    policy = load(checkpoint)
+    manifest = policy.manifest
+    if isinstance(policy.network, OnnxNetwork) and "torchscript" in formats:
+        raise _core.ConfigError(f"{checkpoint} is an ONNX file, of which no TorchScript is made; use --formats onnx")
     known = interfaces(manifest)
     asked = known if robots is None and fold else {}
     if robots is not None:
         asked = interfaces(manifest, robots)
     out = checkpoint.parent / FOLDER if out is None else out
-    writer = _Writer(checkpoint, state, manifest, network, out, formats)
+    writer = _Writer(policy, out, formats)
     try:
         writer.write_policy(known | asked)
         for robot in asked.values():
@@ -82,23 +83,21 @@ def export_checkpoint(
 class _Writer:
     def __init__(
         self,
-        checkpoint: Path,
-        state: dict[str, Any],
-        manifest: dict[str, Any],
-        network: MLPModel,
+        policy: LoadedPolicy,
         out: Path,
         formats: Sequence[Format],
     ) -> None:
-        self.manifest, self.network, self.out, self.formats = manifest, network, out, formats
+        manifest = policy.manifest
+        self.manifest, self.network, self.out, self.formats = manifest, policy.network, out, formats
         self.terms: tuple[Term, ...] = ()
         self.scan_points: list[list[float]] = []
         self.files: list[Path] = []
         self.sums: dict[str, str] = {}
         self.difference = 0.0
         self.origin = {
-            "file": checkpoint.name,
-            "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
-            "iteration": state.get("iter"),
+            "file": policy.file.name,
+            "sha256": policy.sha256,
+            "iteration": policy.iteration,
         }
         self.num_obs = manifest["policy"]["num_obs"]
         self.num_actions = manifest["policy"]["num_actions"]
@@ -177,7 +176,7 @@ class _Writer:
             place = {"term": term.term, "size": term.size, "start": start}
             layout.append({**place, **dataclasses.asdict(term.treatment)})
             start += term.size
-        normalizer = self.network.obs_normalizer
+        normalizer: Any = self.network.obs_normalizer
         normalized = isinstance(normalizer, EmpiricalNormalization)
         manifest = {
             "format": 1,
@@ -216,6 +215,7 @@ class _Writer:
 
     def _metadata(self, name: str) -> dict[str, str]:
         return {
+            METADATA: json.dumps(onnx_manifest(self.manifest)),
             "name": name,
             "task": self.manifest["task"],
             "checkpoint_sha256": self.origin["sha256"],

@@ -10,11 +10,11 @@ import numpy as np
 
 from polypod import _core
 from polypod.compat import tomllib
-from polypod.evaluation import load_policy, play_task
+from polypod.evaluation import play_task
 from polypod.play import mesh
 from polypod.play.mesh import Array
 from polypod.play.scene import Scene
-from polypod.training import run_dir
+from polypod.policy import load
 
 SPACING = 1.2
 """Between robots that walk side by side, m."""
@@ -51,7 +51,7 @@ class Player(Scene):
         """Loads the policy and begins the first episodes.
 
         Args:
-            checkpoint: a `model_<n>.pt` beside its manifest.
+            checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file, see `polypod.policy`.
             robots: names or paths of configs; None: those that the policy was trained on.
             command: forward and left velocity, m/s, and yaw rate, rad/s. The robots then begin side by side, looking
                 along x. None: as the task draws it.
@@ -64,8 +64,8 @@ class Player(Scene):
         Raises:
             ConfigError: for a checkpoint, robot, task or override that cannot be used.
         """
-        state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-        self._policy = load_policy(state, manifest["policy"])
+        policy = load(checkpoint, task, robots)
+        self._policy, manifest = policy.act, policy.manifest
         sources = list(manifest["robot_sources"] if robots is None else robots)
         name = play_task(task or manifest["task"])
         changes = [*manifest["overrides"], *overrides]

@@ -105,6 +105,23 @@ class Manifest(TypedDict):
     """Of each checkpoint."""
 
 
+class OnnxManifest(TypedDict):
+    """What the metadata of an ONNX policy say, as JSON."""
+
+    format: Literal[1]
+    task: Name
+    robot_sources: Annotated[list[Name], Meta(min_length=1)]
+    robots: Annotated[list[Name], Meta(min_length=1)]
+    overrides: list[str]
+    step_dt: Annotated[float, Meta(gt=0.0, le=10.0)]
+    canonical_joint_names: Annotated[list[Name], Meta(min_length=1)]
+    observation_layout: Annotated[list[TermSize], Meta(min_length=1)]
+
+
+ONNX_KEYS = tuple(key for key in OnnxManifest.__annotations__ if key != "format")
+"""What they share with `Manifest`."""
+
+
 class ExportManifest(TypedDict):
     """`policy.json` of an export, or that of a graph folded for a robot: what is read of it in Python."""
 
@@ -125,6 +142,12 @@ def read(path: Path) -> dict[str, Any]:
     check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
     if policy["class_name"] != "MLPModel":
         _check_joints(policy, path)
+    return dict(manifest)
+
+
+def read_onnx(text: str, where: str) -> dict[str, Any]:
+    """Reads the metadata of an ONNX policy. Raises ConfigError, which begins with `where`."""
+    manifest: OnnxManifest = _parse(text.encode(), OnnxManifest, where, "the learner's export")
     return dict(manifest)
 
 
@@ -175,17 +198,23 @@ def _check_joints(policy: PolicyManifest, path: Path) -> None:
 
 def _decode(path: Path, schema: Any, source: str) -> Any:
     try:
-        return msgspec.json.decode(read_bytes(path, MAX_BYTES), type=schema)
+        data = read_bytes(path, MAX_BYTES)
     except OSError as error:
         raise _core.ConfigError(
             f"cannot read {path}: {error.strerror}; keep the manifest beside what it describes"
         ) from error
+    return _parse(data, schema, str(path), source)
+
+
+def _parse(data: bytes, schema: Any, where: str, source: str) -> Any:
+    try:
+        return msgspec.json.decode(data, type=schema)
     except msgspec.ValidationError as error:
         raise _core.ConfigError(
-            f"{path} is not a manifest of polypod: {_plain(str(error))}; copy it again from {source}"
+            f"{where} is not a manifest of polypod: {_plain(str(error))}; copy it again from {source}"
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise _core.ConfigError(f"{path} is not valid JSON: {error}; copy it again from {source}") from error
+        raise _core.ConfigError(f"{where} is not valid JSON: {error}; copy it again from {source}") from error
 
 
 def _plain(message: str) -> str:
