@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
 import torch
+from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv as BaseVecEnv
 
@@ -21,8 +21,11 @@ from polypod._core import ConfigError
 from polypod.terms import CustomTerms
 from polypod.vector_env import FloatArray, VectorEnv
 
+Indices = None | int | Iterable[int]
+
+
 class Actor(torch.nn.Module):
-    """The deterministic policy of an on-policy algorithm, for `polypod.policy.save_onnx`.
+    """The deterministic policy of an algorithm, for `polypod.policy.save_onnx`.
 
     It normalises observations as the model's `VecNormalize` does, if there is one, and clips or rescales actions to the
     action space as `predict` does.
@@ -56,9 +59,6 @@ class Actor(torch.nn.Module):
         if self.policy.squash_output:
             return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
         return actions.clamp(self.low, self.high)
-
-
-Indices = None | int | Iterable[int]
 
 
 class VecEnv(BaseVecEnv):
@@ -134,85 +134,11 @@ class VecEnv(BaseVecEnv):
         """Closes the wrapped env."""
         self.env.close()
 
-    def get_attr(self, attr_name: str, indices: class Actor(torch.nn.Module):
-    """The deterministic policy of an on-policy algorithm, for `polypod.policy.save_onnx`.
-
-    It normalises observations as the model's `VecNormalize` does, if there is one, and clips or rescales actions to the
-    action space as `predict` does.
-    """
-
-    low: torch.Tensor
-    high: torch.Tensor
-    mean: torch.Tensor
-    std: torch.Tensor
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        """Shares the weights of `model`."""
-        super().__init__()
-        self.policy = model.policy
-        space: Any = model.action_space
-        self.register_buffer("low", torch.as_tensor(space.low))
-        self.register_buffer("high", torch.as_tensor(space.high))
-        normalizer = model.get_vec_normalize_env()
-        self.normalizes = normalizer is not None and normalizer.norm_obs
-        if normalizer is not None and normalizer.norm_obs:
-            self.limit = float(normalizer.clip_obs)
-            deviation = np.sqrt(normalizer.obs_rms.var + normalizer.epsilon)
-            self.register_buffer("mean", torch.as_tensor(normalizer.obs_rms.mean, dtype=torch.float32))
-            self.register_buffer("std", torch.as_tensor(deviation, dtype=torch.float32))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions [batch, num_actions] for observations [batch, num_obs]."""
-        if self.normalizes:
-            observations = ((observations - self.mean) / self.std).clamp(-self.limit, self.limit)
-        actions = self.policy._predict(observations, deterministic=True)
-        if self.policy.squash_output:
-            return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
-        return actions.clamp(self.low, self.high)
-
-
-Indices = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Reads an attribute of the env, once per env of `indices`: the envs share a simulator."""
         return [getattr(self.env, attr_name)] * self._count(indices)
 
-    def set_attr(self, attr_name: str, value: Any, indices: class Actor(torch.nn.Module):
-    """The deterministic policy of an on-policy algorithm, for `polypod.policy.save_onnx`.
-
-    It normalises observations as the model's `VecNormalize` does, if there is one, and clips or rescales actions to the
-    action space as `predict` does.
-    """
-
-    low: torch.Tensor
-    high: torch.Tensor
-    mean: torch.Tensor
-    std: torch.Tensor
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        """Shares the weights of `model`."""
-        super().__init__()
-        self.policy = model.policy
-        space: Any = model.action_space
-        self.register_buffer("low", torch.as_tensor(space.low))
-        self.register_buffer("high", torch.as_tensor(space.high))
-        normalizer = model.get_vec_normalize_env()
-        self.normalizes = normalizer is not None and normalizer.norm_obs
-        if normalizer is not None and normalizer.norm_obs:
-            self.limit = float(normalizer.clip_obs)
-            deviation = np.sqrt(normalizer.obs_rms.var + normalizer.epsilon)
-            self.register_buffer("mean", torch.as_tensor(normalizer.obs_rms.mean, dtype=torch.float32))
-            self.register_buffer("std", torch.as_tensor(deviation, dtype=torch.float32))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions [batch, num_actions] for observations [batch, num_obs]."""
-        if self.normalizes:
-            observations = ((observations - self.mean) / self.std).clamp(-self.limit, self.limit)
-        actions = self.policy._predict(observations, deterministic=True)
-        if self.policy.squash_output:
-            return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
-        return actions.clamp(self.low, self.high)
-
-
-Indices = None) -> None:
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Sets an attribute of the env, for all envs.
 
         Raises:
@@ -222,85 +148,11 @@ Indices = None) -> None:
             raise ConfigError(f"set_attr({attr_name!r}): all envs share one simulator; leave indices out")
         setattr(self.env, attr_name, value)
 
-    def env_method(self, method_name: str, *args: Any, indices: class Actor(torch.nn.Module):
-    """The deterministic policy of an on-policy algorithm, for `polypod.policy.save_onnx`.
-
-    It normalises observations as the model's `VecNormalize` does, if there is one, and clips or rescales actions to the
-    action space as `predict` does.
-    """
-
-    low: torch.Tensor
-    high: torch.Tensor
-    mean: torch.Tensor
-    std: torch.Tensor
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        """Shares the weights of `model`."""
-        super().__init__()
-        self.policy = model.policy
-        space: Any = model.action_space
-        self.register_buffer("low", torch.as_tensor(space.low))
-        self.register_buffer("high", torch.as_tensor(space.high))
-        normalizer = model.get_vec_normalize_env()
-        self.normalizes = normalizer is not None and normalizer.norm_obs
-        if normalizer is not None and normalizer.norm_obs:
-            self.limit = float(normalizer.clip_obs)
-            deviation = np.sqrt(normalizer.obs_rms.var + normalizer.epsilon)
-            self.register_buffer("mean", torch.as_tensor(normalizer.obs_rms.mean, dtype=torch.float32))
-            self.register_buffer("std", torch.as_tensor(deviation, dtype=torch.float32))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions [batch, num_actions] for observations [batch, num_obs]."""
-        if self.normalizes:
-            observations = ((observations - self.mean) / self.std).clamp(-self.limit, self.limit)
-        actions = self.policy._predict(observations, deterministic=True)
-        if self.policy.squash_output:
-            return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
-        return actions.clamp(self.low, self.high)
-
-
-Indices = None, **kwargs: Any) -> list[Any]:
+    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
         """Calls a method of the env, once; its result stands for each env of `indices`."""
         return [getattr(self.env, method_name)(*args, **kwargs)] * self._count(indices)
 
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: class Actor(torch.nn.Module):
-    """The deterministic policy of an on-policy algorithm, for `polypod.policy.save_onnx`.
-
-    It normalises observations as the model's `VecNormalize` does, if there is one, and clips or rescales actions to the
-    action space as `predict` does.
-    """
-
-    low: torch.Tensor
-    high: torch.Tensor
-    mean: torch.Tensor
-    std: torch.Tensor
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        """Shares the weights of `model`."""
-        super().__init__()
-        self.policy = model.policy
-        space: Any = model.action_space
-        self.register_buffer("low", torch.as_tensor(space.low))
-        self.register_buffer("high", torch.as_tensor(space.high))
-        normalizer = model.get_vec_normalize_env()
-        self.normalizes = normalizer is not None and normalizer.norm_obs
-        if normalizer is not None and normalizer.norm_obs:
-            self.limit = float(normalizer.clip_obs)
-            deviation = np.sqrt(normalizer.obs_rms.var + normalizer.epsilon)
-            self.register_buffer("mean", torch.as_tensor(normalizer.obs_rms.mean, dtype=torch.float32))
-            self.register_buffer("std", torch.as_tensor(deviation, dtype=torch.float32))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions [batch, num_actions] for observations [batch, num_obs]."""
-        if self.normalizes:
-            observations = ((observations - self.mean) / self.std).clamp(-self.limit, self.limit)
-        actions = self.policy._predict(observations, deterministic=True)
-        if self.policy.squash_output:
-            return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
-        return actions.clamp(self.low, self.high)
-
-
-Indices = None) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
         """False for every env: wrappers of single envs are of no use here."""
         return [False] * self._count(indices)
 
