@@ -45,6 +45,9 @@ class Term:
     term: str
     """Its name."""
     size: int
+    """Of its numbers, those that it remembers included."""
+    history_length: int = 1
+    """Control steps that it remembers, the present one included; the oldest come first."""
     kind: str = "scalar"
     units: str = ""
     description: str = ""
@@ -72,6 +75,15 @@ class Term:
                 clip=None if clip is None else (clip[0], clip[1]),
                 scale=entry.get("scale", 1.0),
             ),
+        )
+
+
+def check_memory(terms: Sequence[Term], what: str) -> None:
+    """Raises ConfigError for terms with a history; `what` begins the message: who cannot take them."""
+    if remembers := [term.term for term in terms if term.history_length > 1]:
+        raise _core.ConfigError(
+            f"{what} no history, and {', '.join(remembers)} remember; leave history_length out of the task, or export "
+            "the policy alone and keep the last observations on the robot"
         )
 
 

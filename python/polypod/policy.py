@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from polypod import _core
-from polypod.evaluation.policies import load_network, network_policy
+from polypod.evaluation.policies import NetworkPolicy, load_network
 from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
 from polypod.networks.onnx_network import OnnxNetwork
@@ -102,7 +102,11 @@ class LoadedPolicy:
 
     def act(self, observations: FloatArray) -> FloatArray:
         """Actions [num_envs, num_actions] for observations [num_envs, num_obs]; another width raises ConfigError."""
-        return network_policy(self.network, self.manifest["policy"]["num_obs"])(observations)
+        return self.runner()(observations)
+
+    def runner(self) -> NetworkPolicy:
+        """The policy as `polypod.evaluation.evaluate` runs it: a recurrent one is told when episodes end."""
+        return NetworkPolicy(self.network, self.manifest["policy"]["num_obs"])
 
 
 def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None = None) -> LoadedPolicy:

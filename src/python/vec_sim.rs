@@ -272,9 +272,13 @@ impl VecSim {
         task.terms_of(&task.groups[0]).iter().map(|term| (term.name.as_str(), term.size)).collect()
     }
     #[getter]
-    fn observation_groups(&self) -> BTreeMap<&str, (usize, usize)> {
-        let groups = &self.sim.task().groups;
-        groups.iter().map(|group| (group.name.as_str(), (group.columns.start, group.columns.end))).collect()
+    fn observation_groups<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        // in their order
+        let groups = PyDict::new(py);
+        for group in &self.sim.task().groups {
+            groups.set_item(&group.name, (group.columns.start, group.columns.end))?;
+        }
+        Ok(groups)
     }
 
     #[pyo3(signature = (group=POLICY_GROUP))]

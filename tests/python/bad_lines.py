@@ -81,7 +81,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
-        | {"--quadrupeds": NAMES, "--learner": NAMES},
+        | {"--log-project": NAMES}
+        | {"--quadrupeds": NAMES, "--learner": NAMES, "--terms": FILES},
     ),
     "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (

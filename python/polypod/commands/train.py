@@ -26,12 +26,16 @@ class Train:
     learner: Literal["auto", "native", "rsl_rl"] | None = None
     """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
     perceptrons on a CPU. A resumed run may go on with the other one."""
-    logger: Literal["tensorboard", "none"] = "tensorboard"
-    """Where the curves go."""
+    logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
+    """Where the curves go. wandb and neptune need their package and account; TensorBoard's files are written too."""
+    log_project: str = "polypod"
+    """Project of wandb or neptune."""
     resume: Annotated[str | None, arg(metavar="RUN")] = None
     """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
     """Begin with the networks of this checkpoint, of a run with the same observation and sizes of networks."""
+    terms: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None
     """Added to the name of the run's directory."""
     log_dir: Path = Path("logs")
@@ -62,8 +66,10 @@ class Train:
                 train_config=self.train_config,
                 learner=self.learner,
                 logger=self.logger,
+                log_project=self.log_project,
                 resume=self.resume,
                 init=self.init,
+                terms=self.terms,
                 run_name=self.run_name,
                 log_dir=self.log_dir,
                 device=self.device,

@@ -20,7 +20,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
     manifest = policy.manifest
     given = list(arguments.pop("overrides", ()))
     evaluation = evaluate(
-        policy.act,
+        policy.runner(),
         task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
         overrides=[*manifest["overrides"], *given],

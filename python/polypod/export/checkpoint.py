@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from rsl_rl.models import RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
@@ -18,7 +19,7 @@ from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
 from polypod.networks.onnx_network import OnnxNetwork
-from polypod.observation import Term
+from polypod.observation import Term, check_memory
 from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
 
 Format = Literal["onnx", "torchscript"]
@@ -63,6 +64,11 @@ def export_checkpoint(
     """
     policy = load(checkpoint)
     manifest = policy.manifest
+    if isinstance(policy.network, RNNModel):
+        raise _core.ConfigError(
+            f"{checkpoint} is recurrent, which this version does not export; distil it into a perceptron with "
+            "history_length, or use rsl_rl's own exporter"
+        )
     if isinstance(policy.network, OnnxNetwork) and "torchscript" in formats:
         raise _core.ConfigError(f"{checkpoint} is an ONNX file, of which no TorchScript is made; use --formats onnx")
     known = interfaces(manifest)
@@ -127,6 +133,7 @@ class _Writer:
 
     def write_robot(self, robot: RobotInterface) -> None:
         """The graph folded for one robot, with a manifest about it."""
+        check_memory(robot.terms, "a graph that is folded for a robot has")
         name = f"policy_{robot.name}"
         module = RobotPolicy(self.network, robot).eval()
         sizes, outputs = robot.inputs(), {"joint_pos_target": len(robot.joint_names), "actions": self.num_actions}

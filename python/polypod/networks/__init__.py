@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 
 from polypod import _core
@@ -12,7 +12,11 @@ from polypod.networks.urma import JointNetwork, KindNormalization, RoleGaussian,
 
 __all__ = ["NETWORKS", "JointNetwork", "KindNormalization", "RoleGaussian", "UrmaModel", "build_actor"]
 
-NETWORKS: dict[str, type[MLPModel]] = {"MLPModel": MLPModel, "polypod.networks:UrmaModel": UrmaModel}
+NETWORKS: dict[str, type[MLPModel]] = {
+    "MLPModel": MLPModel,
+    "RNNModel": RNNModel,
+    "polypod.networks:UrmaModel": UrmaModel,
+}
 """By the class names of train configs and manifests."""
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import play_task
+from polypod.evaluation.policies import reset
 from polypod.play import mesh
 from polypod.play.mesh import Array
 from polypod.play.scene import Scene
@@ -65,7 +66,7 @@ class Player(Scene):
             ConfigError: for a checkpoint, robot, task or override that cannot be used.
         """
         policy = load(checkpoint, task, robots)
-        self._policy, manifest = policy.act, policy.manifest
+        self._policy, manifest = policy.runner(), policy.manifest
         sources = list(manifest["robot_sources"] if robots is None else robots)
         name = play_task(task or manifest["task"])
         changes = [*manifest["overrides"], *overrides]
@@ -97,6 +98,8 @@ class Player(Scene):
         self.sim.step(self._policy(self.sim.observation))
         self.time += self.step_dt
         wanted, began = self.sim.command, self.sim.final_mask
+        if began.any():
+            reset(self._policy, began)
         for robot, tally in self.tallies.items():
             first, last = self.sim.env_ids(robot)
             tally.falls += int(self.sim.terminated[first:last].sum())

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rsl_rl.models import RNNModel
 
 from polypod import _core
 from polypod.accuracy import reference
@@ -19,7 +20,7 @@ from polypod.evaluation import Policy, play_task
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.observation import terms_of
+from polypod.observation import check_memory, terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
@@ -149,14 +150,18 @@ def compare(
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
     loaded = load(checkpoint)
     network, manifest = loaded.network, loaded.manifest
+    if isinstance(network, RNNModel):
+        raise _core.ConfigError(f"{checkpoint} is recurrent, which sim2sim does not run; use polypod eval")
     sources = list(manifest["robot_sources"] if robots is None else robots)
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
+    for interface in known.values():
+        check_memory(interface.terms, "sim2sim runs policies of")
     episode = _Episode(manifest, sources, options)
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
     when = measured()
-    in_polypod = _run_polypod(episode, loaded.act, progress)
+    in_polypod = _run_polypod(episode, loaded.runner(), progress)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         model = onnx_graph.robot_model(network, interface, {})

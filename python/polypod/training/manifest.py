@@ -67,16 +67,26 @@ class PolicyManifest(TypedDict):
 
     num_obs: Size
     num_actions: Size
-    class_name: Literal["MLPModel", "polypod.networks:UrmaModel"]
+    class_name: Literal["MLPModel", "RNNModel", "polypod.networks:UrmaModel"]
     hidden_dims: Annotated[list[Size], Meta(min_length=1, max_length=64)]
     activation: Activation
     obs_normalization: bool
     distribution_cfg: DistributionManifest
+    rnn_type: NotRequired[Literal["lstm", "gru"]]
+    rnn_hidden_dim: NotRequired[Annotated[int, Meta(ge=1, le=4096)]]
+    rnn_num_layers: NotRequired[Annotated[int, Meta(ge=1, le=8)]]
     joint_dim: NotRequired[Size]
     num_heads: NotRequired[Size]
     observation_layout: NotRequired[list[TermManifest | tuple[Name, Size]]]
     """Manifests of earlier versions hold names and sizes alone."""
     joint_names: NotRequired[list[Name]]
+
+
+class TermsManifest(TypedDict):
+    """The Python file whose terms a run was trained with: a copy lies in `params/`, and nothing runs it."""
+
+    file: Name
+    sha256: Sha256
 
 
 class Manifest(TypedDict):
@@ -99,6 +109,7 @@ class Manifest(TypedDict):
     robot_info: NotRequired[dict[str, dict[str, Any]]]
     joint_maps: NotRequired[dict[str, list[dict[str, Any]]]]
     train_config: dict[str, dict[str, Any]]
+    terms: NotRequired[TermsManifest]
     versions: NotRequired[dict[str, str]]
     git: NotRequired[dict[str, Any] | None]
     checkpoints: NotRequired[dict[str, Sha256]]
@@ -140,7 +151,7 @@ def read(path: Path) -> dict[str, Any]:
     policy = manifest["policy"]
     _check_layout(manifest, path)
     check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
-    if policy["class_name"] != "MLPModel":
+    if policy["class_name"] == "polypod.networks:UrmaModel":
         _check_joints(policy, path)
     return dict(manifest)
 

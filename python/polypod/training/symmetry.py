@@ -9,7 +9,6 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.rsl_rl import VecEnv
-from polypod.training.config import OBSERVATION_GROUP
 
 
 class Mirror:
@@ -23,13 +22,17 @@ class Mirror:
         """
         sim = env.unwrapped.sim
         first, *others = sim.robots
-        actions, observations = sim.action_mirror(first), sim.observation_mirror(first)
+        actions = sim.action_mirror(first)
+        observations = {group: sim.observation_mirror(first, group) for group in sim.observation_groups}
         for name in others:
-            if sim.action_mirror(name) != actions or sim.observation_mirror(name) != observations:
+            if sim.action_mirror(name) != actions or any(
+                sim.observation_mirror(name, group) != mirror for group, mirror in observations.items()
+            ):
                 raise _core.ConfigError(
                     f"joints of {first} and {name} change sign differently in a mirror: set symmetry = false in [run]"
                 )
-        self._actions, self._observations = _tensors(actions, device), _tensors(observations, device)
+        self._actions = _tensors(actions, device)
+        self._observations = {group: _tensors(mirror, device) for group, mirror in observations.items()}
 
     def augment(
         self, env: VecEnv, obs: TensorDict | None, actions: torch.Tensor | None
@@ -38,16 +41,18 @@ class Mirror:
 
         Args:
             env: the env, which is not looked at.
-            obs: group `policy`, [n, num_obs].
+            obs: groups of observations, [n, size] each.
             actions: [n, num_actions].
 
         Returns:
             Both with 2 n rows.
         """
         if obs is not None:
-            policy = obs[OBSERVATION_GROUP]
-            both = torch.cat([policy, _mirrored(policy, self._observations)])
-            obs = TensorDict({OBSERVATION_GROUP: both}, batch_size=[both.shape[0]], device=obs.device)
+            groups = {
+                group: torch.cat([obs[group], _mirrored(obs[group], mirror)])
+                for group, mirror in self._observations.items()
+            }
+            obs = TensorDict(groups, batch_size=[2 * obs.batch_size[0]], device=obs.device)
         if actions is not None:
             actions = torch.cat([actions, _mirrored(actions, self._actions)])
         return obs, actions
