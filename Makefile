@@ -143,8 +143,8 @@ lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	cargo fmt --all --check --manifest-path tests/loom/Cargo.toml
 	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
-	$(BIN)/ruff check python tests/python
-	$(BIN)/ruff format --check python tests/python
+	$(BIN)/ruff check python tests/python examples
+	$(BIN)/ruff format --check python tests/python examples
 	$(BIN)/mypy
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 

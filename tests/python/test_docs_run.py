@@ -214,12 +214,22 @@ def check_command(words: list[str], page: str) -> None:
             assert re.fullmatch(r"\w+=.+", assignment)
         case "cp" | "mkdir" | "tar" | ".venv/bin/tensorboard":
             pass
+        case ".venv/bin/python":
+            check_example(words[1], words[2:])
         case _:
             pytest.fail(f"{shlex.join(words)}: test_docs_run.py does not know {program}")
     check_names(arguments, page)
     for word in (word.rpartition("=")[2] for word in arguments):
         if word.startswith(FOLDERS):
             assert any(ROOT.glob(word)), f"{word} does not exist"
+
+
+def check_example(script: str, arguments: list[str]) -> None:
+    """A script of `examples/` that takes the arguments."""
+    parsed = re.findall(r'add_argument\("([^"]+)"', (ROOT / script).read_text(encoding="utf-8"))
+    assert script.startswith("examples/")
+    for argument in arguments:
+        assert not argument.startswith("--") or argument in parsed, argument
 
 
 def accepts(arguments: list[str]) -> bool:

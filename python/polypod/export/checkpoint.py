@@ -13,7 +13,7 @@ from rsl_rl.models import RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.export import onnx_graph
+from polypod.export import metadata, onnx_graph
 from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
@@ -105,6 +105,7 @@ class _Writer:
             "sha256": policy.sha256,
             "iteration": policy.iteration,
         }
+        self.run_path = str(policy.file)
         self.num_obs = manifest["policy"]["num_obs"]
         self.num_actions = manifest["policy"]["num_actions"]
 
@@ -116,7 +117,10 @@ class _Writer:
         module = self.network.as_jit()
         sizes = {"obs": self.num_obs}
         if "onnx" in self.formats:
-            model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, self._metadata("policy"))
+            # gains and poses are one robot's: of several, each graph that is folded for one says its own
+            alone = any_robot if len(robots) == 1 else None
+            described = self._metadata("policy", alone)
+            model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, described)
             self._write_onnx("policy", model, module, sizes, ["actions"])
         if "torchscript" in self.formats:
             self._write_torchscript("policy", module, sizes)
@@ -138,7 +142,7 @@ class _Writer:
         module = RobotPolicy(self.network, robot).eval()
         sizes, outputs = robot.inputs(), {"joint_pos_target": len(robot.joint_names), "actions": self.num_actions}
         if "onnx" in self.formats:
-            model = onnx_graph.robot_model(self.network, robot, self._metadata(name))
+            model = onnx_graph.robot_model(self.network, robot, self._metadata(name, robot))
             self._write_onnx(name, model, module, sizes, list(outputs))
         if "torchscript" in self.formats:
             self._write_torchscript(name, module, sizes)
@@ -220,13 +224,14 @@ class _Writer:
             "morphology": [float(x) for value in robot.constants.values() for x in value],
         }
 
-    def _metadata(self, name: str) -> dict[str, str]:
+    def _metadata(self, name: str, robot: RobotInterface | None = None) -> dict[str, str]:
         return {
             METADATA: json.dumps(onnx_manifest(self.manifest)),
             "name": name,
             "task": self.manifest["task"],
             "checkpoint_sha256": self.origin["sha256"],
-            "step_dt": str(self.manifest["step_dt"]),
+            **metadata.of_observation(self.terms, self.run_path, self.manifest["step_dt"]),
+            **({} if robot is None else metadata.of_robot(robot)),
         }
 
 
