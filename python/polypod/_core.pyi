@@ -112,6 +112,17 @@ class Learner:
             ConfigError: for another simulation, and for actions that a diverged policy gives.
         """
 
+    def set_goals(self, entropy_coef: float, desired_kl: float | None) -> None:
+        """Changes what the coming updates aim at.
+
+        Args:
+            entropy_coef: weight of the entropy.
+            desired_kl: divergence that the learning rate is adapted to; None: the learning rate stays.
+
+        Raises:
+            ValueError: for numbers that are not finite, and a divergence that is not above 0.
+        """
+
     def update(self, sim: VecSim, learning_rate: float) -> dict[str, float]:
         """Learns from the steps, and takes their observations into the networks' statistics.
 

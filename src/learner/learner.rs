@@ -113,6 +113,12 @@ impl Learner {
         &self.settings
     }
 
+    /// Changes what the coming updates aim at: the weight of the entropy, and the divergence that the learning rate is adapted to.
+    pub fn set_goals(&mut self, entropy_coef: f32, desired_kl: Option<f64>) {
+        let algorithm = &mut self.settings.options.algorithm;
+        (algorithm.entropy_coef, algorithm.desired_kl) = (entropy_coef, desired_kl);
+    }
+
     fn net(&self, which: Which) -> &Net {
         if which == Which::Actor { &self.actor } else { &self.critic }
     }

@@ -39,8 +39,10 @@ const RATES: [f64; 2] = [1e-5, 1e-2];
 struct Gradient {
     lines: Vec<Line>,
     loss: f64,
-    /// Divergence from the policy that collected the samples, summed over them.
+    /// Divergence from the policy that collected the samples, summed over those that are no images.
     divergence: f64,
+    /// Samples that are no images.
+    samples: usize,
 }
 
 /// What all parts share in a mini-batch.
@@ -62,9 +64,8 @@ struct MiniBatch<'a> {
 type Sample<'a> = (usize, Option<&'a Mirror>);
 
 impl MiniBatch<'_> {
-    /// Calls `f` with the samples of a part in tiles of at most `size`, and whether they are samples of their own rather than images
-    /// beside them.
-    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample], bool)) {
+    /// Calls `f` with the samples of a part in tiles of at most `size`.
+    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample])) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
         let mut tile = Vec::with_capacity(size);
         for pass in 0..self.settings.options.symmetry.rows_per_sample() {
@@ -79,7 +80,7 @@ impl MiniBatch<'_> {
                     };
                     (sample, is_image.then(|| &self.mirrors[part.robot_of[sample % part.len()]]))
                 }));
-                f(&tile, pass == 0);
+                f(&tile);
             }
         }
     }
@@ -91,7 +92,7 @@ impl MiniBatch<'_> {
         let mut images = vec![Line::ZERO; 2 * lines[1]];
         let mut mean = vec![Line::ZERO; lines[1]];
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples, own| {
+            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
                 let observation = |sample: usize| &part.observations[sample * lines[0]..][..lines[0]];
                 let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
                 net.perceptron.forward(self.matrix, rows, tile);
@@ -109,9 +110,10 @@ impl MiniBatch<'_> {
                     for (panel, line) in mean.iter_mut().enumerate() {
                         *line = tile.output()[panel * rows + row];
                     }
-                    if own {
+                    if mirror.is_none() {
                         gradient.divergence +=
                             f64::from(self.new.divergence(&mean, old_mean, self.divergence_of_deviations));
+                        gradient.samples += 1;
                     }
                     let (about, scale) = self.advantages[part.robot_of[sample % part.len()]];
                     let surrogate = Surrogate {
@@ -136,7 +138,7 @@ impl MiniBatch<'_> {
         let lines = lines_of(self.settings.num_obs);
         let algorithm = &self.settings.options.algorithm;
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples, _| {
+            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
                 let observation = |sample: usize| &part.observations[sample * lines..][..lines];
                 let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
                 net.perceptron.forward(self.matrix, rows, tile);
@@ -183,8 +185,12 @@ impl Learner {
                 losses.value += sum(|[_, critic]| critic.loss) / rows as f64;
                 losses.entropy += entropy;
                 if let Some(desired) = algorithm.desired_kl {
-                    let divergence = sum(|[actor, _]| actor.divergence) / samples as f64;
-                    losses.learning_rate = adapted(losses.learning_rate, divergence, desired);
+                    // an image's divergence also has what the policy lacks in symmetry
+                    let samples: usize = gradients.iter().map(|[actor, _]| actor.samples).sum();
+                    if samples > 0 {
+                        let divergence = sum(|[actor, _]| actor.divergence) / samples as f64;
+                        losses.learning_rate = adapted(losses.learning_rate, divergence, desired);
+                    }
                 }
                 self.step_networks(team, &gradients, losses.learning_rate);
             }
@@ -230,7 +236,7 @@ impl Learner {
         }
         team.for_each(tasks, |(place, part, net, gradient, is_actor)| {
             gradient.lines.fill(Line::ZERO);
-            (gradient.loss, gradient.divergence) = (0.0, 0.0);
+            (gradient.loss, gradient.divergence, gradient.samples) = (0.0, 0.0, 0);
             if is_actor {
                 if place == 0 {
                     new.add_entropy(algorithm.entropy_coef, &mut gradient.lines[net.perceptron.first_extra()..]);

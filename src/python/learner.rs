@@ -72,6 +72,15 @@ impl Learner {
         ]))
     }
 
+    #[pyo3(signature = (entropy_coef, desired_kl))]
+    fn set_goals(&mut self, py: Python<'_>, entropy_coef: f32, desired_kl: Option<f64>) -> PyResult<()> {
+        if !(entropy_coef.is_finite() && desired_kl.is_none_or(|kl| kl > 0.0)) {
+            let problem = format!("entropy_coef {entropy_coef} and desired_kl {desired_kl:?}");
+            return Err(value_error(format!("{problem}: a finite number and one above 0, or None, are wanted")));
+        }
+        self.learner.run(py, |learner| learner.set_goals(entropy_coef, desired_kl))
+    }
+
     fn network<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Network<'py>> {
         let NetworkState { weights, first, second, steps } = self.learner.network(which(name)?);
         Ok((arrays(py, weights), arrays(py, first), arrays(py, second), steps))

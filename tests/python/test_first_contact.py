@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 import polypod
-from polypod import _core
+from polypod import _core, bundled
 from polypod.cli import COMMANDS
 from polypod.commands import info
 from polypod.tables import Rows
@@ -136,7 +136,8 @@ def test_info_says_what_a_bug_report_needs(cli, monkeypatch):
 
 def test_lists_as_json(cli):
     listed = json.loads(cli("list", "--json").stdout)
-    assert listed == {"tasks": polypod.tasks(), "robots": polypod.robots()}
+    policies = [{"name": name, "file": str(bundled.checkpoint(name))} for name in ("flat", "rough")]
+    assert listed == {"tasks": polypod.tasks(), "robots": polypod.robots(), "policies": policies}
     assert json.loads(cli("list", "robots", "--json").stdout) == {"robots": polypod.robots()}
 
 
@@ -165,3 +166,17 @@ def test_tables_fit_the_terminal(width):
     for word in (*headers[0:1], "xy", "yaw", "falls", "length", "power", "CoT", "slip", "100.0%", "1234", "0.66"):
         assert word in words, word
     assert printed.count("unitree_go2_with_arm") == printed.count("anymal_d") == printed.count("robot")
+
+
+def test_bundled_policies_go_by_their_names(cli, tmp_path):
+    done = cli("play", "--headless", "--seconds", "0.2")
+    assert done.returncode == 0, done.stderr
+    assert "Velocity-Flat-Universal-Play-v0" in done.stdout
+    done = cli("eval", "--checkpoint", "rough", "--num-envs", "8", "--steps", "2")
+    assert done.returncode == 0, done.stderr
+    assert "Rough" in done.stdout
+    # a file of that name comes first
+    (tmp_path / "flat").write_bytes(b"no checkpoint")
+    assert "flat is not a checkpoint" in cli("eval", "--checkpoint", "flat").stderr
+    with pytest.raises(polypod.UnknownNameError, match="use one of flat, rough"):
+        bundled.checkpoint("hills")

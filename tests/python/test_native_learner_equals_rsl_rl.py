@@ -67,7 +67,7 @@ def runners(train_config, tmp_path):
         if kind == "native":
             made.append(NativeRunner(adapter, train_config, folder, "cpu", Reporter()))
         else:
-            made.append(Runner(adapter, train_config.rsl_rl_cfg(env.sim), folder, "cpu", Reporter()))
+            made.append(Runner(adapter, train_config, folder, "cpu", Reporter()))
     return made
 
 

@@ -23,8 +23,8 @@ class Eval:
     """Measure a trained policy: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
-    """A model_<n>.pt beside its manifest.json, or a policy as ONNX. Of several, the seeds of one training, the
-    mean and its interval too."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough. Of several,
+    the seeds of one training, the mean and its interval too."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -55,6 +55,7 @@ class Eval:
         check_names(self.task, names(self.robots))
         import torch
 
+        from polypod import bundled
         from polypod.evaluation import evaluate_checkpoints, plot, summarize
         from polypod.training.report import Reporter
 
@@ -63,8 +64,9 @@ class Eval:
             torch.set_num_threads(threads)
         if not self.checkpoint:
             raise _core.ConfigError("--checkpoint names no file; pass one model_<n>.pt or more")
+        checkpoints = [bundled.resolve(checkpoint) for checkpoint in self.checkpoint]
         evaluations = evaluate_checkpoints(
-            self.checkpoint,
+            checkpoints,
             task=self.task,
             robots=names(self.robots),
             num_envs=self.num_envs,
@@ -78,7 +80,7 @@ class Eval:
         )
         summary = summarize(evaluations)
         reporter = Reporter()
-        for checkpoint, evaluation in zip(self.checkpoint, evaluations, strict=True):
+        for checkpoint, evaluation in zip(checkpoints, evaluations, strict=True):
             if len(evaluations) > 1:
                 reporter.message(str(checkpoint))
             reporter.evaluation(evaluation)

@@ -14,7 +14,7 @@ class Export:
     """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, or a policy as ONNX."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where to. Default: exported/ beside the checkpoint."""
     robots: RobotNames = None
@@ -27,11 +27,14 @@ class Export:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(None, names(self.robots))
+        from polypod import bundled
         from polypod.export import export_checkpoint
 
         if not self.formats:
             raise _core.ConfigError("--formats names none; choose onnx, torchscript or both")
-        done = export_checkpoint(self.checkpoint, self.out, names(self.robots), fold=self.fold, formats=self.formats)
+        done = export_checkpoint(
+            bundled.resolve(self.checkpoint), self.out, names(self.robots), fold=self.fold, formats=self.formats
+        )
         for change in done.changes:
             print(f"polypod: warning: {change}", file=sys.stderr)
         for file in done.files:

@@ -8,15 +8,15 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from polypod import _core
+from polypod import _core, bundled
 
-Kind = Literal["all", "tasks", "robots"]
+Kind = Literal["all", "tasks", "robots", "policies"]
 Task = Mapping[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
 class List:
-    """List the tasks and the robots."""
+    """List the tasks, the robots and the bundled policies."""
 
     kind: Annotated[Kind, tyro.conf.Positional] = "all"
     """What to list. `tasks` also lists the tasks that are made for one robot."""
@@ -25,7 +25,7 @@ class List:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
-        kinds: dict[str, Any] = {"tasks": _core.tasks, "robots": _core.robots}
+        kinds: dict[str, Any] = {"tasks": _core.tasks, "robots": _core.robots, "policies": _policies}
         listed = {name: entries() for name, entries in kinds.items() if self.kind in ("all", name)}
         if self.json:
             print(json.dumps(listed, indent=2))
@@ -48,6 +48,14 @@ class List:
             print("robots")
             for robot in listed["robots"]:
                 print(f"  {robot['name']:<44} {robot['title']}")
+        if "policies" in listed:
+            print("policies")
+            for policy in listed["policies"]:
+                print(f"  {policy['name']:<44} {policy['file']}")
+
+
+def _policies() -> list[dict[str, str]]:
+    return [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.NAMES]
 
 
 def _split(tasks: Sequence[Task]) -> tuple[list[Task], list[Task]]:

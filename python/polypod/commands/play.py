@@ -21,8 +21,8 @@ from polypod.commands.arguments import (
 class Play:
     """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
 
-    checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, or a policy as ONNX."""
+    checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None
@@ -57,12 +57,13 @@ class Play:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(self.task, names(self.robots))
+        from polypod import bundled
         from polypod.play import session
         from polypod.play.report import show
 
         player = session.play(
             session.Options(
-                checkpoint=self.checkpoint,
+                checkpoint=bundled.resolve(self.checkpoint),
                 robots=names(self.robots),
                 command=self.command,
                 task=self.task,

@@ -16,7 +16,7 @@ class Sim2sim:
     """
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, or a policy as ONNX."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -43,7 +43,7 @@ class Sim2sim:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(None, names(self.robots))
-        from polypod import sim2sim
+        from polypod import bundled, sim2sim
         from polypod.sim2sim.report import Progress, show
 
         options = sim2sim.Options(
@@ -58,7 +58,7 @@ class Sim2sim:
             overrides=self.set,
         )
         with Progress() as progress:
-            comparison = sim2sim.compare(self.checkpoint, names(self.robots), options, progress)
+            comparison = sim2sim.compare(bundled.resolve(self.checkpoint), names(self.robots), options, progress)
         show(comparison)
         write_json(self.json, comparison.as_dict())
         return 0 if comparison.transfers else 3

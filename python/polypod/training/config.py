@@ -7,7 +7,7 @@ import json
 import types
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any, NamedTuple, get_args, get_origin
 
 from polypod import _core
 from polypod.compat import tomllib
@@ -77,6 +77,19 @@ class AlgorithmConfig:
     mixed_precision: str
 
 
+@dataclasses.dataclass(frozen=True)
+class AnnealConfig:
+    """`[anneal]`: what the goals of PPO become towards the end of a run, for a policy that explores less and less.
+
+    From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the
+    value here, which it has in the last iteration and after it.
+    """
+
+    start: float
+    entropy_coef: float
+    desired_kl: float
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CriticConfig:
     """`[critic]`: a multi-layer perceptron, a recurrent network, or a network of joints."""
@@ -128,6 +141,13 @@ class ActorConfig(CriticConfig):
         return {**network, "distribution_cfg": distribution}
 
 
+class Goals(NamedTuple):
+    """What PPO aims at in an iteration."""
+
+    entropy_coef: float
+    desired_kl: float
+
+
 @dataclasses.dataclass(frozen=True)
 class ObsGroupsConfig:
     """`[obs_groups]`: which of the task's observation groups each network sees, side by side, in rsl_rl's words."""
@@ -174,6 +194,7 @@ class TrainConfig:
     algorithm: AlgorithmConfig
     actor: ActorConfig
     critic: CriticConfig
+    anneal: AnnealConfig | None = None
     obs_groups: ObsGroupsConfig = dataclasses.field(default_factory=ObsGroupsConfig)
     rnd: RndConfig | None = None
     distillation: DistillationConfig | None = None
@@ -182,6 +203,18 @@ class TrainConfig:
         """The config as it would stand in its file."""
         sections = {name: table for name, table in dataclasses.asdict(self).items() if table is not None}
         return {name: {k: v for k, v in table.items() if v is not None} for name, table in sections.items()}
+
+    def goals(self, iteration: int) -> Goals:
+        """What PPO aims at in an iteration, counted from 0."""
+        begin = Goals(self.algorithm.entropy_coef, self.algorithm.desired_kl)
+        if self.anneal is None:
+            return begin
+        first = self.anneal.start * self.run.max_iterations
+        share = min(max((iteration + 1 - first) / max(self.run.max_iterations - first, 1.0), 0.0), 1.0)
+        return Goals(
+            begin.entropy_coef + share * (self.anneal.entropy_coef - begin.entropy_coef),
+            begin.desired_kl + share * (self.anneal.desired_kl - begin.desired_kl),
+        )
 
     def with_run(self, **values: Any) -> "TrainConfig":
         """The config with other values in `[run]`; None leaves a value alone."""
@@ -323,12 +356,13 @@ SECTIONS: dict[str, Any] = {
     "algorithm": AlgorithmConfig,
     "actor": ActorConfig,
     "critic": CriticConfig,
+    "anneal": AnnealConfig,
     "obs_groups": ObsGroupsConfig,
     "rnd": RndConfig,
     "distillation": DistillationConfig,
 }
 """Tables of a train config and what is read of each."""
-OPTIONAL_SECTIONS = ("obs_groups", "rnd", "distillation")
+OPTIONAL_SECTIONS = ("anneal", "obs_groups", "rnd", "distillation")
 
 
 def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
@@ -499,6 +533,7 @@ _POSITIVE = (
     ("algorithm", "num_mini_batches", 2**24),
     ("algorithm", "learning_rate", 1.0),
     ("algorithm", "desired_kl", 100.0),
+    ("anneal", "desired_kl", 100.0),
     ("algorithm", "clip_param", 10.0),
     ("algorithm", "max_grad_norm", 1e6),
     ("actor", "init_std", 100.0),
@@ -510,18 +545,25 @@ _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("algorithm", "lam", 0.0, 1.0),
     ("algorithm", "value_loss_coef", 0.0, 1e6),
     ("algorithm", "entropy_coef", 0.0, 1e3),
+    ("anneal", "start", 0.0, 1.0),
+    ("anneal", "entropy_coef", 0.0, 1e3),
 )
 """Section, key, least and greatest value of the other numbers."""
 
 
 def _check_ranges(config: TrainConfig, source: str) -> None:
     run, algorithm = config.run, config.algorithm
+    sections = config.as_dict()
     for section, key, least, most in _RANGES:
-        value = getattr(getattr(config, section), key)
+        if section not in sections:
+            continue
+        value = sections[section][key]
         if not least <= value <= most:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be from {least:g} to {most:g}")
     for section, key, most in _POSITIVE:
-        value = getattr(getattr(config, section), key)
+        if section not in sections:
+            continue
+        value = sections[section][key]
         if not value > 0:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be greater than 0")
         if not value <= most:

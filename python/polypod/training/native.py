@@ -26,11 +26,10 @@ class NativeRunner(Runner):
 
     def __init__(self, env: VecEnv, config: TrainConfig, run: Path, device: str, reporter: Reporter) -> None:
         """Builds the networks; `config` is one for the native learner."""
-        sim = env.unwrapped.sim
-        cfg = config.rsl_rl_cfg(sim)
         # samples and mirror images are the native learner's: rsl_rl stores none
-        super().__init__(env, {**cfg, "symmetry": False, "num_steps_per_env": 1}, run, device, reporter)
-        self.cfg = self.logger.cfg = cfg
+        super().__init__(env, config, run, device, reporter, symmetry=False, num_steps_per_env=1)
+        sim = env.unwrapped.sim
+        self.cfg = self.logger.cfg = config.rsl_rl_cfg(sim)
         self._learner = _core.Learner(sim, json.dumps(config.native_options()))
         self._give()
 
@@ -42,6 +41,7 @@ class NativeRunner(Runner):
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
+        self._learner.set_goals(self.alg.entropy_coef, self.alg.desired_kl if self.alg.schedule == "adaptive" else None)
         loss = self._learner.update(self.env.unwrapped.sim, self.alg.learning_rate)
         self.alg.learning_rate = loss.pop("learning_rate")
         return loss

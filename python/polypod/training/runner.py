@@ -19,6 +19,7 @@ from polypod import _core
 from polypod.rsl_rl import VecEnv
 from polypod.training import run_dir
 from polypod.training.advantages import normalize_per_robot
+from polypod.training.config import TrainConfig
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
@@ -62,8 +63,20 @@ class Runner(OnPolicyRunner):
     env: VecEnv
     logger: TrainingLogger
 
-    def __init__(self, env: VecEnv, cfg: dict[str, Any], run: Path, device: str, reporter: Reporter) -> None:
-        """Builds networks and storage; `cfg` is rsl_rl's configuration."""
+    def __init__(
+        self, env: VecEnv, config: TrainConfig, run: Path, device: str, reporter: Reporter, **changes: Any
+    ) -> None:
+        """Builds networks and storage.
+
+        Args:
+            env: the envs.
+            config: what to train.
+            run: the run's directory.
+            device: torch's.
+            reporter: what shows the progress.
+            changes: values of rsl_rl's configuration other than those of `config`.
+        """
+        cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **changes}
         check_groups(env, cfg["obs_groups"])
         self._distils = cfg["algorithm"]["class_name"] == "Distillation"
         if cfg["symmetry"]:
@@ -82,6 +95,7 @@ class Runner(OnPolicyRunner):
             gpu_global_rank=0,
             device=device,
         )
+        self.config = config
         self.run = run
         self.reporter = reporter
         self.stopped_by: signal.Signals | None = None
@@ -133,6 +147,7 @@ class Runner(OnPolicyRunner):
         started = time.perf_counter()
         observations = self._collect(observations)
         collected = time.perf_counter()
+        self.alg.entropy_coef, self.alg.desired_kl = self.config.goals(iteration)
         loss = self._update(observations)
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1

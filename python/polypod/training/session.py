@@ -259,7 +259,7 @@ def runner_of(env: VecEnv, train_config: config.TrainConfig, run: Path, device: 
     """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
         return NativeRunner(env, train_config, run, device, reporter)
-    runner = Runner(env, train_config.rsl_rl_cfg(env.unwrapped.sim), run, device, reporter)
+    runner = Runner(env, train_config, run, device, reporter)
     if train_config.distillation is not None:
         runner.learn_from(Path(train_config.distillation.teacher))
     return runner
