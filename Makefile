@@ -115,7 +115,7 @@ test-python: build wheel
 test-learners: $(VENV)/.extension ## Run the tests of other learners: Stable-Baselines3, skrl, TorchRL, RLlib
 	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/learners
 	$(BIN)/uv pip install --quiet --python target/learners/bin/python --constraint $(VENV)/requirements.txt \
-		-r pyproject.toml --extra all --extra learners --group dev
+		-r pyproject.toml --extra train --extra bench --extra export --extra play --extra learners --group dev
 	PYTHONPATH=python target/learners/bin/python -m pytest -n 0 tests/python/test_learners.py tests/python/test_policies.py tests/python/test_docs_run.py
 
 wheel: $(VENV)/.extension ## Build the wheel: dist/*.whl
