@@ -41,7 +41,7 @@ ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc package format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -150,6 +150,12 @@ lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 
 doc: ## Build the documentation of the Rust crates: target/doc/polypod/index.html
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
+
+# In an environment of its own: MkDocs reads the sources and needs nothing of polypod's.
+docs: $(VENV)/.venv ## Build the documentation as a site: target/site/index.html
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/docs
+	$(BIN)/uv pip install --quiet --python target/docs/bin/python --group docs
+	target/docs/bin/mkdocs build --quiet --strict
 
 package: ## Pack the crates as `cargo publish` would: target/package
 	cargo package --locked --no-verify --allow-dirty --package polypod-dynamics --package polypod-learner --package polypod
