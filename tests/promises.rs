@@ -41,6 +41,7 @@ mod momentum_is_conserved_in_free_flight;
 mod no_renderer_is_compiled;
 mod no_robot_is_named_in_the_code;
 mod normal_forces_mean_the_same;
+mod observations_remember_their_own_episode;
 mod obstacles_are_one_terrain;
 mod other_bodies_match_the_facts;
 mod padded_slots_change_nothing;

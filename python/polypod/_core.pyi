@@ -235,7 +235,7 @@ class VecSim:
 
     num_envs: int
     num_obs: int
-    """Width of an observation."""
+    """Width of the policy's observation."""
     num_actions: int
     """Width of an action: the number of slots that any of the robots has."""
     max_episode_length: int
@@ -255,13 +255,20 @@ class VecSim:
     threads: int
     seed: int
     observation_layout: list[tuple[str, int]]
-    """(term, size) of the observation, in order."""
+    """(term, size) of the policy's observation, in order."""
+    observation_groups: dict[str, tuple[int, int]]
+    """By name of the observation group, the half-open range of its columns in a row of all groups.
 
-    def observation_terms(self) -> str:
-        """Terms of the observation, in order, as JSON: a list of objects.
+    The group `policy` comes first; a task names the others in its `[observations]`.
+    """
 
-        `term`, `size`: name and number of numbers.
-        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, scan or body: how the numbers are mirrored.
+    def observation_terms(self, group: str = "policy") -> str:
+        """Terms of an observation group, in order, as JSON: a list of objects.
+
+        `term`, `size`: name and number of numbers, those that the term remembers included.
+        `history_length`: control steps that it remembers, the present one included; the oldest numbers come first.
+        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body: how the numbers are
+        mirrored.
         `units`, `description`: what they say.
         `source`: what the term is computed from on a robot: measured (given as it is), robot_constant (known of the
         robot), center_of_mass_velocity, base_angular_velocity, projected_gravity, velocity_command, joint_position,
@@ -272,13 +279,16 @@ class VecSim:
         (a distance between front and hind legs), width (between left and right legs), role (all numbers of the first
         role, then those of the next) or joint (the first number of all joints, then the next number of all joints).
         `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the result, and its factor.
-        """
-
-    def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an observation, left and right exchanged: (index, sign) of each of its [num_obs] numbers.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have.
+            UnknownNameError: for a group that the task does not have.
+        """
+
+    def observation_mirror(self, robot: str, group: str = "policy") -> list[tuple[int, float]]:
+        """Mirror image of an observation group, left and right exchanged: (index, sign) of each of its numbers.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have, and for a group that the task does not have.
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
@@ -288,11 +298,11 @@ class VecSim:
             UnknownNameError: for a robot that the run does not have.
         """
 
-    def observation_mask(self, robot: str) -> list[bool]:
-        """[num_obs], True where the robot has the number; those of joints that it lacks are 0.
+    def observation_mask(self, robot: str, group: str = "policy") -> list[bool]:
+        """[size of the group], True where the robot has the number; those of joints that it lacks are 0.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have.
+            UnknownNameError: for a robot that the run does not have, or an unknown observation group.
         """
 
     def env_ids(self, robot: str) -> tuple[int, int]:
@@ -359,6 +369,13 @@ class VecSim:
     def observation(self) -> npt.NDArray[np.float32]:
         """[num_envs, num_obs]. Two buffers alternate: this one stays as it is until the step after the next one."""
 
+    def observation_of(self, group: str) -> npt.NDArray[np.float32]:
+        """[num_envs, n], an observation group, a view that stays as it is as long as `observation` does.
+
+        Raises:
+            UnknownNameError: for a group that the task does not have.
+        """
+
     @property
     def reward(self) -> npt.NDArray[np.float32]:
         """[num_envs], of the last step, already multiplied by `step_dt`."""
@@ -374,6 +391,9 @@ class VecSim:
     @property
     def final_obs(self) -> npt.NDArray[np.float32]:
         """[num_envs, num_obs], the last observation of the episodes that ended in this step: rows of `final_mask`."""
+
+    def final_obs_of(self, group: str) -> npt.NDArray[np.float32]:
+        """[num_envs, n], as `final_obs`, of an observation group. Raises UnknownNameError."""
 
     @property
     def final_mask(self) -> npt.NDArray[np.bool_]:
@@ -749,6 +769,28 @@ def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> Tr
     Raises:
         UnknownNameError: for a name that no file has.
         ConfigError: for a file that cannot be read, and for a name that only files `above` have.
+    """
+
+def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides: Sequence[str] = ...) -> None:
+    """Reads the configs of a task and of robots, and the overrides of the task, without simulating anything.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a config or an override that cannot be used.
+    """
+
+def with_overrides(config: str, overrides: Sequence[str]) -> str:
+    """Writes overrides into a config, by the rules of `VecSim`'s.
+
+    Args:
+        config: tables as JSON, with every key that may be overridden.
+        overrides: `key=value` pairs, the key dotted, the value in TOML syntax or a bare word.
+
+    Returns:
+        The changed tables as JSON.
+
+    Raises:
+        ConfigError: for a table or element that does not exist, and for a value that cannot be read.
     """
 
 def robot_urdf(name: str) -> str:

@@ -22,8 +22,12 @@ impl Sim {
     /// A learner for this simulation's envs, robots and observations, with the simulation's seed. Its networks' numbers are zero.
     ///
     /// # Errors
-    /// Options that are out of range.
+    /// Options that are out of range; a task of several observation groups.
     pub fn learner(&self, options: Options) -> Result<Learner, Error> {
+        if let [_, other, ..] = &self.task().groups[..] {
+            let problem = format!("the task has the observation group `{}` beside the policy's", other.name);
+            return Err(Error::argument("observations", problem, "learn with rsl_rl, or from a task of one group"));
+        }
         let has_mirrors = options.symmetry != Symmetry::None;
         let robots = self.morphologies().iter().enumerate().map(|(index, robot)| {
             let envs = self.env_ids(index);

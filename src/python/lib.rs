@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use exceptions::{guarded, to_python};
+use exceptions::{guarded, to_python, value_error};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
@@ -72,6 +72,32 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
 }
 
 #[pyfunction]
+#[pyo3(signature = (task=None, robots=Vec::new(), overrides=Vec::new()))]
+fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, overrides: Vec<String>) -> PyResult<()> {
+    let check = || {
+        let library = Library::new(Vec::new());
+        let task = task.map(|task| library.task(task, &overrides)).transpose()?;
+        for robot in &robots {
+            match &task {
+                Some(task) => library.robot_in(robot, &task.config)?,
+                None => library.robot(robot)?,
+            };
+        }
+        Ok(())
+    };
+    guarded(py, check)?.map_err(|error: polypod::config::ConfigError| to_python(py, error.into()))
+}
+
+#[pyfunction]
+fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyResult<String> {
+    let mut config: toml::Table = serde_json::from_str(config).map_err(|error| value_error(error.to_string()))?;
+    for text in &overrides {
+        polypod::config::apply_override(&mut config, text).map_err(|error| to_python(py, error.into()))?;
+    }
+    vec_sim::written(py, serde_json::to_string(&config))
+}
+
+#[pyfunction]
 fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
     let robot = guarded(py, || Library::new(Vec::new()).robot(name))?.map_err(|error| to_python(py, error.into()))?;
     Ok(robot.urdf_text)
@@ -124,6 +150,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(broken_configs, module)?)?;
     module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
+    module.add_function(wrap_pyfunction!(check_names, module)?)?;
+    module.add_function(wrap_pyfunction!(with_overrides, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(draft_robot, module)?)?;

@@ -34,6 +34,7 @@ from polypod.files import read_bytes, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.training import manifest
 from polypod.training.config import TrainConfig
+from polypod.training.python_terms import PythonTerms
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
@@ -207,12 +208,23 @@ def locked(run: Path) -> Iterator[None]:
 
 
 def write_params(
-    run: Path, sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
+    run: Path,
+    sim: _core.VecSim,
+    config: TrainConfig,
+    robots: list[str] | None,
+    overrides: list[str],
+    command: str,
+    terms: PythonTerms | None = None,
 ) -> None:
     """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
-    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, robots, overrides, command), indent=2) + "\n")
+    manifest = manifest_of(sim, config, robots, overrides, command)
+    if terms is not None:
+        # what was run, and nothing that is run by itself
+        manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}
+        write_bytes(run / "params" / "terms.py", terms.path.read_bytes())
+    write_text(run / MANIFEST, json.dumps(manifest, indent=2) + "\n")
 
 
 def manifest_of(
