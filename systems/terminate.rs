@@ -106,5 +106,5 @@ pub(super) fn register(registry: &mut Registry) {
 
 fn base_contact(p: &ContactThreshold, view: &RobotView, _: &Episode, _: u32) -> bool {
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
-    bodies.into_iter().any(|(force, group)| *group == BodyGroup::Base && *force > p.threshold)
+    bodies.into_iter().any(|(force, group)| matches!(group, BodyGroup::Base | BodyGroup::Torso) && *force > p.threshold)
 }

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use polypod::config::{Library, LoadedTask, TaskConfig};
+use polypod::morphology::MorphologyModel;
 
 fn root(test: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("config_layers").join(test);
@@ -30,10 +31,13 @@ fn every_robot_and_task_of_the_repository_loads() {
         assert_eq!(loaded.config.name, robot.name);
         assert_eq!(loaded.config.title, robot.title);
         assert!(loaded.urdf_text.contains("<robot"), "{}", robot.name);
-        let groups = loaded.config.actuators_by_slot().unwrap();
+        let model = MorphologyModel::new(&loaded).unwrap();
+        let groups = loaded.config.actuators_by_slot(&model.roles.slots).unwrap();
         assert!(groups.iter().all(|(group, _)| loaded.config.actuators.contains_key(*group)));
-        let pose = loaded.config.default_pose_by_slot().unwrap();
-        assert_eq!(pose[4], loaded.config.default_pose["LF_HFE"]);
+        let pose = loaded.config.default_pose_by_slot(&model.roles.slots).unwrap();
+        for (slot, angle) in model.roles.slots.iter().zip(pose) {
+            assert_eq!(angle, loaded.config.default_pose[&slot.to_string()]);
+        }
     }
     let tasks = library.tasks().unwrap();
     assert!(tasks.len() >= 2 + 2 * robots.len());

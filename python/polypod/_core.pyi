@@ -236,6 +236,7 @@ class VecSim:
         autoreset: str = "same_step",
         dump_dir: str | os.PathLike[str] | None = None,
         share: tuple[int, int] | None = None,
+        slots: Sequence[str] = (),
     ) -> None:
         """Builds the envs and resets them, so that `observation` is valid at once.
 
@@ -250,9 +251,10 @@ class VecSim:
             dump_dir: see `set_dump_dir`.
             share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit for bit, these rows
                 of the whole batch.
+            slots: names of actions that the batch has on top of its robots' own.
 
         Raises:
-            ConfigError: for an unknown task, robot, key or autoreset mode, and for a value out of range.
+            ConfigError: for an unknown task, robot, slot, key or autoreset mode, and for a value out of range.
             RobotError: for a robot description that cannot be simulated.
         """
 
@@ -267,7 +269,7 @@ class VecSim:
     num_obs: int
     """Width of an observation."""
     num_actions: int
-    """Width of an action: the number of canonical joints."""
+    """Width of an action: the number of slots that any of the robots has."""
     max_episode_length: int
     """Control steps until an episode is truncated."""
     step_dt: float
@@ -275,7 +277,11 @@ class VecSim:
     robots: list[str]
     """Names of the robots, in the order of their blocks of envs."""
     canonical_joint_names: list[str]
-    """Names of the action's slots."""
+    """Names of the action's columns: limb and role, such as LF_HAA, L_HIP_YAW or TORSO_YAW."""
+    feet_names: list[str]
+    """Names of the legs whose feet are columns of `state`."""
+    action_mask: npt.NDArray[np.bool_]
+    """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
     task_name: str
     experiment_name: str
     threads: int
@@ -308,7 +314,14 @@ class VecSim:
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an action: (slot, sign) of each of its [num_actions] numbers.
+        """Mirror image of an action: (column, sign) of each of its [num_actions] numbers; what it lacks stays.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have.
+        """
+
+    def observation_mask(self, robot: str) -> list[bool]:
+        """[num_obs], True where the robot has the number; those of joints that it lacks are 0.
 
         Raises:
             UnknownNameError: for a robot that the run does not have.
@@ -318,10 +331,14 @@ class VecSim:
         """The half-open range [start, stop) of the envs that hold `robot`. Raises UnknownNameError."""
 
     def joint_map(self, robot: str) -> list[tuple[str, int]]:
-        """Per canonical slot: the name of the robot's joint and its index in the robot's own joint order."""
+        """Per slot of the robot, in order: the name of its joint and its index in the robot's own joint order."""
 
     def robot_info(self) -> str:
-        """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ..."""
+        """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
+
+        `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
+        the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
+        """
 
     def robot_shapes(self) -> str:
         """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.

@@ -60,6 +60,8 @@ class VecEnv(rsl_rl.env.VecEnv):
             self.num_envs, self.num_actions, dtype=torch.float32, pin_memory=self.device.type == "cuda"
         )
         self._pinned: dict[str, torch.Tensor] = {}
+        mask = self._sim.action_mask
+        self._mask = None if mask.all() else torch.from_numpy(mask.astype(np.float32)).to(self.device)
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -76,9 +78,15 @@ class VecEnv(rsl_rl.env.VecEnv):
         self._sim.set_episode_length(value.to(device="cpu", dtype=torch.int64).contiguous().numpy())
 
     def get_observations(self) -> TensorDict:
-        """The current observations: `policy`, float32 [num_envs, num_obs]."""
-        policy = self._tensor("policy", self._source.observation)
-        return TensorDict({"policy": policy}, batch_size=[self.num_envs], device=self.device)
+        """The current observations: `policy`, float32 [num_envs, num_obs].
+
+        Where some robots lack some of the actions also `action_mask`, float32 [num_envs, num_actions]: 1 where an env's
+        robot has a joint, else 0. The rollout stores it, and `polypod.networks.MaskedMLPModel` reads it.
+        """
+        groups = {"policy": self._tensor("policy", self._source.observation)}
+        if self._mask is not None:
+            groups["action_mask"] = self._mask
+        return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
         """Begins new episodes in every env."""

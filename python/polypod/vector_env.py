@@ -53,6 +53,8 @@ class EnvOptions(TypedDict, total=False):
     dump_dir: str | os.PathLike[str] | None
     """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps it again.
     None, the default: no dump."""
+    slots: Sequence[str]
+    """Names of actions that the batch has on top of its robots' own: those of a policy that knows other robots too."""
 
 
 def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> "VectorEnv":
@@ -62,7 +64,8 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
         task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
         num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
             robot.
-        **options: robots, seed, autoreset, threads, copy, overrides, share and dump_dir; `EnvOptions` documents them.
+        **options: robots, seed, autoreset, threads, copy, overrides, share, dump_dir and slots; `EnvOptions` documents
+            them.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
@@ -82,8 +85,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
     Without `copy` the arrays are the simulator's own and cost nothing: an observation stays valid until the step after
     the next one (two buffers alternate), rewards and flags until the next step. With `copy` they are yours to keep.
 
-    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action float32 [num_envs, 12], one
-    number per canonical joint: the target is `default_pose + action_scale * action`.
+    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action float32 [num_envs, num_actions],
+    one number per canonical joint: the target is `default_pose + action_scale * action`. Quadrupeds have twelve; a
+    batch of different bodies has the joints of all of them, and `action_mask` says which an env's robot has. What it
+    lacks is 0 in observations, and an action for it does nothing. Such a batch has `action_mask` in its infos.
     """
 
     def __init__(self, task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> None:
@@ -107,6 +112,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
             dump_dir=options.get("dump_dir"),
             share=options.get("share"),
+            slots=list(options.get("slots", ())),
         )
         self._sim: _core.VecSim | None
         self._sim = _one_env_per_robot(build, task, robots) if num_envs is None else build(_index(num_envs, "num_envs"))
@@ -118,6 +124,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         self.single_action_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._sim.num_actions,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._action_mask = self._sim.action_mask
+        self._is_padded = not self._action_mask.all()
         self._needs_reset = np.zeros(self.num_envs, dtype=np.bool_)
         self._thread: ThreadPoolExecutor | None = None
         self._pending: Future[None] | None = None
@@ -141,8 +149,18 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
     @property
     def canonical_joint_names(self) -> list[str]:
-        """Names of the action's slots."""
+        """Names of the action's columns, such as LF_HAA or L_HIP_YAW: a limb and what the joint does in it."""
         return self.sim.canonical_joint_names
+
+    @property
+    def feet_names(self) -> list[str]:
+        """Names of the legs whose feet `state` has, in order."""
+        return self.sim.feet_names
+
+    @property
+    def action_mask(self) -> BoolArray:
+        """Bool [num_envs, num_actions], True where an env's robot has a joint. A copy; it never changes."""
+        return self._action_mask.copy()
 
     @property
     def observation_layout(self) -> list[tuple[str, int]]:
@@ -164,7 +182,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         return np.arange(*self.sim.env_ids(robot), dtype=np.int64)
 
     def joint_map(self, robot: str) -> list[tuple[str, int]]:
-        """Per canonical joint: the robot's own joint name and its index in the robot's own joint order."""
+        """Per joint in the order of the action: the robot's own name of it and its index in the robot's own order."""
         return self.sim.joint_map(robot)
 
     def reset(
@@ -197,13 +215,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             mask = mask.copy()
             sim.reset(seed, mask)
             self._needs_reset[mask] = False
-        return self._handed_out(sim.observation), {}
+        return self._handed_out(sim.observation), self._masks()
 
     def step(self, actions: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Advances every env by one control step of `step_dt`.
 
         Args:
-            actions: float32 [num_envs, 12], in the order of `canonical_joint_names`.
+            actions: float32 [num_envs, num_actions], in the order of `canonical_joint_names`.
 
         Returns:
             Observations, rewards, terminated, truncated and infos. In same-step mode the infos hold `final_obs`, an
@@ -273,8 +291,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             self._handed_out(sim.reward),
             self._handed_out(sim.terminated),
             self._handed_out(sim.truncated),
-            self._final_infos(sim) if self.autoreset_mode is AutoresetMode.SAME_STEP else {},
+            {**self._masks(), **(self._final_infos(sim) if self.autoreset_mode is AutoresetMode.SAME_STEP else {})},
         )
+
+    def _masks(self) -> dict[str, Any]:
+        return {"action_mask": self.action_mask} if self._is_padded else {}
 
     def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
         """Per robot, over the episodes that ended since the statistics were last cleared.

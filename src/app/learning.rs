@@ -61,11 +61,17 @@ impl Sim {
             let envs = next..next + count;
             next += count;
             let (observation_mirror, action_mirror) = if has_mirrors {
-                (self.task().mirrored_observation(robot), robot.mirrored_slots().to_vec())
+                (self.task().mirrored_observation(robot), robot.mirrored_columns(self.batch().num_actions))
             } else {
                 (Vec::new(), Vec::new())
             };
-            Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror }
+            let is_padded = robot.slots.len() < self.batch().num_actions;
+            let (observation_mask, action_mask) = if is_padded {
+                (self.task().observation_mask(robot), robot.action_mask(self.batch().num_actions))
+            } else {
+                (Vec::new(), Vec::new())
+            };
+            Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror, observation_mask, action_mask }
         });
         let batch = self.batch();
         Settings {

@@ -1,5 +1,6 @@
 //! A first config for a robot of which only the URDF is known: roles, a pose to stand in, gains, ranges.
 
+mod quadruped;
 mod stance;
 mod text;
 
@@ -9,7 +10,8 @@ use std::path::{Path, PathBuf};
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
 use crate::morphology::MorphologyModel;
-use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load};
+use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Warning, load};
+use quadruped::{Roles, detect};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
@@ -76,7 +78,7 @@ struct Group {
 /// of the known robot whose mass is nearest.
 ///
 /// # Errors
-/// A name without letters or digits; those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
+/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot that is no quadruped of twelve joints; a robot of `POLYPOD_PATH` that cannot be read.
 pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     if let Some(name) = &options.name
         && !name.contains(|c: char| c.is_ascii_alphanumeric())
@@ -87,14 +89,14 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     }
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
     let whole = load(file, &load_options)?;
-    let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
+    let roles = detect(&whole)?;
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
     load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
         let model = load(file, &load_options)?;
-        let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new())?;
+        let roles = detect(&model)?;
         (model, roles)
     };
 

@@ -4,7 +4,8 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3};
 
-use crate::robot::{Joint, LEGS, Model, Pose, Roles};
+use super::quadruped::Roles;
+use crate::robot::{Joint, LEGS, Model, Pose};
 
 /// Share of thigh and shank together by which the foot lies below the hip.
 const CROUCH: f64 = 0.8;

@@ -74,8 +74,9 @@ fn pose(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     for (slot, joint) in CANONICAL_JOINT_NAMES.iter().enumerate() {
         let range = stance::range(findings.model, findings.roles.joint_of_slot[slot]);
         let angle = (stance.angles[slot] * 1e3).round() / 1e3;
+        let sign = findings.roles.sign_of_slot[slot];
         // no negative zero
-        writeln!(out, "{joint} = {:?}", angle.clamp(*range.start(), *range.end()) + 0.0)?;
+        writeln!(out, "{joint} = {:?}", sign * angle.clamp(*range.start(), *range.end()) + 0.0)?;
     }
     Ok(())
 }

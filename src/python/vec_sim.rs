@@ -18,7 +18,6 @@ use super::exceptions::{
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
 use polypod::morphology::{Morphologies, MorphologyModel};
-use polypod::robot::CANONICAL_JOINT_NAMES;
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
 use polypod::world::Ground;
@@ -168,7 +167,7 @@ impl VecSim {
 #[pymethods]
 impl VecSim {
     #[new]
-    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, share=None))]
+    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, share=None, slots=Vec::new()))]
     fn new(
         py: Python<'_>,
         task: String,
@@ -180,6 +179,7 @@ impl VecSim {
         autoreset: &str,
         dump_dir: Option<PathBuf>,
         share: Option<(usize, usize)>,
+        slots: Vec<String>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
         let num_envs = unsigned(py, "num_envs", num_envs)?;
@@ -194,6 +194,7 @@ impl VecSim {
             autoreset,
             dump_dir,
             share,
+            slots,
             ..SimOptions::new(task, num_envs)
         };
         let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
@@ -254,8 +255,22 @@ impl VecSim {
         self.sim.morphologies().iter().map(|m| m.name()).collect()
     }
     #[getter]
-    fn canonical_joint_names(&self) -> Vec<&'static str> {
-        CANONICAL_JOINT_NAMES.to_vec()
+    fn canonical_joint_names(&self) -> Vec<String> {
+        self.sim.slots().joint_names()
+    }
+    #[getter]
+    fn feet_names(&self) -> Vec<&'static str> {
+        self.sim.slots().feet_names()
+    }
+    #[getter]
+    fn action_mask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
+        PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)
+    }
+
+    fn observation_mask(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<bool>> {
+        let index = self.robot_index(py, robot)?;
+        self.sim.look(py, |sim| sim.task().observation_mask(&sim.morphologies()[index]))
     }
     #[getter]
     fn task_name(&self) -> &str {
@@ -309,7 +324,7 @@ impl VecSim {
 
     fn action_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
         let index = self.robot_index(py, robot)?;
-        self.sim.look(py, |sim| sim.morphologies()[index].mirrored_slots().to_vec())
+        self.sim.look(py, |sim| sim.morphologies()[index].mirrored_columns(sim.batch().num_actions))
     }
 
     fn env_ids(&self, py: Python<'_>, robot: &str) -> PyResult<(usize, usize)> {
@@ -319,7 +334,7 @@ impl VecSim {
 
     fn joint_map(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(&str, usize)>> {
         let morphology = &self.sim.morphologies()[self.robot_index(py, robot)?];
-        Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot).collect())
+        Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot()).collect())
     }
 
     fn robot_info(&self, py: Python<'_>) -> PyResult<String> {
@@ -428,7 +443,7 @@ impl VecSim {
             let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
             return Err(value_error(format!("field: there is no `{field}`; use one of {}", names.join(", "))));
         };
-        let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), known.width()], false);
+        let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), self.sim.state_width(known)], false);
         let mut out = rows.try_readwrite()?;
         let out = out.as_slice_mut()?;
         self.sim.run(py, |sim| sim.state(known, out))?.map_err(|error| to_python(py, error))?;

@@ -16,10 +16,13 @@ use crate::systems::view::RobotView;
 #[serde(rename_all = "snake_case")]
 enum Group {
     Base,
+    Torso,
     Hip,
     Thigh,
     Shank,
     Foot,
+    Arm,
+    Head,
 }
 
 impl Group {
@@ -27,10 +30,13 @@ impl Group {
     fn holds(self, group: BodyGroup) -> bool {
         let own = match self {
             Group::Base => BodyGroup::Base,
+            Group::Torso => BodyGroup::Torso,
             Group::Hip => BodyGroup::Hip,
             Group::Thigh => BodyGroup::Thigh,
             Group::Shank => BodyGroup::Shank,
             Group::Foot => BodyGroup::Foot,
+            Group::Arm => BodyGroup::Arm,
+            Group::Head => BodyGroup::Head,
         };
         own == group
     }
@@ -164,10 +170,10 @@ fn foot_slip(p: &Force, r: &RobotView) -> f32 {
     feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
 }
 
-/// Diagonal feet together, the two diagonals in turn. Feet are in the order LF, LH, RF, RH.
+/// Diagonal feet together, the two diagonals in turn, of robots with four feet in the order LF, LH, RF, RH; 0 for others.
 #[inline(always)]
 fn gait(p: &Gait, r: &RobotView) -> f32 {
-    if !is_moving(r, p.velocity_threshold) {
+    if r.contacts.air_time.len() != 4 || !is_moving(r, p.velocity_threshold) {
         return 0.0;
     }
     let (air, contact) = (&r.contacts.air_time, &r.contacts.contact_time);

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
-use super::spec::TermSpec;
+use super::spec::{TermKind, TermSpec};
 use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
 use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
@@ -67,6 +67,8 @@ pub(in crate::systems) struct IntervalEvent {
 pub struct CompiledTask {
     /// The config it was made from.
     pub config: TaskConfig,
+    /// Slots of the batch.
+    pub num_joints: usize,
     /// Length of a control step, s.
     pub step_dt: f32,
     /// Control steps in a full episode.
@@ -119,17 +121,25 @@ impl CompiledTask {
     pub fn new(config: &TaskConfig, morphologies: &Morphologies, registry: &Registry) -> Result<Self, ConfigError> {
         let file = config.name.as_str();
         let step_dt = config.sim.step_dt() as f32;
+        let num_joints = morphologies.1.joints.len();
         let mut observations = Vec::new();
         for (i, term) in config.observations.policy.iter().enumerate() {
             let element = format!("observations.policy[{i}]");
             let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
-            let size = (registered.size)(config)
+            let size = (registered.size)(config, num_joints)
                 .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
-            registered.spec.check_size(size).map_err(|needed| {
+            registered.spec.check_size(size, num_joints).map_err(|needed| {
                 let problem =
                     format!("the term `{}` is registered with {size} numbers, but its kind has {needed}", term.term);
                 ConfigError::invalid(file, element.as_str(), problem, "register it with another size, kind or blocks")
             })?;
+            let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none());
+            if let Some(other) = other.filter(|_| registered.spec.is_of_quadrupeds()) {
+                let problem =
+                    format!("the term `{}` describes quadrupeds of twelve joints; {} is none", term.term, other.name());
+                let remedy = "use the term `joint_descriptors`, or other robots";
+                return Err(ConfigError::invalid(file, element, problem, remedy));
+            }
             let built = (registered.build)(file, &element, &term.params)?;
             observations.push(ObservationTerm {
                 name: term.term.clone(),
@@ -170,6 +180,7 @@ impl CompiledTask {
             terminations.push(TerminationTerm { name: name.clone(), time_out: *time_out, ends });
         }
         let mut task = Self {
+            num_joints,
             step_dt,
             max_episode_length: config.sim.max_episode_length(),
             observations,
@@ -254,10 +265,23 @@ impl CompiledTask {
         let mut mirror = Vec::with_capacity(self.num_obs());
         for term in &self.observations {
             let start = mirror.len();
-            let image = term.spec.mirror(term.size, robot, scanner);
+            let image = term.spec.mirror(term.size, self.num_joints, robot, scanner);
             mirror.extend(image.into_iter().map(|(index, sign)| (start + index, sign)));
         }
         mirror
+    }
+
+    /// Which numbers of an observation this robot has: those of joints that it lacks are zero, and count for nothing.
+    pub fn observation_mask(&self, robot: &MorphologyModel) -> Vec<bool> {
+        let joints = robot.action_mask(self.num_joints);
+        let mut mask = Vec::with_capacity(self.num_obs());
+        for term in &self.observations {
+            match term.spec.kind {
+                TermKind::PerJoint => mask.extend(joints.iter().cycle().take(term.size)),
+                _ => mask.extend(std::iter::repeat_n(true, term.size)),
+            }
+        }
+        mask
     }
 
     /// Interval events that each env keeps a timer for.

@@ -26,7 +26,8 @@ pub(super) type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + 
 pub(super) type BodyFn = Box<dyn Fn(&mut NewBody, &mut EnvRng) + Send + Sync>;
 pub(super) type ResetFn = Box<dyn Fn(&mut NewState, &mut EnvRng) + Send + Sync>;
 pub(super) type CurriculumFn = Box<dyn Fn(&mut EpisodeEnd, &mut EnvRng) + Send + Sync>;
-pub(super) type SizeFn = Box<dyn Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync>;
+/// Numbers of a term in a task and a batch of so many joints.
+pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, usize) -> Result<usize, (String, String)> + Send + Sync>;
 pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
 /// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the app.
@@ -79,6 +80,26 @@ impl Registry {
         self.observation_of(name, move |_| Ok(size), spec, |_| 0.0, f);
     }
 
+    /// An observation term of `count` numbers for each joint. It is handed the robot's own joints, in the order of
+    /// [`MorphologyModel::slots`](crate::morphology::MorphologyModel::slots): all joints' first number, then their next.
+    pub fn joint_observation<P>(
+        &mut self,
+        name: &'static str,
+        count: usize,
+        spec: TermSpec,
+        f: fn(&P, &RobotView, &mut [f32]),
+    ) where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
+            Ok(BuiltObservation { offset: 0.0, write })
+        });
+        let size: SizeFn = Box::new(move |_, joints| Ok(count * joints));
+        self.observations.insert(name, RegisteredObservation { spec, size, build });
+    }
+
     /// An observation term whose size depends on the task, and whose parameters hold a number that it takes off its source.
     ///
     /// `size` gives problem and remedy where the task does not fit; `offset` reads the number that is taken off.
@@ -98,7 +119,8 @@ impl Registry {
             let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
             Ok(BuiltObservation { offset, write })
         });
-        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(size), build });
+        self.observations
+            .insert(name, RegisteredObservation { spec, size: Box::new(move |task, _| size(task)), build });
     }
 
     /// An observation term that a system of its own writes.
@@ -107,7 +129,7 @@ impl Registry {
             let NoParams {} = parse_params(file, element, table)?;
             Ok(BuiltObservation { offset: 0.0, write: None })
         });
-        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_| Ok(size)), build });
+        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_, _| Ok(size)), build });
     }
 
     /// Names of all observation terms and what they are.

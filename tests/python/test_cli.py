@@ -237,15 +237,15 @@ def test_check(main, tmp_path):
     folder = Path(__file__).parents[1] / "data" / "urdf"
     code, output, _ = main("check", str(folder / "mixed.urdf"))
     assert code == 0
-    for words in ("5.900 kg", "slide", "no quadruped", 'joint "float"'):
+    for words in ("5.900 kg", "slide", "no legged robot", 'joint "float"'):
         assert words in output
     text = (folder / "meshed.urdf").read_text().replace('filename="meshes/', 'filename="package://cubes/')
     (tmp_path / "robot.urdf").write_text(text)
     code, output, _ = main("check", "robot.urdf", "--package-dir", f"cubes={folder / 'meshes'}")
     assert code == 0
-    assert "\nquadruped\n" in output
+    assert "\nquadruped (+" in output
     assert "hull of 8 points" in output
-    assert "no quadruped" in main("check", "robot.urdf")[1]
+    assert "no legged robot" in main("check", "robot.urdf")[1]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\x00\x89", b"<robot>" * 100_000, b"<robot name='r'/>"])

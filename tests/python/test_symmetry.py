@@ -88,6 +88,8 @@ def test_robots_with_other_mirrors_are_refused(monkeypatch: pytest.MonkeyPatch) 
 
     class Sim:
         robots = sim.robots
+        action_mask = sim.action_mask
+        env_ids, observation_mask = sim.env_ids, sim.observation_mask
 
         def action_mirror(self, robot: str) -> list[tuple[int, float]]:
             mirror = sim.action_mirror(robot)

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import os
+import random
+import signal
 import socket
 import subprocess
 import sys
@@ -20,6 +22,7 @@ class WorkerTeam:
         """Starts it."""
         pipe = subprocess.PIPE
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "300"}
+        self._running: list[int] = []
         self._process = subprocess.Popen(
             [sys.executable, __file__], stdin=pipe, stdout=pipe, text=True, env=environment
         )
@@ -31,6 +34,11 @@ class WorkerTeam:
 
         `own` are further `words` of some workers, and what else is in their `environment`.
         """
+        for process in self._running:  # a test failed before they ended
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        if self._running:
+            self._answer()
         self.folders = [folder / f"worker_{index}" for index in range(count)]
         for path in self.folders:
             path.mkdir(exist_ok=True)
@@ -38,12 +46,13 @@ class WorkerTeam:
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
-        processes: list[int] = self._answer()
-        return processes
+        self._running = self._answer()
+        return self._running
 
     def ended(self) -> list[tuple[int, str]]:
         """Waits for all workers; returns exit code and standard error of each."""
         codes = self._answer()
+        self._running = []
         return [
             (code, (folder / ".errors").read_text(errors="replace"))
             for code, folder in zip(codes, self.folders, strict=True)
@@ -73,9 +82,7 @@ def _serve() -> None:
     for line in sys.stdin:
         request = json.loads(line)
         folders, own = request["folders"], request["own"]
-        with contextlib.closing(socket.socket()) as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = _free_port()
         children = []
         for index, folder in enumerate(folders):
             child = os.fork()
@@ -99,6 +106,15 @@ def _serve() -> None:
         end = time.monotonic() + 60.0
         statuses = [_waited(child, max(0.1, end - time.monotonic()))[0] for child in children]
         print(json.dumps([os.waitstatus_to_exitcode(status) for status in statuses]), flush=True)
+
+
+def _free_port() -> int:
+    """A port below those that the system gives to whoever asks for any, such as gloo and the tests beside this one."""
+    for port in random.sample(range(20_000, 32_000), 100):
+        with contextlib.closing(socket.socket()) as probe:
+            if probe.connect_ex(("127.0.0.1", port)):
+                return port
+    raise OSError("no port is free")
 
 
 if __name__ == "__main__":

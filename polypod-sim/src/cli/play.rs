@@ -94,6 +94,7 @@ impl Play {
             threads: self.threads,
             overrides: manifest.overrides.iter().chain(&self.overrides).cloned().collect(),
             autoreset: Autoreset::Disabled,
+            slots: manifest.canonical_joint_names.clone(),
             ..SimOptions::new(task, num_envs)
         })?;
         let policy = Policy::load(&self.policy, num_envs)?;

@@ -23,6 +23,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         arguments.pop("task", None) or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
         overrides=[*manifest["overrides"], *given],
+        slots=manifest["canonical_joint_names"],
         **arguments,
     )
     origin = {

@@ -44,6 +44,7 @@ def evaluate(
     overrides: Sequence[str] = (),
     grid: Grid | None = None,
     randomized: bool = False,
+    slots: Sequence[str] = (),
 ) -> Evaluation:
     """Runs a policy in a task's Play variant.
 
@@ -60,6 +61,7 @@ def evaluate(
         grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None:
             commands are drawn as the task draws them.
         randomized: with the noise, the pushes and the randomisation of the training.
+        slots: names of the policy's actions, where it knows more robots than are here.
 
     Raises:
         ConfigError: for an unknown task or robot, for counts below one, and for more than `MAX_STEPS` control steps.
@@ -75,7 +77,14 @@ def evaluate(
         num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name))
     changes = [*overrides, *(_disturbances(name, named, overrides) if randomized else ())]
     sim = _core.VecSim(
-        name, num_envs, robots=named, seed=seed, threads=threads, overrides=changes, autoreset="disabled"
+        name,
+        num_envs,
+        robots=named,
+        seed=seed,
+        threads=threads,
+        overrides=changes,
+        autoreset="disabled",
+        slots=list(slots),
     )
     length = min(steps or sim.max_episode_length, sim.max_episode_length)
     if episodes * length > MAX_STEPS:

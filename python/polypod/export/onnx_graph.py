@@ -91,10 +91,14 @@ def robot_model(network: MLPModel, robot: RobotInterface, metadata: Mapping[str,
         # a constant is what the policy observes already
         columns.append(_add_treatment(graph, term.treatment, column, term.term) if term.inputs else column)
     observation = graph.node("Concat", *columns, output="obs", axis=1)
-    _add_network(graph, network, observation, "actions")
+    if len(robot.columns) == robot.num_actions:
+        _add_network(graph, network, observation, "actions")
+    else:
+        _add_network(graph, network, observation, "all_actions")
+        graph.node("Mul", "all_actions", graph.constant("action_mask", robot.mask()), output="actions")
     spread = graph.constant("action_spread", robot.spread())
     graph.node("Gemm", "actions", spread, do.default_pose, output="joint_pos_target")
-    outputs = {"joint_pos_target": len(robot.joint_names), "actions": len(robot.joint_of_slot)}
+    outputs = {"joint_pos_target": len(robot.joint_names), "actions": robot.num_actions}
     return graph.model(inputs, outputs, metadata)
 
 
@@ -113,6 +117,10 @@ class _Operations:
     @functools.cached_property
     def slots(self) -> str:
         return self.graph.constant("joint_of_slot", self.robot.joint_of_slot)
+
+    @functools.cached_property
+    def gather(self) -> str:
+        return self.graph.constant("joints_to_slots", self.robot.gather())
 
     @functools.cached_property
     def lever(self) -> str:
@@ -141,7 +149,9 @@ class _Operations:
         return self.graph.node("Sub", positions, self.default_pose, output=f"{self.term}_from_default")
 
     def canonical(self, joints: str) -> str:
-        return self.graph.node("Gather", joints, self.slots, output=f"obs_{self.term}", axis=1)
+        if self.robot.is_plain():
+            return self.graph.node("Gather", joints, self.slots, output=f"obs_{self.term}", axis=1)
+        return self.graph.node("MatMul", joints, self.gather, output=f"obs_{self.term}")
 
 
 def _add_treatment(graph: Graph, treatment: Treatment, source: str, term: str) -> str:

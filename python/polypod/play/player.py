@@ -116,6 +116,7 @@ class Player:
         name = play_task(task or manifest["task"])
         changes = [*manifest["overrides"], *overrides]
         arguments: dict[str, Any] = {"robots": sources, "seed": seed, "threads": threads}
+        arguments["slots"] = manifest["canonical_joint_names"]
         self.sim = _core.VecSim(name, envs_per_robot * len(sources), overrides=changes, **arguments)
         defaults = _defaults(tomllib.loads(self.sim.resolved_config())["task"], aligned=command is not None)
         if defaults:

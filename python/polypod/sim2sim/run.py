@@ -208,6 +208,7 @@ class _Episode:
             seed=options.seed,
             overrides=[*manifest["overrides"], *options.overrides],
             autoreset="disabled",
+            slots=manifest["canonical_joint_names"],
         )
         self.envs_per_robot = options.envs_per_robot
         self.step_dt = self.sim.step_dt
@@ -339,7 +340,7 @@ def _run_mujoco(
     progress: Progress,
 ) -> Figures:
     robot = accuracy_robot.of(episode.sim, name, source)
-    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] == "base"]
+    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ("base", "torso")]
     twin = Twin(
         robot,
         interface,

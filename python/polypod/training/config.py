@@ -29,6 +29,8 @@ NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 MLP = "MLPModel"
 URMA = "polypod.networks:UrmaModel"
 ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
+MASKED_MLP = "polypod.networks:MaskedMLPModel"
+MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
 """Class names as rsl_rl resolves them."""
 
 
@@ -237,10 +239,29 @@ class TrainConfig:
             "symmetry": self.run.symmetry,
             "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
             "algorithm": {"class_name": "PPO", **algorithm},
-            "actor": self.actor.model_cfg(sim),
-            "critic": self.critic.model_cfg(sim),
+            "actor": _masked(self.actor.model_cfg(sim), sim),
+            "critic": _masked(self.critic.model_cfg(sim), sim),
             "check_for_nan": True,
         }
+
+
+def _masked(model: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
+    """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
+    if sim is None or sim.action_mask.all():
+        return model
+    if model["class_name"] != MLP:
+        raise _core.ConfigError(
+            f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
+            f'use class_name = "{MLP}"'
+        )
+    joint_of_number: list[int] = []
+    for term in terms_of(sim):
+        per_joint = term.kind == "per_joint"
+        joint_of_number += [index % sim.num_actions if per_joint else -1 for index in range(term.size)]
+    masked = {**model, "class_name": MASKED_MLP, "joint_of_number": joint_of_number}
+    if "distribution_cfg" in model:
+        masked["distribution_cfg"] = {**model["distribution_cfg"], "class_name": MASKED_GAUSSIAN}
+    return masked
 
 
 def load(name: str) -> TrainConfig:
