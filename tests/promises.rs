@@ -60,6 +60,7 @@ mod same_seed_same_policy;
 mod seeds_decide_the_draws;
 mod self_collision_keeps_links_apart;
 mod shared_dependencies_are_built_once;
+mod shares_are_rows_of_the_whole;
 mod simulation_api;
 mod snapshot_round_trip_is_exact;
 mod tasks_run_on_avian;

@@ -23,11 +23,13 @@ from polypod.commands.play import Play
 from polypod.commands.results import ResultsOf
 from polypod.commands.robot import Robot
 from polypod.commands.sim2sim import Sim2sim
+from polypod.commands.sweep import SweepOf
 from polypod.commands.terrain import Terrain
 from polypod.commands.train import Train
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[SweepOf, tyro.conf.subcommand("sweep")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
@@ -62,7 +64,7 @@ def main(arguments: Sequence[str]) -> int:
                 raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
         _check_command(arguments)
         command = tyro.cli(
-            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments) or ["--help"]
+            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_flags(arguments) or ["--help"]
         )
         _check_seed(command)
         code = _run(command)
@@ -128,13 +130,17 @@ def _run(command: Any) -> int:
     return code
 
 
-def _with_bare_resume(arguments: Sequence[str]) -> list[str]:
-    """`--resume` without a value stands for `--resume latest`."""
+_BARE = {"--resume": "latest", "--ray": "auto"}
+"""What flags mean without a value."""
+
+
+def _with_bare_flags(arguments: Sequence[str]) -> list[str]:
+    """`--resume` without a value stands for `--resume latest`, and `--ray` for `--ray auto`."""
     completed = []
     for argument, following in zip(arguments, [*arguments, "--"][1:], strict=True):
         completed.append(argument)
-        if argument == "--resume" and following.startswith("-"):
-            completed.append("latest")
+        if argument in _BARE and following.startswith("-"):
+            completed.append(_BARE[argument])
     return completed
 
 

@@ -58,6 +58,9 @@ class EnvOptions(TypedDict, total=False):
     keys, or `key=value` texts, e.g. `["sim.episode_length_s=10.0"]`."""
     render_mode: str | None
     """"rgb_array": `render` gives pictures, which needs the extra play. None, the default: it gives None."""
+    share: tuple[int, int] | None
+    """Envs [start, end) of `num_envs` that are simulated here; another process has the others. They are, bit for bit,
+    these rows of the whole batch. None, the default: all."""
     dump_dir: str | os.PathLike[str] | None
     """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps it again.
     None, the default: no dump."""
@@ -72,7 +75,7 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
         task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
         num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
             robot.
-        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, dump_dir and slots; `EnvOptions`
+        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir and slots; `EnvOptions`
             documents them.
 
     Raises:
@@ -124,6 +127,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             overrides=override_texts(options.get("overrides", ())),
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
             dump_dir=options.get("dump_dir"),
+            share=options.get("share"),
             slots=list(options.get("slots", ())),
         )
         self._sim: _core.VecSim | None

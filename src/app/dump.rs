@@ -239,7 +239,9 @@ impl Sim {
         let Some(dir) = self.dump_dir() else {
             return;
         };
-        for (morphology, state) in found {
+        let first_env = self.share().envs.start as u32;
+        for (morphology, mut state) in found {
+            state.env.0 += first_env;
             let robot = &self.loaded_robots()[morphology];
             let dump = Dump {
                 version: env!("CARGO_PKG_VERSION").into(),

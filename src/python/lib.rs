@@ -10,13 +10,15 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 
 use exceptions::{guarded, to_python, value_error};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
+use polypod::learner::Worker;
 use polypod::robot::{self, LoadOptions};
+use polypod::snapshot;
 use polypod::systems::Registry;
 
 #[pyfunction]
@@ -130,6 +132,18 @@ fn draft_robot(
 }
 
 #[pyfunction]
+fn share_of_worker(py: Python<'_>, num_envs: usize, worker: usize, workers: usize) -> PyResult<(usize, usize)> {
+    let envs = Worker { index: worker, count: workers }.envs(num_envs).map_err(|error| to_python(py, error.into()))?;
+    Ok((envs.start, envs.end))
+}
+
+#[pyfunction]
+fn join_snapshots<'py>(py: Python<'py>, parts: Vec<Vec<u8>>) -> PyResult<Bound<'py, PyBytes>> {
+    let joined = guarded(py, || snapshot::join(&parts))?.map_err(|error| to_python(py, error))?;
+    Ok(PyBytes::new(py, &joined))
+}
+
+#[pyfunction]
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("version", env!("CARGO_PKG_VERSION"))?;
@@ -155,6 +169,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(draft_robot, module)?)?;
+    module.add_function(wrap_pyfunction!(share_of_worker, module)?)?;
+    module.add_function(wrap_pyfunction!(join_snapshots, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
     module.add_function(wrap_pyfunction!(terrain::terrain, module)?)?;
     Ok(())

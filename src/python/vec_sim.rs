@@ -184,7 +184,7 @@ impl VecSim {
 #[pymethods]
 impl VecSim {
     #[new]
-    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, slots=Vec::new()))]
+    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, share=None, slots=Vec::new()))]
     fn new(
         py: Python<'_>,
         task: String,
@@ -195,12 +195,14 @@ impl VecSim {
         overrides: Vec<String>,
         autoreset: &str,
         dump_dir: Option<PathBuf>,
+        share: Option<(usize, usize)>,
         slots: Vec<String>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
         let num_envs = unsigned(py, "num_envs", num_envs)?;
         let seed = unsigned(py, "seed", seed)?;
         let threads = threads.map(|threads| unsigned(py, "threads", threads)).transpose()?;
+        let share = share.map(|(start, end)| start..end);
         let options = SimOptions {
             robots,
             seed,
@@ -208,10 +210,12 @@ impl VecSim {
             overrides,
             autoreset,
             dump_dir,
+            share,
             slots,
             ..SimOptions::new(task, num_envs)
         };
         let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
+        let num_envs = sim.num_envs();
         let num_obs = sim.batch().num_obs;
         let matrix = |width: usize| PyArray2::<f32>::zeros(py, [num_envs, width], false).unbind();
         let flags = || PyArray1::<bool>::zeros(py, num_envs, false).unbind();
@@ -233,6 +237,19 @@ impl VecSim {
     #[getter]
     fn num_envs(&self) -> usize {
         self.sim.num_envs()
+    }
+    #[getter]
+    fn share(&self) -> (usize, usize) {
+        let envs = &self.sim.share().envs;
+        (envs.start, envs.end)
+    }
+    #[getter]
+    fn total_num_envs(&self) -> usize {
+        self.sim.share().num_envs
+    }
+    #[getter]
+    fn simd(&self) -> &'static str {
+        self.sim.simd().name()
     }
     #[getter]
     fn num_obs(&self) -> usize {
@@ -572,6 +589,15 @@ impl VecSim {
                 logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>())
             })
         })
+    }
+
+    fn take_logs<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = self.sim.run(py, Sim::take_logs)?.map_err(|error| to_python(py, error))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    fn add_logs(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
+        self.sim.run(py, |sim| sim.add_logs(data))?.map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (clear=true))]

@@ -81,9 +81,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
-        | {"--log-project": NAMES}
+        | {"--log-project": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]}
         | {"--quadrupeds": NAMES, "--learner": NAMES, "--terms": FILES},
     ),
+    "sweep": (("empty.pt",), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
     "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (
         ("new", str(URDF), "--out", "/nothing/spot.toml"),
@@ -105,7 +106,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "bench": (
         ("--robot", "nobody"),
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
-        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS},
+        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS}
+        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40]},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),

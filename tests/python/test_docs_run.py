@@ -23,7 +23,7 @@ from common import FLAT_POLICY
 from polypod import _core, cli
 from polypod.compat import tomllib
 from polypod.export import export_checkpoint
-from polypod.training import config
+from polypod.training import config, sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "CONTRIBUTING.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")))
@@ -138,6 +138,9 @@ def test_toml_is_accepted(block, tmp_path):
         name = "" if "name" in tables else 'name = "Mine-v0"\n'
         file.write_text(base.format("velocity_flat") + name + block.text)
         assert _core.VecSim(str(file), num_envs=8, threads=1).num_envs == 8
+    elif "seeds" in tables:
+        file.write_text(block.text)
+        assert sweep.read(file, tmp_path / "out").trials
     elif tables.keys() & TRAIN_TABLES:
         file.write_text(base.format("flat") + block.text)
         loaded = config.load(str(file)).as_dict()
@@ -201,6 +204,10 @@ def check_command(words: list[str], page: str) -> None:
             assert accepts(arguments), shlex.join(words)
         case "polypod-sim" | "target/release/polypod-sim":
             check_simulator(arguments)
+        case "torchrun":
+            place = arguments.index("polypod")
+            assert arguments[place - 1] == "-m"
+            assert accepts(arguments[place + 1 :]), shlex.join(words)
         case "make":
             makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
             for word in arguments:
@@ -212,7 +219,7 @@ def check_command(words: list[str], page: str) -> None:
         case "export":
             (assignment,) = arguments
             assert re.fullmatch(r"\w+=.+", assignment)
-        case "cp" | "mkdir" | "tar" | ".venv/bin/tensorboard":
+        case "cp" | "mkdir" | "tar" | "ray" | ".venv/bin/tensorboard":
             pass
         case ".venv/bin/python":
             check_example(words[1], words[2:])

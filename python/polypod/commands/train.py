@@ -4,7 +4,18 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, checked_threads, names
+from polypod import _core
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    Robots,
+    arg,
+    check_names,
+    checked_threads,
+    names,
+    positive,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +60,11 @@ class Train:
     config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
     headless: bool = False
     """Accepted for scripts of other simulators: trainings open no window."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
+    started if there is none. Needs the extra ray."""
+    workers: Count = None
+    """Workers of --ray. Default: one per node. Without Ray, torchrun starts workers: see docs/cluster.md."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
@@ -56,27 +72,34 @@ class Train:
             self._check()
         from polypod.training import session
 
-        return session.train(
-            session.Options(
-                task=self.task,
-                num_envs=self.num_envs,
-                robots=names(self.robots),
-                max_iterations=self.max_iterations,
-                seed=self.seed,
-                train_config=self.train_config,
-                learner=self.learner,
-                logger=self.logger,
-                log_project=self.log_project,
-                resume=self.resume,
-                init=self.init,
-                terms=self.terms,
-                run_name=self.run_name,
-                log_dir=self.log_dir,
-                device=self.device,
-                threads=checked_threads(self.threads, "--threads"),
-                overrides=list(self.set),
-            )
+        options = session.Options(
+            task=self.task,
+            num_envs=self.num_envs,
+            robots=names(self.robots),
+            max_iterations=self.max_iterations,
+            seed=self.seed,
+            train_config=self.train_config,
+            learner=self.learner,
+            logger=self.logger,
+            log_project=self.log_project,
+            resume=self.resume,
+            init=self.init,
+            terms=self.terms,
+            run_name=self.run_name,
+            log_dir=self.log_dir,
+            device=self.device,
+            threads=checked_threads(self.threads, "--threads"),
+            overrides=list(self.set),
         )
+        if self.ray is not None:
+            from polypod.training import on_ray
+
+            return on_ray.train(options, self.ray, positive(self.workers, "--workers"))
+        if self.workers is not None:
+            raise _core.ConfigError(
+                "--workers is of --ray; on one machine use torchrun --nproc-per-node N -m polypod train"
+            )
+        return session.train(options)
 
     def _check(self) -> None:
         """Refuses names and keys that do not exist before torch is imported."""

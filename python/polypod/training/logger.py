@@ -67,6 +67,38 @@ class TrainingLogger(Logger):
     env's log over steps; here the simulator averages it over the episodes that ended in the iteration.
     """
 
+    total_num_envs: int
+    """Envs of all workers."""
+    ended: list[tuple[int, int, float, float]]
+    """Step, env, return and length in control steps of each episode that ended in the iteration."""
+
+    def begin(self, first_env: int, total_num_envs: int) -> None:
+        """Tells of the envs: the first one of this worker, and how many all workers have."""
+        self.total_num_envs, self.ended = total_num_envs, []
+        self._first_env, self._step = first_env, 0
+
+    def process_env_step(
+        self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any], intrinsic_rewards: Any = None
+    ) -> None:
+        """Counts a step, and notes the episodes that it ended."""
+        self.cur_reward_sum += rewards
+        self.cur_episode_length += 1
+        envs = (dones > 0).nonzero().flatten()
+        if envs.numel():
+            figures = (envs + self._first_env, self.cur_reward_sum[envs], self.cur_episode_length[envs])
+            for env, reward, length in zip(*(of.tolist() for of in figures), strict=True):
+                self.ended.append((self._step, env, reward, length))
+            self.cur_reward_sum[envs] = 0
+            self.cur_episode_length[envs] = 0
+        self._step += 1
+
+    def finish(self, ended: list[tuple[int, int, float, float]]) -> None:
+        """Takes in the episodes of all workers that ended in the iteration."""
+        for _, _, reward, length in sorted(map(tuple, ended), key=lambda episode: episode[:2]):
+            self.rewbuffer.append(reward)
+            self.lenbuffer.append(length)
+        self.ended, self._step = [], 0
+
     def open(self, kind: str, purge_step: int, warn: Callable[[str], None], project: str = "polypod") -> None:
         """Begins to record.
 
@@ -92,7 +124,7 @@ class TrainingLogger(Logger):
 
     def record(self, iteration: int, collect_time: float, learn_time: float, scalars: dict[str, float]) -> float:
         """Records one iteration and returns its env-steps per second."""
-        env_steps = self.cfg["num_steps_per_env"] * self.num_envs
+        env_steps = self.cfg["num_steps_per_env"] * self.total_num_envs
         self.tot_timesteps += env_steps
         self.tot_time += collect_time + learn_time
         steps_per_second = env_steps / (collect_time + learn_time)

@@ -29,9 +29,10 @@ class Iteration:
 class Reporter:
     """Writes to standard output: live on a terminal, line by line elsewhere."""
 
-    def __init__(self) -> None:
-        """Looks at standard output."""
+    def __init__(self, quiet: bool = False) -> None:
+        """Looks at standard output, or shows nothing."""
         self.console = console_of_output()
+        self.console.quiet = quiet
         self._progress: Progress | None = None
         self._task = TaskID(0)
         self._start = 0
@@ -70,6 +71,13 @@ class Reporter:
             self._printed = now
             elapsed = timedelta(seconds=round(now - self._started))
             self.message(f"iteration {figures.done}/{figures.total}  {summary}  elapsed {elapsed}")
+
+    def slow_worker(self, index: int, host: str, seconds: float, count: int) -> None:
+        """Warns of a worker that keeps the others waiting."""
+        self.message(
+            f"polypod: warning: worker {index} of {count} on {host} works {seconds:.2f} s an iteration, and the others "
+            "wait for it; see Perf/worker_*/work_time in the curves"
+        )
 
     def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:
         """Prints one line per robot about the episodes that ended lately."""
