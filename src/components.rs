@@ -13,7 +13,6 @@ use smallvec::{SmallVec, smallvec};
 
 use crate::dynamics::{Parameters, SharedArray};
 use crate::hash::fnv1a;
-use crate::robot::LEGS;
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
 pub type PerJoint = SmallVec<[f32; 12]>;
@@ -21,8 +20,8 @@ pub type PerJoint = SmallVec<[f32; 12]>;
 const BODIES: usize = 19;
 /// Physics steps of a control step, likewise.
 const PHYSICS_STEPS: usize = 4;
-/// One number, or whatever it is, per foot; order of the morphology's feet.
-pub type PerFoot<T = f32> = [T; LEGS.len()];
+/// One number, or whatever it is, per foot; order of the morphology's feet. In place for up to 4 feet.
+pub type PerFoot<T = f32> = SmallVec<[T; 4]>;
 /// One number per contact body of a robot; in place for those of the library.
 pub type PerBody = SmallVec<[f32; BODIES]>;
 
@@ -228,7 +227,7 @@ pub struct JointState {
     pub velocity: PerJoint,
 }
 
-/// What the policy asked for, raw, in canonical order.
+/// What the policy asked for, raw, in the order of the robot's slots.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Action {
     /// The present one.
@@ -297,8 +296,9 @@ pub const FORCE_HISTORY: usize = 3;
 pub struct ContactForces {
     /// Net force on each foot in the last physics step, world axes, N.
     pub feet: PerFoot<[f32; 3]>,
-    /// Sum of the normal forces of each foot's contacts in each physics step of the control step, N; in place for the library's tasks.
-    pub feet_normal: SmallVec<[PerFoot; PHYSICS_STEPS]>,
+    /// Sum of the normal forces of each foot's contacts in each physics step of the control step, N, `[steps, feet]`; in place for
+    /// the library's tasks.
+    pub feet_normal: SmallVec<[f32; 4 * PHYSICS_STEPS]>,
     /// On contact bodies other than feet, where it is not zero.
     pub others: SmallVec<[BodyForce; 4]>,
 }
@@ -315,15 +315,15 @@ pub struct BodyForce {
 }
 
 impl ContactForces {
-    /// None, in control steps of `decimation` physics steps.
-    pub fn zeros(decimation: usize) -> Self {
-        Self { feet_normal: smallvec![PerFoot::default(); decimation], ..Self::default() }
+    /// None, on so many feet, in control steps of `decimation` physics steps.
+    pub fn zeros(feet: usize, decimation: usize) -> Self {
+        Self { feet: smallvec![[0.0; 3]; feet], feet_normal: smallvec![0.0; feet * decimation], ..Self::default() }
     }
 
     /// As if nothing had touched anything.
     pub fn clear(&mut self) {
-        self.feet = PerFoot::default();
-        self.feet_normal.fill(PerFoot::default());
+        self.feet.fill([0.0; 3]);
+        self.feet_normal.fill(0.0);
         self.others.clear();
     }
 
@@ -340,13 +340,14 @@ impl ContactForces {
         for (to, &foot) in self.feet.iter_mut().zip(feet) {
             *to = net(foot);
         }
-        for (step, to) in self.feet_normal.iter_mut().enumerate() {
+        let steps = self.feet_normal.chunks_exact_mut(feet.len().max(1));
+        let decimation = steps.len();
+        for (step, to) in steps.enumerate() {
             for (to, &foot) in to.iter_mut().zip(feet) {
                 *to = normal(step, foot);
             }
         }
         self.others.clear();
-        let decimation = self.feet_normal.len();
         for &body in others {
             let mut force = BodyForce { body: body as u32, net: net(body), normal: [0.0; FORCE_HISTORY] };
             let recent = decimation.saturating_sub(FORCE_HISTORY)..decimation;
@@ -360,7 +361,7 @@ impl ContactForces {
     }
 
     /// Net force on each of a robot's `bodies` contact bodies in the last physics step, world axes, N; `feet` are those that are feet.
-    pub fn net(&self, bodies: usize, feet: &PerFoot<usize>) -> Vec<[f32; 3]> {
+    pub fn net(&self, bodies: usize, feet: &[usize]) -> Vec<[f32; 3]> {
         let mut net = vec![[0.0; 3]; bodies];
         for (&foot, &force) in feet.iter().zip(&self.feet) {
             net[foot] = force;
@@ -373,7 +374,7 @@ impl ContactForces {
 }
 
 /// Where the feet are and how they move.
-#[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Feet {
     /// Centres of the foot spheres, m, relative to the env's origin.
     pub position: PerFoot<[f32; 3]>,
@@ -381,6 +382,20 @@ pub struct Feet {
     pub velocity: PerFoot<[f32; 3]>,
     /// Of the centres above the ground below them, m.
     pub height: PerFoot,
+}
+
+impl Feet {
+    /// So many, at rest at the origin.
+    pub fn zeros(feet: usize) -> Self {
+        Self { position: smallvec![[0.0; 3]; feet], velocity: smallvec![[0.0; 3]; feet], height: smallvec![0.0; feet] }
+    }
+
+    /// As if they were at rest at the origin.
+    pub fn clear(&mut self) {
+        self.position.fill([0.0; 3]);
+        self.velocity.fill([0.0; 3]);
+        self.height.fill(0.0);
+    }
 }
 
 /// The robot's own numbers: masses, lengths, gains, friction. They start as its morphology's and may be randomised.
@@ -432,6 +447,18 @@ pub struct ContactSensor {
     pub last_air_time: PerFoot,
 }
 
+/// What each joint of a robot's body is, as the body is since its episode began; for networks that learn bodies by their joints.
+///
+/// Of each joint, in the default pose, base frame and the direction of its slot: position (3, m), axis (3), default position, lower
+/// and upper limit (rad, at most half a turn), largest effort (100 N m), largest speed (20 rad/s), stiffness (100 N m/rad), damping
+/// (5 N m s/rad), rotor inertia (0.1 kg m^2), dry friction (N m), inertia of what hangs on it about its axis (kg m^2), share of the
+/// robot's mass that hangs on it, radians per unit of action, and the robot's mass (50 kg).
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct JointDescriptors {
+    /// All joints' first number, then their next, `[19, slots]`.
+    pub numbers: Box<[f32]>,
+}
+
 /// Height scanner on the base; the task's config says where its rays are.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct HeightScan {
@@ -459,15 +486,15 @@ mod tests {
     use crate::morphology::MorphologyModel;
 
     #[test]
-    fn the_librarys_robots_have_room_in_place_and_need_it() {
+    fn quadrupeds_have_room_in_place_and_need_it() {
         let library = Library::new(Vec::new());
         let (mut bodies, mut joints) = (0, 0);
-        for listed in library.robots().unwrap() {
-            let topology = MorphologyModel::new(&library.robot(&listed.name).unwrap()).unwrap().topology;
+        let task = library.task("velocity_flat", &[]).unwrap();
+        for name in &task.config.robots {
+            let topology = MorphologyModel::new(&library.robot(name).unwrap()).unwrap().topology;
             (bodies, joints) = (bodies.max(topology.num_bodies), joints.max(topology.num_joints()));
         }
         assert_eq!((bodies, joints), (BODIES, PerJoint::new().inline_size()));
-        let task = library.task("velocity_flat", &[]).unwrap();
         assert_eq!(task.config.sim.decimation as usize, PHYSICS_STEPS);
     }
 
@@ -483,12 +510,12 @@ mod tests {
                 4 => f32::from(u8::from(step + 1 == decimation)),
                 _ => (10 * step + body) as f32,
             };
-            let mut forces = ContactForces::zeros(decimation);
+            let mut forces = ContactForces::zeros(feet.len(), decimation);
             for _ in 0..2 {
                 forces.set(&feet, &[1, 3, 4], net, normal);
                 let expected: Vec<[f32; 3]> = (0..7).map(net).collect();
                 assert_eq!(forces.net(7, &feet), expected);
-                for (step, found) in forces.feet_normal.iter().enumerate() {
+                for (step, found) in forces.feet_normal.chunks(feet.len()).enumerate() {
                     assert_eq!(*found, feet.map(|foot| normal(step, foot)));
                 }
                 let others: Vec<(u32, [f32; 3])> =
@@ -502,7 +529,7 @@ mod tests {
             }
             forces.clear();
             assert_eq!(forces.net(7, &feet), [[0.0; 3]; 7]);
-            assert_eq!((forces.feet_normal.len(), forces.others.len()), (decimation, 0));
+            assert_eq!((forces.feet_normal.len(), forces.others.len()), (feet.len() * decimation, 0));
         }
     }
 

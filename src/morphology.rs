@@ -6,11 +6,11 @@ use std::path::PathBuf;
 use bevy_ecs::prelude::Resource;
 use glam::DMat3;
 
-use crate::components::{PerFoot, Stance};
+use crate::components::Stance;
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
 use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
 use crate::error::Error;
-use crate::robot::{self, Articulation, BodyGroup, Model, Roles, Site, UNLIMITED};
+use crate::robot::{self, Articulation, BodyGroup, Model, Place, Roles, Site, Slot, UNLIMITED};
 
 /// One kind of robot.
 #[derive(Clone, Debug)]
@@ -29,25 +29,98 @@ pub struct MorphologyModel {
     pub shape_pairs: Vec<[usize; 2]>,
     /// Their numbers before any randomisation.
     pub nominal: Parameters<f32>,
-    /// Canonical slot -> physical joint.
-    pub joint_of_slot: [usize; 12],
+    /// The joints of a quadruped's legs, `[role][leg]` in the order of [`ROLES`](robot::ROLES) and [`LEGS`](robot::LEGS), if
+    /// it has them all.
+    pub quadruped: Option<QuadrupedJoints>,
+    /// The robot's slots, in order: what its actions and per-joint observations are made of.
+    pub slots: Vec<SlotJoint>,
     /// How a robot stands whose body is that of the URDF.
     pub stance: Stance,
     /// Group of each contact body.
     pub body_groups: Vec<BodyGroup>,
-    /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
-    pub feet: PerFoot<usize>,
+    /// Contact bodies that are feet, in the order of [`Roles::legs`].
+    pub feet: Vec<usize>,
+    /// Column of each foot in the batch.
+    pub foot_columns: Vec<usize>,
     /// Fewest and most physics steps of delay of each actuator group, with its joints (physical).
     pub delays: Vec<([u32; 2], Vec<usize>)>,
     /// The most physics steps by which events of the task delay targets on top of that.
     pub max_action_delay: u32,
 }
 
+/// Physical joints of a quadruped's legs, `[role][leg]`.
+pub type QuadrupedJoints = [[usize; robot::LEGS.len()]; robot::ROLES.len()];
+
+/// A slot of a robot: which joint it is and where the batch has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlotJoint {
+    /// Column of the batch's actions and per-joint observations.
+    column: u32,
+    /// Physical joint.
+    joint: u32,
+    /// 1, or -1 where the URDF's axis is turned round: the canonical position is `sign` times the physical one.
+    pub sign: f32,
+    /// Its name.
+    pub slot: Slot,
+}
+
+impl SlotJoint {
+    /// Column of the batch's actions and per-joint observations.
+    #[inline(always)]
+    pub fn column(&self) -> usize {
+        self.column as usize
+    }
+
+    /// Physical joint.
+    #[inline(always)]
+    pub fn joint(&self) -> usize {
+        self.joint as usize
+    }
+}
+
 /// All kinds of robots of a simulation, in the order of their env blocks.
 #[derive(Resource, Clone, Debug)]
-pub struct Morphologies(pub Vec<MorphologyModel>);
+pub struct Morphologies(pub Vec<MorphologyModel>, pub BatchSlots);
+
+/// The columns of a batch: what its robots have among them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BatchSlots {
+    /// Slots of the actions and of per-joint observations, in order.
+    pub joints: Vec<Slot>,
+    /// Legs whose feet are columns of per-foot arrays, in order.
+    pub feet: Vec<Place>,
+}
+
+impl BatchSlots {
+    /// Names of the actions' columns.
+    pub fn joint_names(&self) -> Vec<String> {
+        self.joints.iter().map(Slot::to_string).collect()
+    }
+
+    /// Names of the feet's columns.
+    pub fn feet_names(&self) -> Vec<&'static str> {
+        self.feet.iter().map(|place| place.name()).collect()
+    }
+}
 
 impl Morphologies {
+    /// Robots that share a batch, whose columns are the slots that any of them has, and `more`.
+    pub fn in_batch(mut models: Vec<MorphologyModel>, more: &[Slot]) -> Self {
+        let mut columns = BatchSlots { joints: more.to_vec(), feet: Vec::new() };
+        for model in &models {
+            columns.joints.extend(&model.roles.slots);
+            columns.feet.extend(&model.roles.legs);
+        }
+        columns.joints.sort_unstable();
+        columns.joints.dedup();
+        columns.feet.sort_unstable();
+        columns.feet.dedup();
+        for model in &mut models {
+            model.place_in(&columns);
+        }
+        Self(models, columns)
+    }
+
     /// The kind that a tag names.
     pub fn get(&self, tag: crate::components::Morphology) -> &MorphologyModel {
         &self.0[usize::from(tag.0)]
@@ -65,7 +138,7 @@ impl MorphologyModel {
             ConfiguredRobot::new(loaded, &BTreeMap::new(), true, None)?;
         let body_groups = body_groups(&config, &model, &roles)?;
         let Articulation { mut topology, parameters, align, shape_pairs } = articulation;
-        let actuators = config.actuators_by_slot()?;
+        let actuators = config.actuators_by_slot(&roles.slots)?;
         topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
         let nominal = Parameters::from_scalars(&topology, &parameters);
         let lowest_foot = lowest_foot(&model, &roles, &default_position);
@@ -76,15 +149,24 @@ impl MorphologyModel {
             }
         }
         let delays = delays.into_values().collect();
+        let slots = roles.slots.iter().zip(&roles.joint_of_slot).zip(&roles.sign_of_slot).enumerate();
+        let slots = slots.map(|(column, ((&slot, &joint), &sign))| SlotJoint {
+            column: column as u32,
+            joint: joint as u32,
+            sign: sign as f32,
+            slot,
+        });
         Ok(Self {
-            joint_of_slot: roles.joint_of_slot,
+            quadruped: Self::quadruped_joints(&roles),
+            slots: slots.collect(),
+            foot_columns: (0..roles.foot_body.len()).collect(),
             stance: Stance {
                 default_position: default_position.iter().map(|&q| q as f32).collect(),
                 action_scale: config.action_scale as f32,
                 spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
             },
             body_groups,
-            feet: roles.foot_body,
+            feet: roles.foot_body.clone(),
             delays,
             max_action_delay: 0,
             topology,
@@ -113,9 +195,42 @@ impl MorphologyModel {
         self.topology.has_delay |= most > 0;
     }
 
-    /// Names of the canonical slots' joints in the URDF.
-    pub fn joint_names_by_slot(&self) -> [&str; 12] {
-        self.joint_of_slot.map(|j| self.model.joints[j].name.as_str())
+    /// Names of the slots' joints in the URDF.
+    pub fn joint_names_by_slot(&self) -> Vec<&str> {
+        self.slots.iter().map(|slot| self.model.joints[slot.joint()].name.as_str()).collect()
+    }
+
+    /// Sign of the slot of a physical joint; 1 for a joint without one.
+    pub fn sign_of(&self, joint: usize) -> f32 {
+        self.slots.iter().find(|slot| slot.joint() == joint).map_or(1.0, |slot| slot.sign)
+    }
+
+    /// Physical joint of each slot.
+    pub fn joint_of_slot(&self) -> Vec<usize> {
+        self.slots.iter().map(|slot| slot.joint()).collect()
+    }
+
+    /// Which of `columns` the robot has.
+    pub fn action_mask(&self, columns: usize) -> Vec<bool> {
+        let mut mask = vec![false; columns];
+        self.slots.iter().for_each(|slot| mask[slot.column()] = true);
+        mask
+    }
+
+    fn quadruped_joints(roles: &Roles) -> Option<QuadrupedJoints> {
+        let mut joints = [[0; robot::LEGS.len()]; robot::ROLES.len()];
+        for (at, name) in robot::CANONICAL_JOINT_NAMES.into_iter().enumerate() {
+            joints[at / robot::LEGS.len()][at % robot::LEGS.len()] = roles.joint(Slot::parse(name)?)?;
+        }
+        Some(joints)
+    }
+
+    /// Takes its columns in a batch.
+    fn place_in(&mut self, batch: &BatchSlots) {
+        let column_of = |slot: &Slot| batch.joints.binary_search(slot).unwrap_or(0) as u32;
+        self.slots.iter_mut().for_each(|slot| slot.column = column_of(&slot.slot));
+        let foot_column = |leg: &Place| batch.feet.binary_search(leg).unwrap_or(0);
+        self.foot_columns = self.roles.legs.iter().map(foot_column).collect();
     }
 }
 
@@ -123,7 +238,7 @@ impl MorphologyModel {
 pub(crate) struct ConfiguredRobot {
     pub(crate) model: Model,
     pub(crate) roles: Roles,
-    /// With the feet as sites, legs in the order LF, LH, RF, RH.
+    /// With the feet as sites, in the order of [`Roles::legs`].
     pub(crate) articulation: Articulation,
     /// Joint positions of the default pose, physical order, rad.
     pub(crate) default_position: Vec<f64>,
@@ -148,19 +263,24 @@ impl ConfiguredRobot {
         };
         options.package_dirs.extend(package_dirs.clone());
         let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
-        let roles = robot::detect(&model, &config.joint_roles, &config.feet)?;
-        let (default_pose, actuators) = (config.default_pose_by_slot()?, config.actuators_by_slot()?);
+        let roles = robot::detect(&model, &config.joint_roles, &config.feet)
+            .map_err(|error| robot::naming_missing_meshes(error, &model))?;
+        let default_pose = config.default_pose_by_slot(&roles.slots)?;
+        let actuators = config.actuators_by_slot(&roles.slots)?;
         let mut default_position = vec![0.0; model.joints.len()];
         for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
-            default_position[joint] = default_pose[slot];
+            // without a negative zero
+            default_position[joint] = roles.sign_of_slot[slot] * default_pose[slot] + 0.0;
         }
-        let sites: Vec<Site> = (0..4)
-            .map(|leg| Site { link: model.bodies[roles.foot_body[leg]].link, position: roles.foot_point[leg] })
-            .collect();
+        let feet = roles.foot_body.iter().zip(&roles.foot_point);
+        let sites: Vec<Site> =
+            feet.map(|(&body, &position)| Site { link: model.bodies[body].link, position }).collect();
         let reference = self_collision.unwrap_or(config.self_collisions).then_some(&default_position[..]);
         let mut articulation = Articulation::new(&model, floating, &sites, reference);
         for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
-            apply_actuator(&mut articulation.topology.joints[j], &mut articulation.parameters, j, actuators[slot].1);
+            let is_turned = roles.sign_of_slot[slot] < 0.0;
+            let joint = &mut articulation.topology.joints[j];
+            apply_actuator(joint, &mut articulation.parameters, j, actuators[slot].1, is_turned);
         }
         Ok(Self { model, roles, articulation, default_position })
     }
@@ -170,10 +290,13 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
     let mut groups = robot::body_groups(model, roles);
     let named = [
         (&config.bodies.base, BodyGroup::Base, "bodies.base"),
+        (&config.bodies.torso, BodyGroup::Torso, "bodies.torso"),
         (&config.bodies.hip, BodyGroup::Hip, "bodies.hip"),
         (&config.bodies.thigh, BodyGroup::Thigh, "bodies.thigh"),
         (&config.bodies.shank, BodyGroup::Shank, "bodies.shank"),
         (&config.bodies.foot, BodyGroup::Foot, "bodies.foot"),
+        (&config.bodies.arm, BodyGroup::Arm, "bodies.arm"),
+        (&config.bodies.head, BodyGroup::Head, "bodies.head"),
         (&config.bodies.other, BodyGroup::Other, "bodies.other"),
     ];
     for (names, group, element) in named {
@@ -194,9 +317,21 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
     Ok(groups)
 }
 
-/// Gives joint `j` the actuator of a config, but for its delay.
-fn apply_actuator(joint: &mut JointTopology, p: &mut Parameters<f64>, j: usize, actuator: &ActuatorConfig) {
-    joint.effort_table = effort_table(&actuator.effort_table);
+/// Gives joint `j`, whose axis `is_turned` round or not, the actuator of a config, but for its delay.
+fn apply_actuator(
+    joint: &mut JointTopology,
+    p: &mut Parameters<f64>,
+    j: usize,
+    actuator: &ActuatorConfig,
+    is_turned: bool,
+) {
+    joint.effort_table = if is_turned {
+        let turned: Vec<[f64; 2]> =
+            actuator.effort_table.iter().rev().map(|[angle, torque]| [-angle, *torque]).collect();
+        effort_table(&turned)
+    } else {
+        effort_table(&actuator.effort_table)
+    };
     joint.explicit = actuator.explicit;
     p.stiffness[j] = actuator.stiffness;
     p.damping[j] = actuator.damping;
@@ -244,7 +379,7 @@ fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
 /// Lowest point of the foot spheres in the default pose, relative to the base, m.
 fn lowest_foot(model: &Model, roles: &Roles, q: &[f64]) -> f64 {
     let poses = model.forward_kinematics(q);
-    (0..4)
+    (0..roles.foot_body.len())
         .map(|leg| {
             let link = model.bodies[roles.foot_body[leg]].link;
             poses[link].transform_point(roles.foot_point[leg]).z - roles.foot_radius[leg]
@@ -261,8 +396,16 @@ pub struct RobotDescription {
     pub mass: f64,
     /// Names in the URDF.
     pub joint_names: Vec<String>,
-    /// Physical index of each canonical slot.
-    pub joint_of_slot: [usize; 12],
+    /// Physical index of the joint in each of the robot's slots.
+    pub joint_of_slot: Vec<usize>,
+    /// Names of its slots.
+    pub slots: Vec<String>,
+    /// For each slot, 1, or -1 where the joint's own positive direction is opposite to the slot's.
+    pub slot_signs: Vec<f32>,
+    /// For each slot, its column in the batch.
+    pub columns: Vec<usize>,
+    /// `biped`, `humanoid`, `quadruped`, `hexapod` ...
+    pub class: String,
     /// rad.
     pub default_pose: Vec<f32>,
     /// rad per unit of action.
@@ -279,11 +422,13 @@ pub struct RobotDescription {
     pub upper: Vec<f32>,
     /// Height of the base above the ground in the default pose, m.
     pub base_height: f32,
-    /// Contact bodies that are feet, legs in the order LF, LH, RF, RH.
+    /// Contact bodies that are feet, in the order of `legs`.
     pub feet: Vec<String>,
-    /// For each canonical slot the one on the robot's other side, and the sign that its position takes there: the
-    /// mirror image of a pose about the plane between left and right.
-    pub mirror: [(usize, f32); 12],
+    /// Names of the legs.
+    pub legs: Vec<String>,
+    /// For each slot the one on the robot's other side, and the sign that its position takes there: the mirror image of a pose
+    /// about the plane between left and right.
+    pub mirror: Vec<(usize, f32)>,
 }
 
 impl MorphologyModel {
@@ -295,7 +440,12 @@ impl MorphologyModel {
             title: self.config.title.clone(),
             mass: self.model.total_mass(),
             joint_names: self.model.joints.iter().map(|joint| joint.name.clone()).collect(),
-            joint_of_slot: self.joint_of_slot,
+            joint_of_slot: self.joint_of_slot(),
+            slots: self.slots.iter().map(|slot| slot.slot.to_string()).collect(),
+            slot_signs: self.slots.iter().map(|slot| slot.sign).collect(),
+            columns: self.slots.iter().map(|slot| slot.column()).collect(),
+            class: self.roles.class().to_owned(),
+            legs: self.roles.legs.iter().map(|place| place.name().to_owned()).collect(),
             default_pose: self.stance.default_position.to_vec(),
             action_scale: self.stance.action_scale,
             stiffness: p.stiffness.to_vec(),
@@ -309,18 +459,28 @@ impl MorphologyModel {
         }
     }
 
-    /// For each canonical slot the one on the robot's other side, and the sign that its position takes there.
-    pub fn mirrored_slots(&self) -> [(usize, f32); 12] {
-        std::array::from_fn(|slot| self.mirror(slot))
+    /// For each of the robot's slots the one on its other side, and the sign that its position takes there.
+    pub fn mirrored_slots(&self) -> Vec<(usize, f32)> {
+        (0..self.slots.len()).map(|slot| self.mirror(slot)).collect()
+    }
+
+    /// The same for all `columns` of a batch; those that the robot lacks stay as they are.
+    pub fn mirrored_columns(&self, columns: usize) -> Vec<(usize, f32)> {
+        let mut mirror: Vec<(usize, f32)> = (0..columns).map(|column| (column, 1.0)).collect();
+        for (own, (other, sign)) in self.slots.iter().zip(self.mirrored_slots()) {
+            mirror[own.column()] = (self.slots[other].column(), sign);
+        }
+        mirror
     }
 
     fn mirror(&self, slot: usize) -> (usize, f32) {
-        // legs come in the order LF, LH, RF, RH within a role
-        let other = slot ^ 2;
-        let axis = |slot: usize| self.topology.joints[self.joint_of_slot[slot]].axis.direction();
+        // a limb without a counterpart is its own
+        let other = self.roles.slots.binary_search(&self.slots[slot].slot.mirrored()).unwrap_or(slot);
+        let axis = |slot: usize| self.topology.joints[self.slots[slot].joint()].axis.direction();
         let ([x, y, z], [ox, oy, oz]) = (axis(slot), axis(other));
         // axes of rotation are mirrored as pseudovectors
-        (other, if y * oy - x * ox - z * oz < 0.0 { -1.0 } else { 1.0 })
+        let sign = if y * oy - x * ox - z * oz < 0.0 { -1.0 } else { 1.0 };
+        (other, sign * self.slots[slot].sign * self.slots[other].sign)
     }
 
     /// Largest effort of a joint at any position, N m; `body` holds the numbers of a robot of this kind.

@@ -15,6 +15,8 @@ pub struct SimOptions {
     pub task: String,
     /// Names or paths of the robots; the task's own list when absent.
     pub robots: Option<Vec<String>>,
+    /// Slots that the batch has on top of those of its robots, by name: those of a policy that knows other robots too.
+    pub slots: Vec<String>,
     /// Number of envs, shared out among the robots.
     pub num_envs: usize,
     /// Which of them are simulated here, in the order of the robots' blocks; the others are another process's. All when absent.
@@ -41,6 +43,7 @@ impl SimOptions {
         Self {
             task: task.into(),
             robots: None,
+            slots: Vec::new(),
             num_envs,
             share: None,
             seed: 0,

@@ -14,7 +14,7 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::query::ContiguousQueryData;
 use bevy_ecs::system::SystemParam;
 
-use crate::components::{ContactSensor, Env, EnvId, HeightScan, Imu, Robot};
+use crate::components::{ContactSensor, Env, EnvId, HeightScan, Imu, JointDescriptors, Robot};
 use crate::error::Error;
 
 /// Number of envs of the simulation.
@@ -38,6 +38,9 @@ impl RowKind for ContactSensor {
 }
 impl RowKind for Imu {
     const NAME: &'static str = "IMU";
+}
+impl RowKind for JointDescriptors {
+    const NAME: &'static str = "joint descriptors";
 }
 impl RowKind for HeightScan {
     const NAME: &'static str = "height scanner";

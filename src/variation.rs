@@ -16,9 +16,9 @@ use crate::components::Stance;
 use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
 use crate::dynamics::{Parameters, Scalar, Topology, Workspace};
 use crate::morphology::MorphologyModel;
-use crate::robot::UNLIMITED;
+use crate::robot::{LimbKind, Side, UNLIMITED};
 
-/// Factors between a body and that of its URDF; lengths and masses by part of the body, the same for all four legs.
+/// Factors between a body and that of its URDF; lengths and masses by part of the body, the same for all legs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyScales {
     /// Length of the base, along x.
@@ -116,16 +116,18 @@ impl BodyScales {
 
     /// The default pose with legs more or less bent and spread, within the joints' limits.
     fn pose(&self, model: &MorphologyModel, p: &Parameters<f64>, position: &mut [f32]) {
-        for (slot, &joint) in model.joint_of_slot.iter().enumerate() {
-            let (role, leg) = (slot / 4, slot % 4);
+        for slot in &model.slots {
+            let (role, joint) = (slot.slot.role, slot.joint());
             let q = f64::from(position[joint]);
-            let new = if role == 0 {
-                // a positive turn about the forward axis spreads the left legs, LF and LH
+            let new = if role.is_abduction() {
+                // a positive turn about the forward axis spreads the left legs
                 let [forward, ..] = model.topology.joints[joint].axis.direction();
-                let is_outward = (leg < 2) == (forward > 0.0);
+                let is_outward = (slot.slot.place.side() == Side::Left) == (forward > 0.0);
                 if is_outward { q + self.default_abduction } else { q - self.default_abduction }
-            } else {
+            } else if role.is_flexion() {
                 q * self.default_flexion
+            } else {
+                continue;
             };
             position[joint] = new.max(p.lower[joint]).min(p.upper[joint]) as f32;
         }
@@ -159,18 +161,24 @@ impl BodyScales {
         let mut base = stretch(&[0.0; 3], 1.0);
         (base[0][0], base[1][1]) = (self.base_length, self.base_width);
         maps[0] = (base, self.base_mass);
-        for leg in 0..4 {
-            let joint = |role: usize| model.joint_of_slot[4 * role + leg];
-            let end = foot_in(topology, p, joint(2) + 1, leg);
-            for (role, (end, length, mass)) in [
-                (p.joint_offset[joint(1)], self.hip_offset, self.hip_mass),
-                (p.joint_offset[joint(2)], self.thigh_length, self.thigh_mass),
-                (end, self.shank_length, self.shank_mass),
-            ]
-            .into_iter()
-            .enumerate()
-            {
-                maps[joint(role) + 1] = (stretch(&end, length), mass);
+        let legs = model.roles.limbs.iter().filter(|limb| limb.kind == LimbKind::Leg);
+        for (leg, limb) in legs.enumerate() {
+            let knee = limb.joints.iter().position(|joint| joint.slot.role.is_knee());
+            let Some(knee) = knee else {
+                continue;
+            };
+            // a link reaches to the next joint, and what the knee carries to the foot or to the ankle
+            for (at, joint) in limb.joints[..=knee].iter().enumerate() {
+                let (length, mass) = match knee - at {
+                    0 => (self.shank_length, self.shank_mass),
+                    1 => (self.thigh_length, self.thigh_mass),
+                    _ => (self.hip_offset, self.hip_mass),
+                };
+                let end = match limb.joints.get(at + 1) {
+                    Some(next) if at < knee => p.joint_offset[next.joint],
+                    _ => foot_in(topology, p, joint.joint + 1, leg),
+                };
+                maps[joint.joint + 1] = (stretch(&end, length), mass);
             }
         }
         for (map, mass) in &mut maps {
@@ -249,7 +257,7 @@ fn spawn_height(model: &MorphologyModel, p: &Parameters<f64>, position: &[f32], 
     let q: Vec<f64> = position.iter().map(|&q| f64::from(q)).collect();
     let mut work = Workspace::new(topology);
     f64::forward_kinematics(topology, p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
-    let lowest = (0..4).map(|leg| {
+    let lowest = (0..topology.sites.len()).map(|leg| {
         let link = &work.links[topology.sites[leg]];
         let foot = mul_vec(&link.rotation, &p.site_position[leg]);
         link.position[2] + foot[2] - model.roles.foot_radius[leg] * size

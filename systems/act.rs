@@ -21,7 +21,8 @@ impl Plugin for ActPlugin {
     }
 }
 
-/// `target = default + scale * action`, from canonical to physical order; the targets before become history.
+/// `target = default + scale * sign * action`, from slots to physical joints; the targets before become history. Columns of slots
+/// that a robot lacks are not read.
 ///
 /// The first action after a reset fills the whole history, so that a delayed actuator does not see an older episode.
 pub(super) fn apply_actions(
@@ -64,15 +65,18 @@ impl Kernel<f32> for ActionRows<'_> {
             let (morphology, stance) = (morphologies.get(tags[i]), &stances[i]);
             let action = &mut actions[i];
             std::mem::swap(&mut action.current, &mut action.previous);
-            action.current.copy_from_slice(raw.row(i));
+            let raw = raw.row(i);
+            for (current, slot) in action.current.iter_mut().zip(&morphology.slots) {
+                *current = raw[slot.column()];
+            }
             let target = &mut targets[i];
             target.history.rotate_right(1);
             let Some((newest, older)) = target.history.split_first_mut() else {
                 continue;
             };
             let (newest, default) = (&mut newest[..], &stance.default_position[..]);
-            for (&action, &joint) in action.current.iter().zip(&morphology.joint_of_slot) {
-                newest[joint] = stance.action_scale.mul_add(action, default[joint]);
+            for (&action, slot) in action.current.iter().zip(&morphology.slots) {
+                newest[slot.joint()] = stance.action_scale.mul_add(slot.sign * action, default[slot.joint()]);
             }
             if std::mem::take(&mut target.fresh) {
                 for past in older {

@@ -7,6 +7,7 @@ use super::terms::CompiledTask;
 use super::view::{RobotView, ViewParam};
 use crate::components::{ContactForces, Env, Episode, Robot};
 use crate::error::Error;
+use crate::morphology::{BatchSlots, Morphologies};
 use crate::rows::Rows;
 use crate::workers::{MatrixRows, Workers};
 
@@ -102,20 +103,44 @@ impl StateField {
         }
     }
 
-    /// Numbers per robot.
-    pub fn width(self) -> usize {
+    /// Numbers per robot in a batch with these columns.
+    pub fn width(self, slots: &BatchSlots) -> usize {
         match self {
             Self::Valid => 1,
             Self::BasePos | Self::BaseLinVel | Self::BaseAngVel | Self::ProjectedGravity | Self::Command => 3,
-            Self::BaseQuat | Self::FeetAirTime | Self::FeetContactTime => 4,
-            _ => 12,
+            Self::BaseQuat => 4,
+            Self::FeetAirTime | Self::FeetContactTime => slots.feet.len(),
+            Self::ContactForces | Self::FeetPos | Self::FeetVel => 3 * slots.feet.len(),
+            Self::JointPos
+            | Self::JointVel
+            | Self::JointAcc
+            | Self::JointEffort
+            | Self::DefaultJointPos
+            | Self::LastAction
+            | Self::PreviousAction => slots.joints.len(),
         }
     }
 
+    /// `out` is zero where the robot has no such joint or foot.
     fn write(self, r: &RobotView, forces: &ContactForces, out: &mut [f32]) {
         let joints = |out: &mut [f32], values: &[f32]| {
-            for (x, &joint) in out.iter_mut().zip(&r.morphology.joint_of_slot) {
-                *x = values[joint];
+            for slot in &r.morphology.slots {
+                out[slot.column()] = slot.sign * values[slot.joint()];
+            }
+        };
+        let actions = |out: &mut [f32], values: &[f32]| {
+            for (slot, value) in r.morphology.slots.iter().zip(values) {
+                out[slot.column()] = *value;
+            }
+        };
+        let feet = |out: &mut [f32], values: &[[f32; 3]]| {
+            for (column, value) in r.morphology.foot_columns.iter().zip(values) {
+                out[3 * column..][..3].copy_from_slice(value);
+            }
+        };
+        let times = |out: &mut [f32], values: &[f32]| {
+            for (column, value) in r.morphology.foot_columns.iter().zip(values) {
+                out[*column] = *value;
             }
         };
         match self {
@@ -129,14 +154,14 @@ impl StateField {
             Self::JointAcc => joints(out, &r.effort.acceleration),
             Self::JointEffort => joints(out, &r.effort.applied),
             Self::DefaultJointPos => joints(out, &r.stance.default_position),
-            Self::ContactForces => out.copy_from_slice(forces.feet.as_flattened()),
-            Self::FeetPos => out.copy_from_slice(r.feet.position.as_flattened()),
-            Self::FeetVel => out.copy_from_slice(r.feet.velocity.as_flattened()),
-            Self::FeetAirTime => out.copy_from_slice(&r.contacts.air_time),
-            Self::FeetContactTime => out.copy_from_slice(&r.contacts.contact_time),
+            Self::ContactForces => feet(out, &forces.feet),
+            Self::FeetPos => feet(out, &r.feet.position),
+            Self::FeetVel => feet(out, &r.feet.velocity),
+            Self::FeetAirTime => times(out, &r.contacts.air_time),
+            Self::FeetContactTime => times(out, &r.contacts.contact_time),
             Self::Command => out.copy_from_slice(r.command),
-            Self::LastAction => out.copy_from_slice(&r.action.current),
-            Self::PreviousAction => out.copy_from_slice(&r.action.previous),
+            Self::LastAction => actions(out, &r.action.current),
+            Self::PreviousAction => actions(out, &r.action.previous),
             Self::Valid => out.fill(1.0),
         }
     }
@@ -150,18 +175,18 @@ pub(crate) fn gather_state(world: &mut World, field: StateField, out: &mut [f32]
 fn gather(
     (In(field), InMut(out)): (In<StateField>, InMut<[f32]>),
     workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     views: ViewParam,
     robots: Rows<&'static ContactForces, Robot>,
     envs: Rows<&'static Episode, Env>,
 ) -> Result {
     let views = views.views(task.step_dt)?;
-    let rows = (robots.read()?, envs.read()?, MatrixRows { data: out, width: field.width() });
+    let rows = (robots.read()?, envs.read()?, MatrixRows { data: out, width: field.width(&morphologies.1) });
     workers.for_each_chunk(rows, views.len(), |first, n, (forces, episodes, mut out)| {
         for i in 0..n {
-            if episodes[i].invalid {
-                out.row(i).fill(0.0);
-            } else {
+            out.row(i).fill(0.0);
+            if !episodes[i].invalid {
                 field.write(&views.get(first + i), &forces[i], out.row(i));
             }
         }

@@ -14,7 +14,7 @@ use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
-use crate::robot::CANONICAL_JOINT_NAMES;
+use crate::robot::Slot;
 use crate::rows::NumEnvs;
 use crate::workers::{Workers, packs_of};
 
@@ -90,7 +90,7 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
         tracing::warn!("{warning}");
     }
-    let mut morphologies = Morphologies(morphologies);
+    let mut morphologies = Morphologies::in_batch(morphologies, &slots(&options.slots)?);
     let compiled = CompiledTask::new(&task.config, &morphologies, world.resource::<Registry>())?;
     for morphology in &mut morphologies.0 {
         morphology.allow_action_delay(compiled.max_action_delay(morphology));
@@ -105,7 +105,7 @@ fn load_into(world: &mut World) -> Result<(), Error> {
         EngineKind::Articulated => counts.iter().map(|&count| packs_of(count)).sum(),
     };
     world.insert_resource(Workers::for_pieces(options.threads, pieces, simd));
-    world.insert_resource(Batch::new(num_envs, compiled.num_obs(), CANONICAL_JOINT_NAMES.len()));
+    world.insert_resource(Batch::new(num_envs, compiled.num_obs(), compiled.num_joints));
     world.insert_resource(options.autoreset);
     world.insert_resource(InstructionSet(simd));
     world.insert_resource(NumEnvs(num_envs));
@@ -116,12 +116,23 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     Ok(())
 }
 
+/// The slots with these names.
+fn slots(names: &[String]) -> Result<Vec<Slot>, Error> {
+    let parse = |name: &String| {
+        Slot::parse(name).ok_or_else(|| {
+            let remedy = "pass names such as LF_HAA or L_KNEE: those of a policy's manifest";
+            Error::argument("slots", format!("there is no slot `{name}`"), remedy)
+        })
+    };
+    names.iter().map(parse).collect()
+}
+
 fn read(options: &SimOptions) -> Result<Loaded, Error> {
     let library = Library::new(options.roots.clone());
     let task = library.task(&options.task, &options.overrides)?;
     let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
     check_arguments(&names, options)?;
-    let robots = names.iter().map(|name| library.robot_in(name, &task.config)).collect::<Result<Vec<_>, _>>()?;
+    let robots = library.robots_in(&names, &task.config)?;
     check_distinct(&robots)?;
     Ok(Loaded { task, robots })
 }

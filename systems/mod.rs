@@ -41,6 +41,7 @@ mod logs;
 mod mirror;
 mod observe;
 mod physics;
+mod privileged;
 mod reset;
 mod reward;
 mod sampling;
@@ -90,7 +91,9 @@ pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
 pub(crate) use terms::ACTION_DELAY;
 pub use terms::{
-    Block, CompiledTask, ObservationTerm, Per, Registry, RewardTerm, TermKind, TermSource, TermSpec, TerminationTerm,
+    Block, CompiledTask, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm, TermKind, TermSource,
+    TermSpec,
+    TerminationTerm,
 };
 pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
 

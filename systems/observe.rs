@@ -1,16 +1,18 @@
-//! Observations: the terms of the policy's observation, side by side, with their noise.
+//! Observations: the terms of all groups, side by side, with their noise and what they remember.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
+use super::sense::joint_descriptors::{COUNT, MIRROR, TERM};
 use super::terms::{Block, CompiledTask, NoParams, ObservationTerm, Per, Registry, TermKind, TermSource, TermSpec};
 use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
-use crate::components::{Env, EnvRng, Episode};
+use crate::components::{Env, EnvRng, Episode, Morphology};
 use crate::config::TaskConfig;
 use crate::dynamics::lanes::Kernel;
+use crate::morphology::{Morphologies, MorphologyModel, SlotJoint};
 use crate::options::Autoreset;
 use crate::rows::{RowKind, Rows};
 use crate::workers::{MatrixRows, Workers};
@@ -70,11 +72,15 @@ pub(super) fn observe_final(
     let width = batch.num_obs;
     let batch = &mut *batch;
     let out = MatrixRows { data: &mut batch.final_observations[..], width };
-    let rows = (episodes, rngs, out, &mut batch.has_final[..]);
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, has_final)| {
+    let before = MatrixRows { data: &mut batch.observations[..], width };
+    let (remembers, rows) = (task.has_history(), (episodes, rngs, out, before, &mut batch.has_final[..]));
+    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, mut before, has_final)| {
         for i in 0..n {
             has_final[i] = wanted && episodes[i].done();
             if has_final[i] {
+                if remembers {
+                    out.row(i).copy_from_slice(before.row(i));
+                }
                 let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
                 let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
                 workers.dispatch().vectorize(observation);
@@ -108,15 +114,71 @@ impl Kernel<f32> for Observation<'_> {
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
             if let Some(write) = &term.write {
-                write(&view, mine);
-                term.treat(mine, self.rng);
+                let (robot, columns) = (view.morphology, self.task.num_joints);
+                term.observe(mine, self.episode.fresh, (robot, columns), self.rng, |newest| write(&view, newest));
             }
             rest = more;
         }
     }
 }
 
+/// Moves the numbers of a robot's own joints, which come first, to the batch's columns, and sets all others to zero. Columns
+/// are in the order of the robot's own joints: none is overwritten before it has moved.
+fn spread(slots: &[SlotJoint], columns: usize, numbers: &mut [f32]) {
+    for block in (0..numbers.len() / columns).rev() {
+        let mut end = (block + 1) * columns;
+        for (own, slot) in slots.iter().enumerate().rev() {
+            let to = block * columns + slot.column();
+            let value = numbers[block * slots.len() + own];
+            numbers[to..end].fill(0.0);
+            numbers[to] = value;
+            end = to;
+        }
+        numbers[block * columns..end].fill(0.0);
+    }
+}
+
 impl ObservationTerm {
+    /// Observes an env's numbers: `write` is handed those of its robot, in a batch of so many columns of joints.
+    #[inline(always)]
+    fn observe(
+        &self,
+        row: &mut [f32],
+        is_new: bool,
+        (robot, columns): (&MorphologyModel, usize),
+        rng: &mut EnvRng,
+        write: impl FnOnce(&mut [f32]),
+    ) {
+        self.remember(row, is_new, |newest| {
+            let own = match self.spec.kind {
+                TermKind::PerJoint => newest.len() / columns * robot.slots.len(),
+                _ => newest.len(),
+            };
+            write(&mut newest[..own]);
+            self.treat(&mut newest[..own], rng);
+            if own != newest.len() {
+                spread(&robot.slots, columns, newest);
+            }
+        });
+    }
+
+    /// Moves what the term remembers on by a step and has `write` fill in the newest numbers. `row` holds the term's numbers as they
+    /// were observed in the step before. What a new episode remembers is its first numbers.
+    #[inline(always)]
+    fn remember(&self, row: &mut [f32], is_new: bool, write: impl FnOnce(&mut [f32])) {
+        if self.history == 1 {
+            write(row);
+            return;
+        }
+        let size = self.size / self.history;
+        row.copy_within(size.., 0);
+        let (older, newest) = row.split_at_mut(self.size - size);
+        write(newest);
+        if is_new {
+            older.chunks_exact_mut(size).for_each(|numbers| numbers.copy_from_slice(newest));
+        }
+    }
+
     /// Adds noise to what was written, limits and scales it.
     #[inline(always)]
     fn treat(&self, numbers: &mut [f32], rng: &mut EnvRng) {
@@ -137,7 +199,7 @@ impl ObservationTerm {
 }
 
 /// Adds an observation term that is read from a component of the entities of kind `K`, in a plugin's `build`. Tasks name it like any
-/// other term.
+/// other term. One of the kind [`TermKind::PerJoint`] is handed the numbers of the robot's own joints to write.
 pub fn add_observation<C: Component, K: RowKind>(
     app: &mut App,
     name: &'static str,
@@ -150,10 +212,11 @@ pub fn add_observation<C: Component, K: RowKind>(
         move |task: Res<CompiledTask>,
               request: Res<ResetRequest>,
               mut batch: ResMut<Batch>,
-              mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+              morphologies: Res<Morphologies>,
+              mut envs: Rows<(&'static Morphology, &'static Episode, &'static mut EnvRng), Env>,
               values: Rows<&'static C, K>|
               -> Result {
-            let (episodes, rngs) = envs.write()?;
+            let (tags, episodes, rngs) = envs.write()?;
             let values = values.read()?;
             let batch = &mut *batch;
             let mut start = 0;
@@ -174,8 +237,9 @@ pub fn add_observation<C: Component, K: RowKind>(
                         if episodes[env].invalid {
                             out.fill(0.0);
                         } else {
-                            f(&values[env], out);
-                            term.treat(out, &mut rngs[env]);
+                            let body = (morphologies.get(tags[env]), task.num_joints);
+                            let fresh = episodes[env].fresh;
+                            term.observe(out, fresh, body, &mut rngs[env], |newest| f(&values[env], newest));
                         }
                     }
                 }
@@ -205,19 +269,24 @@ pub(super) fn register(registry: &mut Registry) {
     registry.observation("velocity_commands", 3, spec, |_: &NoParams, r, out| out.copy_from_slice(r.command));
     let spec = TermSpec::new(PerJoint, "rad", "joint positions less the default pose")
         .from_source(TermSource::JointPositionMinusDefault);
-    registry.observation("joint_pos_rel", 12, spec, |_: &NoParams, r, out| {
+    registry.joint_observation("joint_pos_rel", 1, spec, |_: &NoParams, r, out| {
         by_slot(r, out, |j| r.joints.position[j] - r.stance.default_position[j]);
     });
     let spec = TermSpec::new(PerJoint, "rad/s", "joint velocities")
         .from_source(TermSource::JointVelocity)
         .with_magnitude(10.0);
-    registry.observation("joint_vel_rel", 12, spec, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
+    registry
+        .joint_observation("joint_vel_rel", 1, spec, |_: &NoParams, r, out| by_slot(r, out, |j| r.joints.velocity[j]));
     let spec = TermSpec::new(PerJoint, "", "the last action").from_source(TermSource::LastAction);
-    registry.observation("last_action", 12, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
+    registry.joint_observation("last_action", 1, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.action.current));
     let spec = TermSpec::new(Body, "", "what body this is, see docs/task.md")
         .from_source(TermSource::RobotConstant)
         .with_blocks(&MORPHOLOGY_BLOCKS);
     registry.observation("morphology", MORPHOLOGY_SIZE, spec, morphology);
+    let spec = TermSpec::new(PerJoint, "", "what each joint is and what drives it, see docs/task.md")
+        .from_source(TermSource::RobotConstant)
+        .with_joint_mirror(&MIRROR);
+    registry.joint_observation(TERM, COUNT, spec, |_: &NoParams, r, out| out.copy_from_slice(r.joint_descriptors));
     let spec = TermSpec::new(Scan, "m", "height of the base above the ground below each ray, less the offset")
         .from_source(TermSource::HeightScan);
     registry.observation_of("height_scan", height_scan_size, spec, |p: &ScanOffset| p.offset, height_scan);
@@ -272,8 +341,10 @@ const MORPHOLOGY_BLOCKS: [Block; 7] = [
 /// Randomised bodies describe themselves as they are.
 fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
     let (body, model, stance) = (r.body, r.morphology, r.stance);
+    // a task with this term has no other robots
+    let joints = model.quadruped.unwrap_or_default();
     let length = |v: &[f32; 3]| v[0].mul_add(v[0], v[1].mul_add(v[1], v[2] * v[2])).sqrt();
-    let joint = |role: usize, leg: usize| model.joint_of_slot[4 * role + leg];
+    let joint = |role: usize, leg: usize| joints[role][leg];
     let mean = |f: &dyn Fn(usize) -> f32| (f(0) + f(1) + f(2) + f(3)) * 0.25;
     let mass = body.total_mass();
     // legs come in the order LF, LH, RF, RH
@@ -298,13 +369,16 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
             authority,
         ]);
     }
-    by_slot(r, &mut out[22..34], |j| stance.default_position[j]);
+    for (x, &joint) in out[22..34].iter_mut().zip(joints.as_flattened()) {
+        *x = model.sign_of(joint) * stance.default_position[joint];
+    }
     out[34] = stance.spawn_height;
 }
 
-/// Physical joints in canonical order.
+/// Numbers of physical joints that turn with them, in the order and directions of the robot's slots.
+#[inline(always)]
 fn by_slot(r: &RobotView, out: &mut [f32], f: impl Fn(usize) -> f32) {
-    for (x, &joint) in out.iter_mut().zip(&r.morphology.joint_of_slot) {
-        *x = f(joint);
+    for (x, slot) in out.iter_mut().zip(&r.morphology.slots) {
+        *x = slot.sign * f(slot.joint());
     }
 }

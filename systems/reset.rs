@@ -154,7 +154,7 @@ pub(super) fn reset_envs(
             efforts[i].acceleration.fill(0.0);
             impulses[i].contacts.clear();
             impulses[i].bounds.fill(0.0);
-            feet[i] = Feet::default();
+            feet[i].clear();
 
             forces[i].clear();
 

@@ -10,8 +10,8 @@ use serde::de::DeserializeOwned;
 
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu, JointEffort,
-    JointState, JointTargets, Morphology, Stance, StartupBody,
+    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
+    JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
 };
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -159,7 +159,7 @@ macro_rules! of_any_value {
         )*
     };
 }
-of_any_value!(EnvRng, Command, BasePose, BaseVelocity, Feet, ExternalWrench, Imu);
+of_any_value!(EnvRng, Command, BasePose, BaseVelocity, ExternalWrench, Imu);
 
 /// Largest count of a snapshot. No run gets there, and what counts on from there does not overflow.
 const MAX_COUNT: u32 = u32::MAX / 2;
@@ -229,10 +229,17 @@ impl Saved for ConstraintImpulses {
     }
 }
 
+impl Saved for Feet {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        let sizes = |feet: &Self| (feet.position.len(), feet.velocity.len(), feet.height.len());
+        sizes(self) == sizes(present)
+    }
+}
+
 impl Saved for ContactForces {
     fn fits(&self, present: &Self, place: &Place) -> bool {
         let bodies = place.morphology.topology.num_bodies;
-        self.feet_normal.len() == present.feet_normal.len()
+        (self.feet.len(), self.feet_normal.len()) == (present.feet.len(), present.feet_normal.len())
             && self.others.iter().all(|force| (force.body as usize) < bodies)
     }
 }
@@ -263,7 +270,17 @@ impl Saved for Stance {
 
 impl Saved for ContactSensor {
     fn fits(&self, present: &Self, _: &Place) -> bool {
-        self.peak_force.len() == present.peak_force.len()
+        let times = |sensor: &Self| {
+            [&sensor.contact_time, &sensor.air_time, &sensor.last_contact_time, &sensor.last_air_time]
+                .map(|times| times.len())
+        };
+        self.peak_force.len() == present.peak_force.len() && times(self) == times(present)
+    }
+}
+
+impl Saved for JointDescriptors {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.numbers.len() == present.numbers.len()
     }
 }
 

@@ -14,7 +14,6 @@ use crate::components::{
 };
 use crate::engine::history_length;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::robot::CANONICAL_JOINT_NAMES;
 
 /// Spawns envs and robots, and says what of them snapshots hold.
 #[derive(Default)]
@@ -85,7 +84,7 @@ pub(super) fn spawn_robots(
 
 fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
     let zeros: PerJoint = smallvec![0.0; model.topology.num_joints()];
-    let slots: PerJoint = smallvec![0.0; CANONICAL_JOINT_NAMES.len()];
+    let slots: PerJoint = smallvec![0.0; model.slots.len()];
     let ages = history_length(model.max_delay(), decimation);
     (
         BasePose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] },
@@ -96,8 +95,8 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         ActuatorDelay(zeros.clone()),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
         ConstraintImpulses { contacts: smallvec![], bounds: zeros },
-        ContactForces::zeros(decimation),
-        Feet::default(),
+        ContactForces::zeros(model.feet.len(), decimation),
+        Feet::zeros(model.feet.len()),
         (ExternalWrench::default(), model.stance.clone(), StartupBody::default()),
         Body(Box::new(model.nominal.clone())),
     )

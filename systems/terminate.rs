@@ -4,6 +4,7 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
+use super::reward::BodiesInContact;
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam};
 use super::{ControlStep, PipelineSet};
@@ -98,13 +99,71 @@ struct ContactThreshold {
     threshold: f32,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Tilt {
+    /// Angle between the base's z axis and the vertical that ends the episode, rad.
+    limit_angle: Angle,
+}
+
+/// An angle from 0 to pi, rad.
+#[derive(Deserialize)]
+#[serde(try_from = "f64")]
+struct Angle {
+    cos: f32,
+}
+
+impl TryFrom<f64> for Angle {
+    type Error = String;
+
+    fn try_from(angle: f64) -> Result<Self, String> {
+        if !(0.0..=std::f64::consts::PI).contains(&angle) {
+            return Err(format!("{angle} is not from 0 to pi, rad"));
+        }
+        // a cosine in double precision is the same single number on every machine
+        Ok(Self { cos: angle.cos() as f32 })
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LeastHeight {
+    /// Height of the base below which the episode ends, m. Default: `minimum_share`.
+    minimum_height: Option<f32>,
+    /// The same as a share of the robot's height in its default pose, so that robots of all sizes share a task.
+    #[serde(default = "half")]
+    minimum_share: f32,
+}
+
+fn half() -> f32 {
+    0.5
+}
+
 /// All built-in terminations, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {
     registry.termination("time_out", true, |_: &NoParams, _, episode, most| episode.length >= most);
     registry.termination("base_contact", false, base_contact);
+    registry.termination("illegal_contact", false, illegal_contact);
+    registry.termination("bad_orientation", false, bad_orientation);
+    registry.termination("root_height_below_minimum", false, root_height_below_minimum);
+}
+
+fn illegal_contact(p: &BodiesInContact, view: &RobotView, _: &Episode, _: u32) -> bool {
+    let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
+    bodies.into_iter().any(|(force, group)| *force > p.threshold && p.bodies.iter().any(|own| own.holds(*group)))
+}
+
+fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
+    // the angle of gravity from the base's downward axis, without an inverse cosine
+    -view.imu.projected_gravity[2] < p.limit_angle.cos
+}
+
+fn root_height_below_minimum(p: &LeastHeight, view: &RobotView, _: &Episode, _: u32) -> bool {
+    let default = view.stance.spawn_height - view.morphology.config.reset.spawn_margin as f32;
+    view.base_height() < p.minimum_height.unwrap_or(p.minimum_share * default)
 }
 
 fn base_contact(p: &ContactThreshold, view: &RobotView, _: &Episode, _: u32) -> bool {
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
-    bodies.into_iter().any(|(force, group)| *group == BodyGroup::Base && *force > p.threshold)
+    bodies.into_iter().any(|(force, group)| matches!(group, BodyGroup::Base | BodyGroup::Torso) && *force > p.threshold)
 }

@@ -5,7 +5,7 @@ use bevy_ecs::system::SystemParam;
 
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactSensor, Env, EnvOrigin, Episode,
-    ExternalWrench, Feet, HeightScan, Imu, JointEffort, JointState, Morphology, Robot, Stance,
+    ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, Morphology, Robot, Stance,
 };
 use crate::dynamics::Parameters;
 use crate::error::Error;
@@ -39,6 +39,8 @@ pub struct RobotView<'a> {
     pub feet: &'a Feet,
     /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has none.
     pub height_scan: &'a [f32],
+    /// What its joints are, see [`JointDescriptors`]; empty where the task does not observe it.
+    pub joint_descriptors: &'a [f32],
     /// The robot's own numbers, as randomised.
     pub body: &'a Parameters<f32>,
     /// Default pose and action scale of this body.
@@ -47,6 +49,17 @@ pub struct RobotView<'a> {
     pub terminated: bool,
     /// Length of a control step, s.
     pub step_dt: f32,
+}
+
+impl RobotView<'_> {
+    /// Height of the base above the env's origin, m; above the mean of the ground below the height scanner's rays where the
+    /// task has one, as Isaac Lab does.
+    #[inline(always)]
+    pub fn base_height(&self) -> f32 {
+        let scan = self.height_scan;
+        let ground = if scan.is_empty() { 0.0 } else { scan.iter().sum::<f32>() / scan.len() as f32 };
+        self.pose.position[2] - ground
+    }
 }
 
 /// System parameter that gives [`Views`].
@@ -58,6 +71,7 @@ pub(super) struct ViewParam<'w, 's> {
     imus: Rows<'w, 's, &'static Imu, Imu>,
     contacts: Rows<'w, 's, &'static ContactSensor, ContactSensor>,
     scans: Rows<'w, 's, &'static HeightScan, HeightScan>,
+    descriptors: Rows<'w, 's, &'static JointDescriptors, JointDescriptors>,
 }
 
 /// What terms read of robots themselves.
@@ -89,6 +103,7 @@ impl ViewParam<'_, '_> {
             contacts: self.contacts.read()?,
             feet,
             scans: self.scans.read_if_any()?,
+            descriptors: self.descriptors.read_if_any()?,
             bodies,
             stances,
             step_dt,
@@ -111,6 +126,7 @@ pub(super) struct Views<'a> {
     contacts: &'a [ContactSensor],
     feet: &'a [Feet],
     scans: &'a [HeightScan],
+    descriptors: &'a [JointDescriptors],
     bodies: &'a [Body],
     stances: &'a [Stance],
     step_dt: f32,
@@ -135,6 +151,7 @@ impl<'a> Views<'a> {
             contacts: &self.contacts[env],
             feet: &self.feet[env],
             height_scan: self.scans.get(env).map_or(&[], |scan| &scan.hits),
+            joint_descriptors: self.descriptors.get(env).map_or(&[], |of| &of.numbers),
             body: &self.bodies[env].0,
             stance: &self.stances[env],
             terminated: false,

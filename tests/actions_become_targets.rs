@@ -25,7 +25,7 @@ fn targets_are_the_default_pose_plus_scaled_actions() {
             sim.batch().terminated.iter().zip(&sim.batch().truncated).map(|(a, b)| *a || *b).collect();
         for (env, targets) in targets(&mut sim).iter().enumerate().filter(|(env, _)| !ended[*env]) {
             let model = &models[env / 2];
-            for (slot, &joint) in model.joint_of_slot.iter().enumerate() {
+            for (slot, joint) in model.joint_of_slot().into_iter().enumerate() {
                 let expected =
                     model.stance.default_position[joint] + model.stance.action_scale * actions[12 * env + slot];
                 let found = targets.history[0][joint];

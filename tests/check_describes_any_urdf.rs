@@ -48,7 +48,7 @@ fn a_robot_without_legs_is_described() {
             "-inf ..    inf, effort inf",
             "box of 0.5000 x 0.3000 x 0.1000 m",
             "hand  on arm: sphere of radius 0.0200 m",
-            "no quadruped: 0 legs were found instead of 4",
+            "no legged robot: 0 legs were found instead of 2, 4 or 6",
             "warnings: 1\n",
             "joint \"float\": a floating joint below the empty link \"world\" is left out",
         ],
@@ -61,14 +61,14 @@ fn a_quadruped_is_told_with_its_legs() {
     assert_words(
         &text,
         &[
-            "\nquadruped\n",
-            "LH: LH_HAA = lh_hip, LH_HFE = lh_thigh, LH_KFE = lh_shank, foot = lh_shank",
+            "\nquadruped (+",
+            "LH leg: LH_HAA = +lh_hip, LH_HFE = +lh_thigh, LH_KFE = +lh_shank, foot = lh_shank",
             "hull of 8 points",
             "warnings: 13\n",
         ],
     );
     let robot = Path::new(crate::ROOT).join("assets/robots/spot/robot.urdf");
-    assert_words(&printed(&[robot.to_str().unwrap()]), &["\nquadruped\n"]);
+    assert_words(&printed(&[robot.to_str().unwrap()]), &["\nquadruped (+"]);
 }
 
 #[test]
@@ -80,9 +80,12 @@ fn packages_are_looked_up() {
     std::fs::write(&file, text.replace("filename=\"meshes/", "filename=\"package://meshes/")).unwrap();
     let file = file.display().to_string();
     let lost = printed(&[&file]);
-    assert_words(&lost, &["\"package://meshes/cube.stl\" is not found", "no quadruped: leg LF has no collision shape"]);
+    assert_words(
+        &lost,
+        &["\"package://meshes/cube.stl\" is not found", "no legged robot: leg LF has no collision shape"],
+    );
     let found = printed(&[&file, "--package-dir", &format!("meshes={}", data("meshes"))]);
-    assert_words(&found, &["\nquadruped\n", "hull of 8 points"]);
+    assert_words(&found, &["\nquadruped (+", "hull of 8 points"]);
     assert_eq!(run(&[&file, "--package-dir", "meshes"]).status.code(), Some(2));
     std::fs::remove_dir_all(folder).unwrap();
 }

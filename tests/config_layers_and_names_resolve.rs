@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use polypod::config::{Library, LoadedTask, TaskConfig};
+use polypod::morphology::MorphologyModel;
 
 fn root(test: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("config_layers").join(test);
@@ -30,10 +31,13 @@ fn every_robot_and_task_of_the_repository_loads() {
         assert_eq!(loaded.config.name, robot.name);
         assert_eq!(loaded.config.title, robot.title);
         assert!(loaded.urdf_text.contains("<robot"), "{}", robot.name);
-        let groups = loaded.config.actuators_by_slot().unwrap();
+        let model = MorphologyModel::new(&loaded).unwrap();
+        let groups = loaded.config.actuators_by_slot(&model.roles.slots).unwrap();
         assert!(groups.iter().all(|(group, _)| loaded.config.actuators.contains_key(*group)));
-        let pose = loaded.config.default_pose_by_slot().unwrap();
-        assert_eq!(pose[4], loaded.config.default_pose["LF_HFE"]);
+        let pose = loaded.config.default_pose_by_slot(&model.roles.slots).unwrap();
+        for (slot, angle) in model.roles.slots.iter().zip(pose) {
+            assert_eq!(angle, loaded.config.default_pose[&slot.to_string()]);
+        }
     }
     let tasks = library.tasks().unwrap();
     assert!(tasks.len() >= 2 + 2 * robots.len());
@@ -160,7 +164,7 @@ fn a_broken_file_breaks_only_itself() {
     let library = Library::new(vec![root.clone()]);
 
     let tasks = library.tasks().unwrap();
-    let num_robots = |name: &str| tasks.iter().find(|task| task.name == name).map(|task| task.num_robots);
+    let num_robots = |name: &str| tasks.iter().find(|task| task.name == name).map(|task| task.robots.len());
     assert_eq!((num_robots("Mine-v0"), num_robots("Velocity-Flat-HeteroQuadruped-v0")), (Some(1), Some(8)));
     assert_eq!((num_robots("Velocity-Flat-Unitree-Go2-v0"), num_robots("Velocity-Flat-Spot-v0")), (Some(1), None));
     assert!(tasks.iter().all(|task| !["Half-v0", "Above-v0", "Stray-v0"].contains(&task.name.as_str())));
@@ -214,9 +218,9 @@ fn a_task_may_change_its_robots() {
 
     let mut wrong = reference.clone();
     let table = wrong.robot_overrides.remove("unitree_b2").unwrap();
-    wrong.robot_overrides.insert("unitree_b3".into(), table);
+    wrong.robot_overrides.insert("unitre_b2".into(), table);
     let error = library.robot_in("spot", &wrong).unwrap_err().to_string();
-    assert!(error.contains("robot_overrides.unitree_b3") && error.contains("unitree_b2"), "{error}");
+    assert!(error.contains("robot_overrides.unitre_b2") && error.contains("unitree_b2"), "{error}");
 
     let mut wrong = reference;
     let table = "[actuators.legs]\nstifness = 1.0".parse().unwrap();

@@ -70,7 +70,7 @@ fn forces(engine: &str) -> [f64; 3] {
             let length = up.iter().map(|x| x * x).sum::<f64>().sqrt();
             let force = forces.feet[foot].map(f64::from);
             let along: f64 = up.iter().zip(force).map(|(n, f)| n * f / length).sum();
-            let normal = f64::from(forces.feet_normal.last().unwrap()[foot]);
+            let normal = f64::from(forces.feet_normal[forces.feet_normal.len() - forces.feet.len() + foot]);
             for (sum, x) in sums.iter_mut().zip([normal, along, force[2]]) {
                 *sum += x;
             }

@@ -293,7 +293,7 @@ fn bodies_vary_over_their_ranges_and_independently() {
     let model = sim.morphologies()[0].clone();
     let (nominal, ranges) = (&model.nominal, &model.config.variation);
     let bodies = bodies(&mut sim);
-    let joint = |role: usize| model.joint_of_slot[4 * role];
+    let joint = |role: usize| model.slots[4 * role].joint();
     let length = |v: &[f32; 3]| v.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
     let offset = |j: usize| -> Vec<f64> {
         bodies.iter().map(|b| length(&b.0.joint_offset[j]) / length(&nominal.joint_offset[j])).collect()
@@ -342,7 +342,7 @@ fn a_task_may_draw_bodies_of_any_size_and_stance() {
     let mut sim = with(0.0);
     let model = sim.morphologies()[0].clone();
     let nominal = &model.nominal;
-    let joint = |slot: usize| model.joint_of_slot[slot];
+    let joint = |slot: usize| model.slots[slot].joint();
     let stances = read(&mut sim, |stance: &Stance| stance.clone());
     let bodies = bodies(&mut sim);
     let size: Vec<f64> = bodies.iter().map(|b| f64::from(b.0.mass[0] / nominal.mass[0]).cbrt()).collect();

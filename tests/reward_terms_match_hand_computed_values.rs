@@ -274,8 +274,9 @@ fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], whe
         let env = id.0 as usize;
         let robot = &robots[env / ENVS_PER_ROBOT];
         let sensor = &sensors[env];
-        assert_eq!(forces.feet_normal.len(), 4);
-        for normal in &forces.feet_normal {
+        let normals: Vec<&[f32]> = forces.feet_normal.chunks(robot.feet.len()).collect();
+        assert_eq!(normals.len(), 4);
+        for normal in &normals {
             for (foot, normal) in normal.iter().enumerate() {
                 timers[env].advance(foot, *normal > 1.0);
             }
@@ -283,7 +284,7 @@ fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], whe
         timers[env].check(sensor, &format!("{when}, env {env}"));
         let mut peaks = vec![0.0f64; robot.body_groups.len()];
         for (foot, &body) in robot.feet.iter().enumerate() {
-            peaks[body] = forces.feet_normal[1..].iter().fold(0.0, |most, normal| most.max(f64::from(normal[foot])));
+            peaks[body] = normals[1..].iter().fold(0.0, |most, normal| most.max(f64::from(normal[foot])));
         }
         for force in &forces.others {
             peaks[force.body as usize] = force.normal.iter().fold(0.0, |most, normal| most.max(f64::from(*normal)));

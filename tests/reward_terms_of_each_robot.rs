@@ -140,12 +140,16 @@ fn hand(model: &MorphologyModel, walks: bool) -> Hand {
         action: Action { current: twelve(0.3), previous: twelve(0.1) },
         contacts: ContactSensor {
             peak_force,
-            contact_time: [0.0, 0.02, 0.4, 0.0],
-            air_time: [0.2, 0.0, 0.0, 0.1],
-            last_contact_time: [0.5, 0.1, 0.3, 0.8],
-            last_air_time: [0.6, 0.7, 0.3, 0.2],
+            contact_time: smallvec![0.0, 0.02, 0.4, 0.0],
+            air_time: smallvec![0.2, 0.0, 0.0, 0.1],
+            last_contact_time: smallvec![0.5, 0.1, 0.3, 0.8],
+            last_air_time: smallvec![0.6, 0.7, 0.3, 0.2],
         },
-        feet: Feet { position: positions, velocity: velocities, height: positions.map(|foot| foot[2]) },
+        feet: Feet {
+            position: positions.into(),
+            velocity: velocities.into(),
+            height: positions.map(|foot| foot[2]).into(),
+        },
     }
 }
 
@@ -185,6 +189,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 contacts: &h.contacts,
                 feet: &h.feet,
                 height_scan: &[],
+                joint_descriptors: &[],
                 body: &model.nominal,
                 stance: &model.stance,
                 terminated: false,

@@ -543,12 +543,12 @@ fn legs_may_turn_without_limits() {
 }
 
 #[test]
-fn two_joints_do_not_make_a_leg() {
-    let model = loaded(&legged("revolute", &["0 1 0", "0 1 0"], ""));
-    assert_eq!(model.joints.len(), 8);
+fn one_joint_does_not_make_a_leg() {
+    let model = loaded(&legged("revolute", &["0 1 0"], ""));
+    assert_eq!(model.joints.len(), 4);
     let error = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap_err();
     assert!(matches!(error, RobotError::Roles(_)));
-    assert_words(&error.to_string(), &["0 legs were found instead of 4", "lf0_joint"]);
+    assert_words(&error.to_string(), &["0 legs were found instead of 2, 4 or 6", "lf0_joint"]);
 }
 
 #[test]
@@ -570,7 +570,7 @@ fn an_arm_is_no_leg() {
     let model = loaded(&legged("revolute", &["1 0 0", "0 1 0", "0 1 0"], &arm));
     assert_eq!(model.joints.len(), 17);
     let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap();
-    assert!(roles.joint_of_slot.iter().all(|joint| !model.joints[*joint].name.starts_with("arm")));
+    assert!(roles.joint_of_slot[..12].iter().all(|joint| !model.joints[*joint].name.starts_with("arm")));
     let feet: Vec<&str> = roles.foot_body.iter().map(|body| model.bodies[*body].name.as_str()).collect();
     assert_eq!(feet, ["lf2", "lh2", "rf2", "rh2"]);
 }

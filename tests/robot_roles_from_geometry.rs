@@ -125,7 +125,7 @@ fn corners_and_axes_give_the_roles() {
             joint_names(&model, &roles),
             ["w1", "w3", "w0", "w2", "y1", "y3", "y0", "y2", "z1", "z3", "z0", "z2"]
         );
-        let feet = roles.foot_body.map(|body| model.bodies[body].name.as_str());
+        let feet: Vec<&str> = roles.foot_body.iter().map(|body| model.bodies[*body].name.as_str()).collect();
         assert_eq!(feet, ["d1", "d3", "d0", "d2"]);
         assert_eq!(roles.foot_radius, [0.02; 4]);
         assert_eq!(roles.foot_point[0].to_array(), [0.0, 0.0, -0.3]);
@@ -135,7 +135,7 @@ fn corners_and_axes_give_the_roles() {
 }
 
 #[test]
-fn arms_and_wheels_are_no_legs() {
+fn arms_and_wheels_are_no_knees() {
     let extra = [
         link("arm", "<collision><geometry><sphere radius='0.1'/></geometry></collision>"),
         link("elbow", ""),
@@ -149,9 +149,11 @@ fn arms_and_wheels_are_no_legs() {
     .concat();
     let model = Quadruped { extra: extra.leak(), ..Quadruped::default() }.model();
     let roles = found(&model).unwrap();
-    assert_eq!(joint_names(&model, &roles)[8..], ["z1", "z3", "z0", "z2"]);
+    assert_eq!(joint_names(&model, &roles)[8..12], ["z1", "z3", "z0", "z2"]);
     let arm = model.bodies.iter().position(|body| body.name == "arm").unwrap();
-    assert_eq!(body_groups(&model, &roles)[arm], BodyGroup::Other);
+    assert_eq!(body_groups(&model, &roles)[arm], BodyGroup::Arm);
+    let slots: Vec<String> = roles.slots[12..].iter().map(ToString::to_string).collect();
+    assert_eq!(slots, ["RF_WHEEL", "ARM_YAW", "ARM_ROLL", "ARM_PITCH"]);
 }
 
 #[test]
@@ -177,11 +179,13 @@ fn a_sphere_at_the_knee_is_no_foot() {
 
 #[test]
 fn other_animals_are_refused_with_what_was_found() {
-    let biped = Quadruped { legs: 2, ..Quadruped::default() }.model();
-    let error = found(&biped).unwrap_err();
+    let tripod = Quadruped { legs: 3, ..Quadruped::default() }.model();
+    let error = found(&tripod).unwrap_err();
     assert!(matches!(error, RobotError::Roles(_)));
     let message = error.to_string();
-    for words in ["q.urdf: ", "2 legs were found", "w0 about (1.00, 0.00, 0.00) -> y0", "joint_roles"] {
+    for words in
+        ["q.urdf: ", "3 legs were found instead of 2, 4 or 6", "w0 about (1.00, 0.00, 0.00) -> y0", "joint_roles"]
+    {
         assert!(message.contains(words), "{message:?} lacks {words:?}");
     }
     let rock = Quadruped { legs: 0, ..Quadruped::default() }.model();

@@ -43,7 +43,7 @@ fn every_robot_stands_for_ten_seconds_and_weighs_what_it_weighs() {
         let robot = &robots[env.0 as usize];
         let weight = f64::from(body.0.total_mass()) * gravity;
         let up = upward_force(forces);
-        let feet = forces.feet.map(|f| f64::from(f[2]) / weight);
+        let feet: Vec<f64> = forces.feet.iter().map(|f| f64::from(f[2]) / weight).collect();
         let speed = velocity.linear.iter().map(|v| v * v).sum::<f32>().sqrt();
         let [w, x, y, _] = pose.rotation;
         println!(

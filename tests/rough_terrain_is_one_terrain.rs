@@ -275,7 +275,7 @@ fn robots_stand_on_the_platform_of_every_tile_type() {
     }
     // feet that carry are a radius above what is below them
     let world = sim.world_mut();
-    let heights: Vec<f32> = world.query::<&Feet>().iter(world).flat_map(|feet| feet.height).collect();
+    let heights: Vec<f32> = world.query::<&Feet>().iter(world).flat_map(|feet| feet.height.clone()).collect();
     let standing = heights.iter().filter(|h| (0.0..0.06).contains(*h)).count();
     assert!(standing * 10 > heights.len() * 9, "{standing} of {} feet are on the ground", heights.len());
 }

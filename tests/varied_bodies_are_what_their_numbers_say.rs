@@ -331,7 +331,7 @@ fn left_and_right_stay_mirror_images() {
         let model = &models[id.0 as usize / EACH];
         for slot in 0..12 {
             // legs come in the order LF, LH, RF, RH
-            let (j, k) = (model.joint_of_slot[slot], model.joint_of_slot[slot ^ 2]);
+            let (j, k) = (model.slots[slot].joint(), model.slots[slot ^ 2].joint());
             let share = |j: usize| body.0.mass[j + 1] / model.nominal.mass[j + 1];
             assert!((share(j) - share(k)).abs() < 1e-5);
             for axis in 0..3 {

@@ -65,7 +65,7 @@ fn resolve(overrides: Vec<String>) -> bool {
     let Ok(morphologies) = robots.iter().map(MorphologyModel::new).collect::<Result<Vec<_>, _>>() else {
         return true;
     };
-    let _ = CompiledTask::new(config, &Morphologies(morphologies), &Registry::builtin());
+    let _ = CompiledTask::new(config, &Morphologies::in_batch(morphologies, &[]), &Registry::builtin());
     if is_small(config) {
         let num_envs = config.robots.len();
         let options =

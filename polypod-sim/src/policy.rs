@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Once};
 
 use polypod::Sim;
-use polypod::robot::CANONICAL_JOINT_NAMES;
+use polypod::robot::Slot;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
@@ -133,7 +133,9 @@ impl PolicyManifest {
                 return Err(failure(element, problem, "copy the manifest again from its export"));
             }
         }
-        if manifest.canonical_joint_names != CANONICAL_JOINT_NAMES {
+        let slots: Option<Vec<Slot>> = manifest.canonical_joint_names.iter().map(|name| Slot::parse(name)).collect();
+        let is_in_order = slots.is_some_and(|slots| slots.is_sorted_by(|a, b| a < b));
+        if !is_in_order || manifest.canonical_joint_names.len() != manifest.num_actions {
             let problem = "are in another order than this version's".to_string();
             return Err(failure("canonical_joint_names", problem, "export the policy again with this version"));
         }
@@ -204,8 +206,10 @@ impl Policy {
             remedy: format!("run it in its own task, {}", self.manifest.task),
         };
         let task = sim.task();
+        // the policy's group is the first one
+        let terms = task.groups.first().map_or(&[][..], |group| task.terms_of(group));
         let layout: Vec<TermLayout> =
-            task.observations.iter().map(|term| TermLayout { term: term.name.clone(), size: term.size }).collect();
+            terms.iter().map(|term| TermLayout { term: term.name.clone(), size: term.size }).collect();
         if layout != self.manifest.observation_layout {
             let names = |layout: &[TermLayout]| {
                 layout.iter().map(|t| format!("{} ({})", t.term, t.size)).collect::<Vec<_>>().join(", ")
@@ -217,6 +221,15 @@ impl Policy {
                 names(&layout)
             );
             return Err(failure("observation_layout", problem));
+        }
+        let slots = sim.slots().joint_names();
+        if slots != self.manifest.canonical_joint_names {
+            let problem = format!(
+                "are {}, and the robots have {}",
+                self.manifest.canonical_joint_names.join(", "),
+                slots.join(", ")
+            );
+            return Err(failure("canonical_joint_names", problem));
         }
         let step_dt = task.config.sim.step_dt();
         if (step_dt - self.manifest.step_dt).abs() > 1e-9 {

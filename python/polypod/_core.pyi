@@ -31,6 +31,7 @@ class TaskEntry(TypedDict):
     file: str
     num_robots: int
     """0 for a file that names no robots and is only there to be extended."""
+    robots: list[str]
 
 class RobotEntry(TypedDict):
     name: str
@@ -236,6 +237,7 @@ class VecSim:
         autoreset: str = "same_step",
         dump_dir: str | os.PathLike[str] | None = None,
         share: tuple[int, int] | None = None,
+        slots: Sequence[str] = (),
     ) -> None:
         """Builds the envs and resets them, so that `observation` is valid at once.
 
@@ -250,9 +252,10 @@ class VecSim:
             dump_dir: see `set_dump_dir`.
             share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit for bit, these rows
                 of the whole batch.
+            slots: names of actions that the batch has on top of its robots' own.
 
         Raises:
-            ConfigError: for an unknown task, robot, key or autoreset mode, and for a value out of range.
+            ConfigError: for an unknown task, robot, slot, key or autoreset mode, and for a value out of range.
             RobotError: for a robot description that cannot be simulated.
         """
 
@@ -265,9 +268,9 @@ class VecSim:
     simd: str
     """Instruction set of the physics."""
     num_obs: int
-    """Width of an observation."""
+    """Width of the policy's observation."""
     num_actions: int
-    """Width of an action: the number of canonical joints."""
+    """Width of an action: the number of slots that any of the robots has."""
     max_episode_length: int
     """Control steps until an episode is truncated."""
     step_dt: float
@@ -275,19 +278,30 @@ class VecSim:
     robots: list[str]
     """Names of the robots, in the order of their blocks of envs."""
     canonical_joint_names: list[str]
-    """Names of the action's slots."""
+    """Names of the action's columns: limb and role, such as LF_HAA, L_HIP_YAW or TORSO_YAW."""
+    feet_names: list[str]
+    """Names of the legs whose feet are columns of `state`."""
+    action_mask: npt.NDArray[np.bool_]
+    """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
     task_name: str
     experiment_name: str
     threads: int
     seed: int
     observation_layout: list[tuple[str, int]]
-    """(term, size) of the observation, in order."""
+    """(term, size) of the policy's observation, in order."""
+    observation_groups: dict[str, tuple[int, int]]
+    """By name of the observation group, the half-open range of its columns in a row of all groups.
 
-    def observation_terms(self) -> str:
-        """Terms of the observation, in order, as JSON: a list of objects.
+    The group `policy` comes first; a task names the others in its `[observations]`.
+    """
 
-        `term`, `size`: name and number of numbers.
-        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, scan or body: how the numbers are mirrored.
+    def observation_terms(self, group: str = "policy") -> str:
+        """Terms of an observation group, in order, as JSON: a list of objects.
+
+        `term`, `size`: name and number of numbers, those that the term remembers included.
+        `history_length`: control steps that it remembers, the present one included; the oldest numbers come first.
+        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body: how the numbers are
+        mirrored.
         `units`, `description`: what they say.
         `source`: what the term is computed from on a robot: measured (given as it is), robot_constant (known of the
         robot), center_of_mass_velocity, base_angular_velocity, projected_gravity, velocity_command, joint_position,
@@ -298,30 +312,44 @@ class VecSim:
         (a distance between front and hind legs), width (between left and right legs), role (all numbers of the first
         role, then those of the next) or joint (the first number of all joints, then the next number of all joints).
         `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the result, and its factor.
-        """
-
-    def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an observation, left and right exchanged: (index, sign) of each of its [num_obs] numbers.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have.
+            UnknownNameError: for a group that the task does not have.
+        """
+
+    def observation_mirror(self, robot: str, group: str = "policy") -> list[tuple[int, float]]:
+        """Mirror image of an observation group, left and right exchanged: (index, sign) of each of its numbers.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have, and for a group that the task does not have.
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an action: (slot, sign) of each of its [num_actions] numbers.
+        """Mirror image of an action: (column, sign) of each of its [num_actions] numbers; what it lacks stays.
 
         Raises:
             UnknownNameError: for a robot that the run does not have.
+        """
+
+    def observation_mask(self, robot: str, group: str = "policy") -> list[bool]:
+        """[size of the group], True where the robot has the number; those of joints that it lacks are 0.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have, or an unknown observation group.
         """
 
     def env_ids(self, robot: str) -> tuple[int, int]:
         """The half-open range [start, stop) of the envs that hold `robot`. Raises UnknownNameError."""
 
     def joint_map(self, robot: str) -> list[tuple[str, int]]:
-        """Per canonical slot: the name of the robot's joint and its index in the robot's own joint order."""
+        """Per slot of the robot, in order: the name of its joint and its index in the robot's own joint order."""
 
     def robot_info(self) -> str:
-        """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ..."""
+        """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
+
+        `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
+        the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
+        """
 
     def robot_shapes(self) -> str:
         """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.
@@ -374,6 +402,13 @@ class VecSim:
     def observation(self) -> npt.NDArray[np.float32]:
         """[num_envs, num_obs]. Two buffers alternate: this one stays as it is until the step after the next one."""
 
+    def observation_of(self, group: str) -> npt.NDArray[np.float32]:
+        """[num_envs, n], an observation group, a view that stays as it is as long as `observation` does.
+
+        Raises:
+            UnknownNameError: for a group that the task does not have.
+        """
+
     @property
     def reward(self) -> npt.NDArray[np.float32]:
         """[num_envs], of the last step, already multiplied by `step_dt`."""
@@ -389,6 +424,9 @@ class VecSim:
     @property
     def final_obs(self) -> npt.NDArray[np.float32]:
         """[num_envs, num_obs], the last observation of the episodes that ended in this step: rows of `final_mask`."""
+
+    def final_obs_of(self, group: str) -> npt.NDArray[np.float32]:
+        """[num_envs, n], as `final_obs`, of an observation group. Raises UnknownNameError."""
 
     @property
     def final_mask(self) -> npt.NDArray[np.bool_]:
@@ -778,6 +816,28 @@ def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> Tr
         ConfigError: for a file that cannot be read, and for a name that only files `above` have.
     """
 
+def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides: Sequence[str] = ...) -> None:
+    """Reads the configs of a task and of robots, and the overrides of the task, without simulating anything.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a config or an override that cannot be used.
+    """
+
+def with_overrides(config: str, overrides: Sequence[str]) -> str:
+    """Writes overrides into a config, by the rules of `VecSim`'s.
+
+    Args:
+        config: tables as JSON, with every key that may be overridden.
+        overrides: `key=value` pairs, the key dotted, the value in TOML syntax or a bare word.
+
+    Returns:
+        The changed tables as JSON.
+
+    Raises:
+        ConfigError: for a table or element that does not exist, and for a value that cannot be read.
+    """
+
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""
 
@@ -793,12 +853,14 @@ def draft_robot(
     name: str | None = ...,
     urdf: str | None = ...,
     package_dirs: Mapping[str, str | os.PathLike[str]] = ...,
+    feet: Mapping[str, str] = ...,
     gain_factor: float = ...,
 ) -> RobotDraft:
     """A first config for the quadruped of the URDF file at `path`: roles, standing pose, gains, ranges.
 
     `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
-    of each ROS package in `package://` names; `gain_factor` multiplies the gains. Raises RobotError.
+    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`) where
+    geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

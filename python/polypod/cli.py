@@ -1,8 +1,10 @@
 """The command line; `polypod --help` lists what there is."""
 
+import difflib
 import os
 import sys
 import traceback
+import typing
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -11,6 +13,7 @@ import tyro
 from polypod import _core
 from polypod.commands.accuracy import Accuracy
 from polypod.commands.bench import Bench
+from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
 from polypod.commands.eval import Eval
 from polypod.commands.export import Export
@@ -33,6 +36,7 @@ Command = (
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Bodies, tyro.conf.subcommand("bodies")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[ResultsOf, tyro.conf.subcommand("results")]
@@ -41,6 +45,9 @@ Command = (
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
 
+COMMANDS: tuple[str, ...] = tuple(typing.get_args(command)[1].name for command in typing.get_args(Command))
+"""Names of the commands."""
+
 
 def main(arguments: Sequence[str]) -> int:
     """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
@@ -48,10 +55,14 @@ def main(arguments: Sequence[str]) -> int:
     `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo. `train` returns 143 after SIGTERM and 129
     after SIGHUP.
     """
+    if list(arguments) in (["--version"], ["-V"]):
+        print(f"polypod {_core.__version__}")
+        return 0
     try:
         for argument in arguments:
             if not _is_text(argument):
                 raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
+        _check_command(arguments)
         command = tyro.cli(
             Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_flags(arguments) or ["--help"]
         )
@@ -79,6 +90,17 @@ def main(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         print("polypod: this is a bug; please report the lines above and the command", file=sys.stderr)
         return 1
+
+
+def _check_command(arguments: Sequence[str]) -> None:
+    """Raises UnknownNameError for a first word that is no command."""
+    if not arguments or arguments[0].startswith("-") or arguments[0] in COMMANDS:
+        return
+    near = difflib.get_close_matches(arguments[0], COMMANDS, n=1)
+    guess = f"did you mean {near[0]!r}? " if near else ""
+    raise _core.UnknownNameError(
+        f"there is no command {arguments[0][:80]!r}; {guess}Commands: {', '.join(COMMANDS)}; see polypod --help"
+    )
 
 
 def _is_text(argument: str) -> bool:

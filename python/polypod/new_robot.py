@@ -1,11 +1,13 @@
 """A config for a robot of which only the URDF is known: drafted, written, and tried out."""
 
 import dataclasses
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod import _core
 from polypod.files import write_text
@@ -19,6 +21,12 @@ SAG = 0.2
 STIFFER = 1.5
 """Factor on the gains for the next try."""
 TRIES = 4
+CARRIED = 0.95
+"""Least share of the weight that the feet of a standing robot carry: the rest lies on its belly or its knees."""
+GRAVITY = 9.81
+"""m/s^2."""
+SETTLED = 1.0
+"""At the end of standing, in which the weight is measured, s."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,11 +39,13 @@ class Standing:
     """Mean distance of the joint that gives way most from the default pose, rad."""
     height: float
     """Of the base's frame above the ground, mean, m."""
+    carried: float
+    """Share of the weight that the feet carry, the least of all robots; in the last second, or until one fell."""
 
     @property
     def holds(self) -> bool:
-        """Whether nobody fell and no joint gave way."""
-        return self.falls == 0 and self.sag <= SAG
+        """Whether nobody fell, no joint gave way and the feet carry the robot."""
+        return self.falls == 0 and self.sag <= SAG and self.carried >= CARRIED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +67,7 @@ def new_robot(
     out: Path | None = None,
     name: str | None = None,
     package_dirs: Mapping[str, str | os.PathLike[str]] | None = None,
+    feet: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> NewRobot:
     """Drafts a config for the quadruped of a URDF file and lets it stand; stiffer where it gives way.
@@ -66,6 +77,7 @@ def new_robot(
         out: the TOML to write; None: `<name>.toml` beside the URDF. Its stem is the robot's name.
         name: the robot's name; None: that of `out`, of the URDF, or of its file.
         package_dirs: ROS package -> folder, for `package://` names of meshes.
+        feet: leg (`LF`, `LH`, `RF`, `RH`) -> the link that is its foot, where geometry alone does not tell.
         force: write over a file that is there.
 
     Raises:
@@ -78,7 +90,9 @@ def new_robot(
     place = _relative(urdf, (urdf if out is None else out).parent)
     for attempt in range(TRIES):
         factor = STIFFER**attempt
-        draft = _core.draft_robot(urdf, name=name, urdf=place, package_dirs=folders, gain_factor=factor)
+        draft = _core.draft_robot(
+            urdf, name=name, urdf=place, package_dirs=folders, feet=feet or {}, gain_factor=factor
+        )
         path = urdf.with_name(f"{draft['name']}.toml") if out is None else out
         if attempt == 0:
             _check_place(path, draft["name"], force)
@@ -106,14 +120,19 @@ def stand(robot: str) -> Standing:
         env.reset()
         actions = np.zeros((NUM_ENVS, env.sim.num_actions), dtype=np.float32)
         fallen = np.zeros(NUM_ENVS, dtype=np.bool_)
+        (info,) = json.loads(env.sim.robot_info()).values()
+        carried: list[npt.NDArray[np.float32]] = []
         for _ in range(round(SECONDS / env.step_dt)):
             fallen |= env.step(actions)[2]
             if fallen.any():
                 break
+            carried.append(env.state.contact_forces.reshape(NUM_ENVS, -1, 3)[:, :, 2].sum(axis=1))
         up = ~fallen if not fallen.all() else np.ones_like(fallen)
         gap = np.abs(env.state.joint_pos - env.state.default_joint_pos)[up].mean(axis=0)
         height = float(env.state.base_pos[up, 2].mean())
-        return Standing(int(fallen.sum()), float(gap.max()), height)
+        last = carried[-round(SETTLED / env.step_dt) :]
+        share = float(np.mean(last, axis=0).min()) / (info["mass"] * GRAVITY) if last else 0.0
+        return Standing(int(fallen.sum()), float(gap.max()), height, share)
     finally:
         env.close()
 

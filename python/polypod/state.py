@@ -18,8 +18,9 @@ class State:
     after the last step or reset. Under same-step autoreset that is the new episode's state where one has ended; build
     the env with `autoreset="disabled"` to see the last state of an episode, as `polypod.terms.CustomTerms` does.
 
-    Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order LF, LH, RF, RH with x, y, z
-    side by side. Base axes: x forward, y left, z up. Rows whose state broke (`valid` is False) are zeros.
+    Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order of `VectorEnv.feet_names` with
+    x, y, z side by side: twelve joints and LF, LH, RF, RH for quadrupeds. What a robot lacks is 0, see `action_mask`.
+    Base axes: x forward, y left, z up. Rows whose state broke (`valid` is False) are zeros.
     """
 
     def __init__(self, sim: Callable[[], _core.VecSim]) -> None:
@@ -53,53 +54,58 @@ class State:
 
     @property
     def joint_pos(self) -> FloatArray:
-        """[num_envs, 12], rad."""
+        """[num_envs, joints], rad."""
         return self._sim().state("joint_pos")
 
     @property
     def joint_vel(self) -> FloatArray:
-        """[num_envs, 12], rad/s."""
+        """[num_envs, joints], rad/s."""
         return self._sim().state("joint_vel")
 
     @property
     def joint_acc(self) -> FloatArray:
-        """[num_envs, 12], over the last physics step, rad/s^2."""
+        """[num_envs, joints], over the last physics step, rad/s^2."""
         return self._sim().state("joint_acc")
 
     @property
     def joint_effort(self) -> FloatArray:
-        """[num_envs, 12], applied by the actuators in the last physics step, N m."""
+        """[num_envs, joints], applied by the actuators in the last physics step, N m."""
         return self._sim().state("joint_effort")
 
     @property
     def default_joint_pos(self) -> FloatArray:
-        """[num_envs, 12], the default pose, rad."""
+        """[num_envs, joints], the default pose, rad."""
         return self._sim().state("default_joint_pos")
 
     @property
     def contact_forces(self) -> FloatArray:
-        """[num_envs, 12], net contact force on each foot in the last physics step, world axes, N."""
+        """[num_envs, 3 feet], net contact force on each foot in the last physics step, world axes, N."""
         return self._sim().state("contact_forces")
 
     @property
     def feet_pos(self) -> FloatArray:
-        """[num_envs, 12], centre of each foot relative to the env's origin, m."""
+        """[num_envs, 3 feet], centre of each foot relative to the env's origin, m."""
         return self._sim().state("feet_pos")
 
     @property
     def feet_vel(self) -> FloatArray:
-        """[num_envs, 12], world axes, m/s."""
+        """[num_envs, 3 feet], world axes, m/s."""
         return self._sim().state("feet_vel")
 
     @property
     def feet_air_time(self) -> FloatArray:
-        """[num_envs, 4], how long each foot has been in the air, s; 0 in contact."""
+        """[num_envs, feet], how long each foot has been in the air, s; 0 in contact."""
         return self._sim().state("feet_air_time")
 
     @property
     def feet_contact_time(self) -> FloatArray:
-        """[num_envs, 4], how long each foot has been in contact, s; 0 in the air."""
+        """[num_envs, feet], how long each foot has been in contact, s; 0 in the air."""
         return self._sim().state("feet_contact_time")
+
+    @property
+    def action_mask(self) -> npt.NDArray[np.bool_]:
+        """Bool [num_envs, joints], True where an env's robot has a joint. It never changes."""
+        return self._sim().action_mask
 
     @property
     def command(self) -> FloatArray:
@@ -108,12 +114,12 @@ class State:
 
     @property
     def last_action(self) -> FloatArray:
-        """[num_envs, 12], as the policy gave it."""
+        """[num_envs, joints], as the policy gave it."""
         return self._sim().state("last_action")
 
     @property
     def previous_action(self) -> FloatArray:
-        """[num_envs, 12], the action before the last one."""
+        """[num_envs, joints], the action before the last one."""
         return self._sim().state("previous_action")
 
     @property

@@ -154,6 +154,7 @@ impl Dump {
         config.sim.decimation = 1;
         // physics knows no terms; those of the task may not even be registered here
         config.observations.policy.clear();
+        config.observations.groups.clear();
         config.terminations.clear();
         // but for the one that makes room for late targets
         config.events.retain(|name, _| name == ACTION_DELAY);

@@ -27,9 +27,10 @@ impl Sim {
     /// A learner for this simulation's envs, robots and observations, with the simulation's seed. Its networks' numbers are zero.
     ///
     /// # Errors
-    /// Options that are out of range, or a simulation of a share of the envs.
+    /// Options that are out of range; a task of several observation groups; a simulation of a share of the envs.
     pub fn learner(&self, options: Options) -> Result<Learner, Error> {
         self.check_share(Worker::ALONE)?;
+        self.check_groups()?;
         Ok(Learner::new(self.learner_settings(options), self.simd())?)
     }
 
@@ -39,6 +40,7 @@ impl Sim {
     /// As [`Sim::learner`]; more workers than blocks of envs; a simulation of another share.
     pub fn learner_of_worker(&self, options: Options, worker: Worker, peers: Box<dyn Peers>) -> Result<Learner, Error> {
         self.check_share(worker)?;
+        self.check_groups()?;
         Ok(Learner::with_peers(self.learner_settings(options), self.simd(), worker, peers)?)
     }
 
@@ -53,6 +55,14 @@ impl Sim {
         Ok(())
     }
 
+    fn check_groups(&self) -> Result<(), Error> {
+        if let [_, other, ..] = &self.task().groups[..] {
+            let problem = format!("the task has the observation group `{}` beside the policy's", other.name);
+            return Err(Error::argument("observations", problem, "learn with rsl_rl, or from a task of one group"));
+        }
+        Ok(())
+    }
+
     fn learner_settings(&self, options: Options) -> Settings {
         let has_mirrors = options.symmetry != Symmetry::None;
         let counts = distribute(self.share().num_envs, self.morphologies().len());
@@ -61,11 +71,17 @@ impl Sim {
             let envs = next..next + count;
             next += count;
             let (observation_mirror, action_mirror) = if has_mirrors {
-                (self.task().mirrored_observation(robot), robot.mirrored_slots().to_vec())
+                (self.task().mirrored_observation(robot), robot.mirrored_columns(self.batch().num_actions))
             } else {
                 (Vec::new(), Vec::new())
             };
-            Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror }
+            let is_padded = robot.slots.len() < self.batch().num_actions;
+            let (observation_mask, action_mask) = if is_padded {
+                (self.task().observation_mask(robot), robot.action_mask(self.batch().num_actions))
+            } else {
+                (Vec::new(), Vec::new())
+            };
+            Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror, observation_mask, action_mask }
         });
         let batch = self.batch();
         Settings {

@@ -19,7 +19,6 @@ use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
-use crate::robot::CANONICAL_JOINT_NAMES;
 use crate::rows::NumEnvs;
 use crate::systems::{
     BlockSizes, BrokenStates, CompiledTask, ControlStep, InstructionSet, Loaded, PolypodPlugins, Registry, ResetEnvs,
@@ -86,36 +85,67 @@ impl Sim {
         Ok(sim)
     }
 
-    /// One control step of all envs with these actions, row-major `[num_envs, 12]`, canonical order.
+    /// One control step of all envs with these actions, row-major `[num_envs, num_actions]`, in the columns of
+    /// [`slots`](Self::slots). An action for a joint that a robot lacks does nothing.
     ///
     /// # Errors
     /// The wrong number of actions, or one that is not finite or beyond [`MAX_ACTION`]; the simulation is then as it was. Or a
     /// system failed: the sets of the pipeline after it have not run then.
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
-        let mut batch = self.world.resource_mut::<Batch>();
+        let batch = self.batch();
         if actions.len() != batch.actions.len() {
             return Err(Error::argument(
                 "actions",
                 format!("{} numbers for {} envs of {} actions", actions.len(), batch.num_envs, batch.num_actions),
-                "pass one row of canonical actions per env",
+                "pass one row of actions per env",
             ));
         }
         // all of them at once, and only then one by one
         let within = |a: &f32| a.abs() <= MAX_ACTION;
         let all_within = actions.iter().fold(true, |all, a| all & within(a));
         if !all_within && let Some(at) = actions.iter().position(|a| !within(a)) {
-            let (env, joint) = (at / batch.num_actions, CANONICAL_JOINT_NAMES[at % batch.num_actions]);
+            let (env, column) = (at / batch.num_actions, at % batch.num_actions);
+            let joint = self.world.resource::<Morphologies>().1.joints[column];
             return Err(Error::argument(
                 "actions",
                 format!("the action of env {env} for {joint} is {}", actions[at]),
                 format!("pass finite numbers within {MAX_ACTION}; a policy that gives others has diverged"),
             ));
         }
-        batch.actions.copy_from_slice(actions);
+        self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
+        self.clear_absent_actions();
         self.world.resource_mut::<ResetRequest>().0 = false;
         run(&mut self.world, ControlStep)?;
         self.dump_broken_states();
         Ok(())
+    }
+
+    /// Sets the actions of joints that robots lack to zero.
+    fn clear_absent_actions(&mut self) {
+        let blocks = self.world.resource::<BlockSizes>().0.clone();
+        self.world.resource_scope(|world, morphologies: Mut<Morphologies>| {
+            let mut batch = world.resource_mut::<Batch>();
+            let width = batch.num_actions;
+            let mut first = 0;
+            for (robot, count) in morphologies.0.iter().zip(blocks) {
+                let rows = first * width..(first + count) * width;
+                first += count;
+                if robot.slots.len() < width {
+                    let mask = robot.action_mask(width);
+                    for row in batch.actions[rows].chunks_exact_mut(width) {
+                        row.iter_mut().zip(&mask).filter(|(_, has)| !**has).for_each(|(action, _)| *action = 0.0);
+                    }
+                }
+            }
+        });
+    }
+
+    /// Which actions each env has, row-major `[num_envs, num_actions]`: its robot has a joint there.
+    pub fn action_mask(&self) -> Vec<bool> {
+        let (blocks, width) = (&self.world.resource::<BlockSizes>().0, self.batch().num_actions);
+        let masks =
+            self.morphologies().iter().zip(blocks).map(|(robot, &count)| robot.action_mask(width).repeat(count));
+        masks.flatten().collect()
     }
 
     /// Begins new episodes: in the envs of the mask, or in all.

@@ -9,24 +9,35 @@ use crate::bounds::MAX_COMMAND;
 use crate::components::{BasePose, BaseVelocity, Command, ContactForces, EnvId, Episode, JointState, Robot};
 use crate::error::Error;
 use crate::geometry_export::quaternion;
+use crate::morphology::{BatchSlots, Morphologies};
 use crate::options::Autoreset;
 use crate::robot::Pose;
 use crate::simulation::LinkPoses;
 use crate::systems::{StateField, gather_state};
 
 impl Sim {
-    /// Writes one quantity of all robots, row-major `[num_envs, field.width()]`; joints are in canonical order, feet in
-    /// the order LF, LH, RF, RH.
+    /// Writes one quantity of all robots, row-major `[num_envs, width]` with [`state_width`](Self::state_width); joints and feet
+    /// are in the columns of [`slots`](Self::slots), zero where a robot has none.
     ///
     /// # Errors
     /// An array of another length.
     pub fn state(&mut self, field: StateField, out: &mut [f32]) -> Result<(), Error> {
-        let wanted = self.num_envs() * field.width();
+        let wanted = self.num_envs() * self.state_width(field);
         if out.len() != wanted {
             let problem = format!("{} numbers for {} of {} envs", out.len(), field.name(), self.num_envs());
             return Err(Error::argument("state", problem, format!("pass an array of {wanted} numbers")));
         }
         gather_state(self.world_mut(), field, out)
+    }
+
+    /// Numbers per robot of a quantity.
+    pub fn state_width(&self, field: StateField) -> usize {
+        field.width(self.slots())
+    }
+
+    /// The columns of the batch: slots of joints, and legs of feet.
+    pub fn slots(&self) -> &BatchSlots {
+        &self.world().resource::<Morphologies>().1
     }
 
     /// Ends the episodes of these envs as failed, as a termination of the task would have in the last control step: the
@@ -167,7 +178,7 @@ impl Sim {
         let Some(model) = self.morphologies().get(index) else {
             return Vec::new();
         };
-        let (bodies, feet) = (model.topology.num_bodies, model.feet);
+        let (bodies, feet) = (model.topology.num_bodies, model.feet.clone());
         let width = 3 * bodies;
         let mut forces = vec![0.0; envs.len() * width];
         let world = self.world_mut();

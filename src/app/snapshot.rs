@@ -10,6 +10,7 @@ use crate::batch::Batch;
 use crate::components::{Body, Morphology, Stance};
 use crate::error::Error;
 use crate::morphology::Morphologies;
+use crate::robot::Slot;
 use crate::sealed::{self, Header};
 use crate::systems::{
     CompiledTask, HeldRows, Logs, SavedColumn, SavedComponents, check_engine, load_engine, mirror_all, save_engine,
@@ -47,7 +48,12 @@ fn share_bodies(world: &mut World) {
 impl Sim {
     fn header(&self) -> Header {
         let robots: Vec<&str> = self.morphologies().iter().map(|m| m.name()).collect();
-        Header::new(KIND, FORMAT, robots.join(", "), self.config_hash(), self.share().num_envs)
+        let mut robots = robots.join(", ");
+        // slots that no robot has
+        let slots = self.slots().joints.iter();
+        let is_absent = |slot: &&Slot| !self.morphologies().iter().any(|robot| robot.roles.slots.contains(slot));
+        slots.filter(is_absent).for_each(|slot| robots += &format!(", {slot}"));
+        Header::new(KIND, FORMAT, robots, self.config_hash(), self.share().num_envs)
     }
 
     /// Everything that decides what happens next, as bytes: restoring them and stepping gives, bit for bit, what going on

@@ -3,7 +3,7 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use include_dir::{Dir, include_dir};
+use include_dir::{Dir, File, include_dir};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use crate::files;
@@ -89,28 +89,57 @@ pub(super) fn documents(kind: Kind, roots: &[PathBuf]) -> Result<Vec<Document>, 
             documents.push(Document::read(&file, Some(root)));
         }
     }
-    let built_in = CONFIGS.get_dir(kind.folder()).into_iter().flat_map(Dir::files);
-    for file in built_in.filter(|file| is_toml(file.path())) {
-        let shown = format!("configs/{}", file.path().display());
-        let text = file.contents_utf8().ok_or_else(|| unreadable(&shown, "not UTF-8".into()));
-        documents.push(Document {
-            id: PathBuf::from(&shown),
-            file: shown,
-            text: text.map(str::to_owned),
-            stem: stem_of(file.path()),
-            dir: None,
-            root: None,
-        });
-    }
+    documents.extend(built_in(kind).map(read_built_in));
     Ok(documents)
+}
+
+/// Those of [`documents`] whose stem is `name`, without a look at the others.
+///
+/// # Errors
+/// As [`documents`].
+pub(super) fn documents_named(kind: Kind, roots: &[PathBuf], name: &str) -> Result<Vec<Document>, ConfigError> {
+    let mut documents = Vec::new();
+    // a name is no path
+    let is_plain = Path::new(name).components().count() == 1 && !name.contains(['/', '\\', '\0']);
+    for root in roots {
+        let folder = folder_of(root, kind)?;
+        let path = folder.join(format!("{name}.toml"));
+        if is_plain && stem_of(&path) == name && path.is_file() {
+            documents.push(Document::read(&path, Some(root)));
+        }
+    }
+    documents.extend(built_in(kind).filter(|file| stem_of(file.path()) == name).map(read_built_in));
+    Ok(documents)
+}
+
+fn built_in(kind: Kind) -> impl Iterator<Item = &'static File<'static>> {
+    CONFIGS.get_dir(kind.folder()).into_iter().flat_map(Dir::files).filter(|file| is_toml(file.path()))
+}
+
+fn read_built_in(file: &'static File<'static>) -> Document {
+    let shown = format!("configs/{}", file.path().display());
+    let text = file.contents_utf8().ok_or_else(|| unreadable(&shown, "not UTF-8".into()));
+    Document {
+        id: PathBuf::from(&shown),
+        file: shown,
+        text: text.map(str::to_owned),
+        stem: stem_of(file.path()),
+        dir: None,
+        root: None,
+    }
+}
+
+/// The folder of a kind in a root, which need not be there.
+fn folder_of(root: &Path, kind: Kind) -> Result<PathBuf, ConfigError> {
+    if root.is_dir() {
+        return Ok(root.join("configs").join(kind.folder()));
+    }
+    Err(unreadable(&root.display().to_string(), "there is no such folder".into()))
 }
 
 /// The configs of a kind in one root, which may have none.
 fn toml_files(root: &Path, kind: Kind) -> Result<Vec<PathBuf>, ConfigError> {
-    if !root.is_dir() {
-        return Err(unreadable(&root.display().to_string(), "there is no such folder".into()));
-    }
-    let folder = root.join("configs").join(kind.folder());
+    let folder = folder_of(root, kind)?;
     if !folder.is_dir() {
         return Ok(Vec::new());
     }
@@ -135,6 +164,6 @@ pub(super) fn unreadable(file: &str, problem: String) -> ConfigError {
         .of_kind(ConfigErrorKind::Unreadable)
 }
 
-fn stem_of(path: &Path) -> String {
+pub(super) fn stem_of(path: &Path) -> String {
     path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use include_dir::{Dir, include_dir};
 use toml::{Table, Value};
 
-use super::document::{Document, Kind, documents, is_toml, unreadable};
+use super::document::{Document, Kind, documents, documents_named, is_toml, stem_of, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
 use super::names::{RobotEntry, TaskEntry, TaskNames, single_robot_name, task_names, unknown_name};
@@ -15,9 +15,13 @@ use super::suggest::did_you_mean;
 use super::task::TaskConfig;
 use crate::files;
 use crate::hash::fnv1a;
+use crate::robot::CANONICAL_JOINT_NAMES;
 
 /// Environment variable with further roots, separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
+
+/// How names of Isaac Lab's tasks begin.
+const ISAAC_LAB: &str = "Isaac-";
 
 static ROBOT_ASSETS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/assets/robots");
 
@@ -83,10 +87,31 @@ impl Library {
     /// A robot as a task has it: with the task's `[robot_overrides]` on top.
     ///
     /// # Errors
-    /// As [`Library::robot`]; overrides of a robot that does not exist.
+    /// As [`Library::robots_in`].
     pub fn robot_in(&self, name_or_path: &str, task: &TaskConfig) -> Result<LoadedRobot, ConfigError> {
-        let known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
-        let is_known = |name: &String| known.contains(name) || task.robots.contains(name) || name == name_or_path;
+        self.check_overrides(std::slice::from_ref(&name_or_path.to_owned()), task)?;
+        self.robot_with(name_or_path, Some(task))
+    }
+
+    /// Robots, by name or path, as a task has them: with the task's `[robot_overrides]` on top, by name or by a path's stem.
+    ///
+    /// # Errors
+    /// As [`Library::robot`]; overrides of a robot that does not exist.
+    pub fn robots_in(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<Vec<LoadedRobot>, ConfigError> {
+        self.check_overrides(names_or_paths, task)?;
+        names_or_paths.iter().map(|name| self.robot_with(name, Some(task))).collect()
+    }
+
+    fn check_overrides(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<(), ConfigError> {
+        if task.robot_overrides.is_empty() {
+            return Ok(());
+        }
+        let mut known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
+        known.extend(task.robots.iter().chain(names_or_paths).map(|name| match Path::new(name) {
+            path if is_toml(path) => stem_of(path),
+            _ => name.clone(),
+        }));
+        let is_known = |name: &String| known.contains(name);
         if let Some(stranger) = task.robot_overrides.keys().find(|name| !is_known(name)) {
             let element = format!("robot_overrides.{stranger}");
             let remedy = did_you_mean(stranger, known.iter().map(String::as_str), "robots");
@@ -94,7 +119,7 @@ impl Library {
                 ConfigError::invalid(task.name.clone(), element, format!("there is no robot `{stranger}`"), remedy);
             return Err(error.of_kind(ConfigErrorKind::UnknownName));
         }
-        self.robot_with(name_or_path, Some(task))
+        Ok(())
     }
 
     fn robot_with(&self, name_or_path: &str, task: Option<&TaskConfig>) -> Result<LoadedRobot, ConfigError> {
@@ -129,14 +154,16 @@ impl Library {
     }
 
     /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`, in order.
+    /// Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out.
     ///
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config or in an override.
     pub fn task(&self, name: &str, overrides: &[String]) -> Result<LoadedTask, ConfigError> {
-        let mut layers = match self.find(Kind::Task, name, None, &[]) {
-            Ok(top) => self.layers(Kind::Task, top)?,
-            Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error)?,
-            Err(error) => return Err(error),
+        let mut layers = match (self.task_layers(name), name.strip_prefix(ISAAC_LAB)) {
+            (Err(error), Some(own)) if error.kind == ConfigErrorKind::UnknownName => {
+                self.task_layers(own).map_err(|_| error)?
+            }
+            (layers, _) => layers?,
         };
         for layer in &mut layers.0 {
             let dir = layer.document.dir.clone().unwrap_or_default();
@@ -163,7 +190,8 @@ impl Library {
     /// # Errors
     /// A root that is no folder, an unreadable folder.
     pub fn robots(&self) -> Result<Vec<RobotEntry>, ConfigError> {
-        let mut robots: Vec<_> = self.listed(Kind::Robot)?.iter().flat_map(robot_entry).collect();
+        let mut robots: Vec<_> =
+            self.listed(Kind::Robot)?.into_iter().flat_map(|document| self.robot_entry(document)).collect();
         robots.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(robots)
     }
@@ -179,8 +207,8 @@ impl Library {
         let mut single = Vec::new();
         for robot in self.robots()? {
             single.extend(tasks.iter().filter_map(|task| {
-                let name = single_robot_name(&task.name, &robot.name)?;
-                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone(), num_robots: 1 })
+                let name = single_robot_name(&task.name, &robot.name, robot.is_quadruped)?;
+                Some(TaskEntry { name, aliases: Vec::new(), file: task.file.clone(), robots: vec![robot.name.clone()] })
             }));
         }
         single.retain(|made| tasks.iter().all(|task| task.name != made.name));
@@ -194,7 +222,7 @@ impl Library {
     /// # Errors
     /// A root that is no folder, an unreadable folder.
     pub fn broken(&self) -> Result<Vec<ConfigError>, ConfigError> {
-        let robots = self.listed(Kind::Robot)?.into_iter().filter_map(|document| robot_entry(&document).err());
+        let robots = self.listed(Kind::Robot)?.into_iter().filter_map(|document| self.robot_entry(document).err());
         let tasks = self.listed(Kind::Task)?.into_iter().filter_map(|document| self.task_entry(document).err());
         let mut broken: Vec<ConfigError> = Vec::new();
         for error in robots.chain(tasks) {
@@ -206,12 +234,33 @@ impl Library {
         Ok(broken)
     }
 
+    fn robot_entry(&self, document: Document) -> Result<RobotEntry, ConfigError> {
+        let table = parse(&document)?;
+        let title = string_key(&document, &table, "title")?.unwrap_or(&document.stem).to_owned();
+        let (name, file) = (document.stem.clone(), document.file.clone());
+        // what a broken layer says is told where the robot is used
+        let merged = self.layers(Kind::Robot, document).and_then(|layers| layers.merged()).unwrap_or_default();
+        let pose = merged.get("default_pose").and_then(Value::as_table).into_iter().flatten();
+        let is_quadruped = pose.into_iter().all(|(joint, _)| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
+        Ok(RobotEntry { name, title, file, is_quadruped })
+    }
+
     fn task_entry(&self, document: Document) -> Result<TaskEntry, ConfigError> {
         let TaskNames { name, aliases } = task_names(&document)?;
         let file = document.file.clone();
         let merged = self.layers(Kind::Task, document)?.merged()?;
-        let num_robots = merged.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
-        Ok(TaskEntry { name, aliases, file, num_robots })
+        let robots = merged.get("robots").and_then(Value::as_array).into_iter().flatten();
+        let robots = robots.filter_map(Value::as_str).map(str::to_owned).collect();
+        Ok(TaskEntry { name, aliases, file, robots })
+    }
+
+    /// The layers of a task by one of its names.
+    fn task_layers(&self, name: &str) -> Result<Layers, ConfigError> {
+        match self.find(Kind::Task, name, None, &[]) {
+            Ok(top) => self.layers(Kind::Task, top),
+            Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error),
+            Err(error) => Err(error),
+        }
     }
 
     /// The layers of the task `name`, if it is one made for one robot.
@@ -221,8 +270,9 @@ impl Library {
             let Ok(TaskNames { name: base_name, .. }) = task_names(&base) else {
                 continue;
             };
-            let of_robot =
-                |robot: &&RobotEntry| single_robot_name(&base_name, &robot.name).is_some_and(|made| made == name);
+            let of_robot = |robot: &&RobotEntry| {
+                single_robot_name(&base_name, &robot.name, robot.is_quadruped).is_some_and(|made| made == name)
+            };
             let Some(robot) = robots.iter().find(of_robot) else {
                 continue;
             };
@@ -297,6 +347,11 @@ impl Library {
             document.text()?;
             return if is_free(&document) { Ok(document) } else { Err(cycle()) };
         }
+        // most names are those of files: a library of thousands is not read for one of them
+        let named = documents_named(kind, &self.roots, name)?;
+        if let Some(document) = named.iter().find(|document| is_free(document)) {
+            return Ok(document.clone());
+        }
         let documents = documents(kind, &self.roots)?;
         let mut matching: Vec<&Document> = documents.iter().filter(|d| d.stem == name).collect();
         let mut known: Vec<String> = documents.iter().map(|d| d.stem.clone()).collect();
@@ -327,12 +382,12 @@ impl Library {
         known.sort();
         known.dedup();
         let robots = match kind {
-            Kind::Task => self.listed(Kind::Robot)?,
+            Kind::Task => self.robots()?,
             Kind::Robot | Kind::Train => Vec::new(),
         };
         let made: Vec<String> = robots
             .iter()
-            .flat_map(|robot| known.iter().filter_map(|task| single_robot_name(task, &robot.stem)))
+            .flat_map(|robot| known.iter().filter_map(|task| single_robot_name(task, &robot.name, robot.is_quadruped)))
             .collect();
         Err(unknown_name(kind, name, &known, &made, &broken))
     }
@@ -382,12 +437,6 @@ impl Library {
         );
         Err(layers.locate(error.of_kind(ConfigErrorKind::Unreadable), &[]))
     }
-}
-
-fn robot_entry(document: &Document) -> Result<RobotEntry, ConfigError> {
-    let table = parse(document)?;
-    let title = string_key(document, &table, "title")?.unwrap_or(&document.stem).to_owned();
-    Ok(RobotEntry { name: document.stem.clone(), title, file: document.file.clone() })
 }
 
 /// Relative package folders are meant from the folder of the file that names them.

@@ -5,10 +5,12 @@ use toml::Value;
 use super::document::{Document, Kind};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{parse, string_key};
+use super::library::PATH_VARIABLE;
 use super::suggest::nearest;
 
-/// Part of a task's name that stands for "many robots"; put a robot's title in its place to get that robot's own task.
-const FAMILY: &str = "HeteroQuadruped";
+/// Parts of a task's name that stand for "many robots"; put a robot's title in its place to get that robot's own task.
+/// Quadrupeds of twelve joints are made from tasks of the first family, all other bodies from those of the second.
+const FAMILIES: [&str; 2] = ["HeteroQuadruped", "Legged"];
 
 /// A robot in the library's list.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,6 +21,8 @@ pub struct RobotEntry {
     pub title: String,
     /// File.
     pub file: String,
+    /// Whether all joints of its default pose are those of a quadruped's legs.
+    pub is_quadruped: bool,
 }
 
 /// A task in the library's list.
@@ -30,8 +34,8 @@ pub struct TaskEntry {
     pub aliases: Vec<String>,
     /// File; for a task made for one robot, the file it is made from.
     pub file: String,
-    /// Number of its robots; 0 for a file that names none and is only there to be extended.
-    pub num_robots: usize,
+    /// Names of its robots; empty for a file that names none and is only there to be extended.
+    pub robots: Vec<String>,
 }
 
 /// What a task file says about its names.
@@ -54,10 +58,11 @@ pub(super) fn task_names(document: &Document) -> Result<TaskNames, ConfigError> 
     Ok(TaskNames { name, aliases })
 }
 
-/// The name of the task that the task called `task` makes for one robot, if it is one for many:
+/// The name of the task that the task called `task` makes for one robot, if it is one for many of its kind:
 /// robot `big_dog` makes `Walk-Big-Dog-v0` of `Walk-HeteroQuadruped-v0`.
-pub(super) fn single_robot_name(task: &str, robot: &str) -> Option<String> {
-    if !task.contains(FAMILY) {
+pub(super) fn single_robot_name(task: &str, robot: &str, is_quadruped: bool) -> Option<String> {
+    let family = FAMILIES[usize::from(!is_quadruped)];
+    if !task.contains(family) {
         return None;
     }
     let capitalised = |word: &str| {
@@ -65,7 +70,7 @@ pub(super) fn single_robot_name(task: &str, robot: &str) -> Option<String> {
         letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect::<String>())
     };
     let title = robot.split('_').map(capitalised).collect::<Vec<_>>().join("-");
-    Some(task.replace(FAMILY, &title))
+    Some(task.replace(family, &title))
 }
 
 /// The error about a name that nothing has; near ones are sought among `known` and `made`, which is too long to be listed.
@@ -80,22 +85,19 @@ pub(super) fn unknown_name(
     let noun = kind.noun();
     let made = made.iter().filter(|name| !known.contains(name));
     let near = nearest(name, known.iter().chain(made).map(String::as_str));
-    let guess = match near[..] {
-        [] => String::new(),
-        _ => format!("did you mean `{}`? ", near.join("`, `")),
+    let remedy = match near[..] {
+        [] => format!("known: {}", known.join(", ")),
+        _ => format!("did you mean `{}`? The command `list` shows all names", near.join("`, `")),
     };
     let mut problem = format!("there is no {noun} `{name}`");
     for error in broken {
         let ConfigError { file, element, problem: why, .. } = error;
         problem += &format!(", unless it is in {file}, which is broken ({element}: {why})");
     }
-    ConfigError::invalid(
-        format!("configs/{}", kind.folder()),
-        format!("{noun} `{name}`"),
-        problem,
-        format!("{guess}known: {}", known.join(", ")),
-    )
-    .of_kind(ConfigErrorKind::UnknownName)
+    let folder = format!("configs/{}", kind.folder());
+    let own = format!("one of your own: the path of its .toml, or {folder} in a folder that {PATH_VARIABLE} names");
+    ConfigError::invalid(folder, format!("{noun} `{name}`"), problem, format!("{remedy}; {own}"))
+        .of_kind(ConfigErrorKind::UnknownName)
 }
 
 #[cfg(test)]
@@ -104,8 +106,10 @@ mod tests {
 
     #[test]
     fn a_task_for_many_makes_one_for_each() {
-        let made = single_robot_name("Walk-HeteroQuadruped-Play-v0", "big_dog_2");
+        let made = single_robot_name("Walk-HeteroQuadruped-Play-v0", "big_dog_2", true);
         assert_eq!(made.as_deref(), Some("Walk-Big-Dog-2-Play-v0"));
-        assert_eq!(single_robot_name("Walk-v0", "big_dog"), None);
+        assert_eq!(single_robot_name("Walk-v0", "big_dog", true), None);
+        assert_eq!(single_robot_name("Walk-HeteroQuadruped-v0", "strider", false), None);
+        assert_eq!(single_robot_name("Walk-Legged-v0", "strider", false).as_deref(), Some("Walk-Strider-v0"));
     }
 }

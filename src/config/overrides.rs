@@ -6,13 +6,17 @@ use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{OVERRIDE, element_index, merge, unknown_element};
 use super::suggest::did_you_mean;
 
+/// A table whose keys are not known beforehand: robots, and what a task changes in their configs. What is missing on the
+/// way into it is made; the robots' types check it where they are read.
+const OPEN: &str = "robot_overrides";
+
 /// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
 /// Every table on the way must exist; whether a new last key is a known one is left to the types. Elements of an array are named by
 /// index, `name` or `term`. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
 ///
 /// # Errors
 /// No `=`, an unknown key, a value that is not TOML.
-pub(super) fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigError> {
+pub fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigError> {
     let Some((path, value)) = text.split_once('=') else {
         return Err(ConfigError::invalid(
             OVERRIDE,
@@ -33,13 +37,14 @@ pub(super) fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigEr
         ));
     };
     let mut walked: Vec<String> = Vec::with_capacity(keys.len());
-    // One value type on the way down; taken back at the end.
-    let mut root = Value::Table(std::mem::take(resolved));
+    // One value type on the way down; taken back at the end, unless something fails.
+    let mut root = Value::Table(resolved.clone());
     let written = descend(&mut root, parents, &mut walked).and_then(|parent| write(parent, last, value, &mut walked));
+    written?;
     if let Value::Table(table) = root {
         *resolved = table;
     }
-    written.map(|()| walked.join("."))
+    Ok(walked.join("."))
 }
 
 /// A TOML value, a bare word as a string, or `None` for `null` and `~`.
@@ -68,6 +73,9 @@ fn descend<'a>(mut node: &'a mut Value, keys: &[&str], walked: &mut Vec<String>)
     for key in keys {
         node = match node {
             Value::Table(table) => {
+                if walked.first().map_or(*key, String::as_str) == OPEN {
+                    table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
+                }
                 if !table.contains_key(*key) {
                     return Err(unknown(key, table.keys().map(String::as_str), walked));
                 }
@@ -160,6 +168,13 @@ mod tests {
         assert!(set("sim.dt=[1,").is_err());
         assert!(set("sim.dt").is_err());
         assert!(set(".dt=1").is_err());
+    }
+
+    #[test]
+    fn changes_of_robots_need_no_table_before_them() {
+        let table = set("robot_overrides.dog.actuators.legs.stiffness=3").unwrap();
+        assert_eq!(table["robot_overrides"]["dog"]["actuators"]["legs"]["stiffness"].as_integer(), Some(3));
+        assert!(set("robot_overide.dog.mass=3").is_err());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::MAX_DELAY;
-use crate::robot::{CANONICAL_JOINT_NAMES, LEGS};
+use crate::robot::{CANONICAL_JOINT_NAMES, Place, Side, Slot};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::randomization::{RandomizationConfig, VariationConfig};
@@ -14,7 +14,8 @@ use super::suggest::did_you_mean;
 use super::values;
 
 /// What a robot's URDF does not say: default pose, actuators, reset and randomisation. SI units.
-/// Canonical joints are named leg and role, such as `LF_HFE`; their order is that of the policy's action.
+/// Canonical joints are named by limb and role, such as `LF_HFE` or `L_HIP_YAW`; their order is that of the policy's action, and
+/// their positive directions are those of [`Role`](crate::robot::Role), whichever way the URDF's axes turn.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
@@ -32,7 +33,7 @@ pub struct RobotConfig {
     /// Whether the robot's own links may collide with one another. Default: no.
     #[serde(default)]
     pub self_collisions: bool,
-    /// Joint angles of the default pose by canonical joint, rad; all twelve.
+    /// Joint angles of the default pose by canonical joint, rad; each joint, in the canonical direction.
     pub default_pose: BTreeMap<String, f64>,
     /// Groups of actuators; every canonical joint is in exactly one.
     pub actuators: BTreeMap<String, ActuatorConfig>,
@@ -48,7 +49,7 @@ pub struct RobotConfig {
     /// Canonical joint -> joint of the URDF, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub joint_roles: BTreeMap<String, String>,
-    /// Leg (`LF`, `LH`, `RF`, `RH`) -> link of the URDF that is its foot, where geometry alone does not tell.
+    /// Leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> link of the URDF that is its foot, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub feet: BTreeMap<String, String>,
     /// Links of the URDF by group of bodies, where geometry alone does not tell.
@@ -101,7 +102,8 @@ pub struct ActuatorConfig {
     /// Fewest and most physics steps by which targets come late, both included; only `delayed_pd`. Default: none.
     #[serde(default)]
     pub delay: [u32; 2],
-    /// Largest torque over the joint angle: rows of `[rad, N m]`, linear in between, constant beyond the ends.
+    /// Largest torque over the joint angle in the canonical direction: rows of `[rad, N m]`, linear in between, constant beyond
+    /// the ends.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub effort_table: Vec<[f64; 2]>,
 }
@@ -126,6 +128,9 @@ pub enum ActuatorModel {
 pub struct BodiesConfig {
     /// The trunk and what is fixed to it.
     pub base: Vec<String>,
+    /// Between the base and other limbs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub torso: Vec<String>,
     /// Between abduction and flexion joint of the hip.
     pub hip: Vec<String>,
     /// Between hip and knee.
@@ -134,6 +139,12 @@ pub struct BodiesConfig {
     pub shank: Vec<String>,
     /// What stands on the ground.
     pub foot: Vec<String>,
+    /// Parts of an arm.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub arm: Vec<String>,
+    /// Parts of a head.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub head: Vec<String>,
     /// What belongs to none of these, though it is fixed to one: a head on the trunk, say.
     pub other: Vec<String>,
 }
@@ -207,77 +218,107 @@ pub struct RangeConfig {
 }
 
 impl RobotConfig {
-    /// Joint angles of the default pose in canonical order, rad.
+    /// Joint angles of the default pose in these slots, canonical directions, rad.
     ///
     /// # Errors
-    /// A canonical joint is missing from `[default_pose]`, or another name is in it.
-    pub fn default_pose_by_slot(&self) -> Result<[f64; 12], ConfigError> {
-        self.check_names("default_pose", self.default_pose.keys(), &CANONICAL_JOINT_NAMES)?;
-        let missing: Vec<&str> =
-            CANONICAL_JOINT_NAMES.into_iter().filter(|joint| !self.default_pose.contains_key(*joint)).collect();
-        if !missing.is_empty() {
-            let problem = format!("no angle for {}", missing.join(", "));
-            return self.invalid("default_pose", problem, "add each of them, in rad");
-        }
-        Ok(CANONICAL_JOINT_NAMES.map(|joint| self.default_pose.get(joint).copied().unwrap_or(0.0)))
+    /// A slot is missing from `[default_pose]`, or another name is in it.
+    pub fn default_pose_by_slot(&self, slots: &[Slot]) -> Result<Vec<f64>, ConfigError> {
+        let names: Vec<String> = slots.iter().map(Slot::to_string).collect();
+        let known: Vec<&str> = names.iter().map(String::as_str).collect();
+        self.check_names("default_pose", self.default_pose.keys(), &known)?;
+        self.refuse_missing(known.iter().copied())?;
+        Ok(known.iter().map(|joint| self.default_pose.get(*joint).copied().unwrap_or(0.0)).collect())
     }
 
-    /// Name and settings of the actuator group that drives each canonical joint.
+    fn refuse_missing<'a>(&self, wanted: impl Iterator<Item = &'a str>) -> Result<(), ConfigError> {
+        let missing: Vec<&str> = wanted.filter(|joint| !self.default_pose.contains_key(*joint)).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        let problem = format!("no angle for {}", missing.join(", "));
+        self.invalid("default_pose", problem, "add each of them, in rad, or lock the joint in [locked_joints]")
+    }
+
+    /// Name and settings of the actuator group that drives the joint in each of these slots.
     ///
     /// # Errors
     /// A joint in no group or in several, or a pattern that matches no joint.
-    pub fn actuators_by_slot(&self) -> Result<[(&str, &ActuatorConfig); 12], ConfigError> {
+    pub fn actuators_by_slot(&self, slots: &[Slot]) -> Result<Vec<(&str, &ActuatorConfig)>, ConfigError> {
+        let names: Vec<String> = slots.iter().map(Slot::to_string).collect();
+        self.actuators_by_name(&names.iter().map(String::as_str).collect::<Vec<_>>())
+    }
+
+    fn actuators_by_name(&self, joints: &[&str]) -> Result<Vec<(&str, &ActuatorConfig)>, ConfigError> {
         for (group, actuator) in &self.actuators {
             let mut patterns = actuator.joints.iter().enumerate();
-            let idle = |pattern: &str| !CANONICAL_JOINT_NAMES.iter().any(|j| matches(pattern, j));
+            let idle = |pattern: &str| !joints.iter().any(|j| matches(pattern, j));
             if let Some((index, pattern)) = patterns.find(|(_, pattern)| idle(pattern)) {
                 return self.invalid(
                     &format!("actuators.{group}.joints[{index}]"),
                     format!("`{pattern}` matches no canonical joint"),
-                    did_you_mean(pattern, CANONICAL_JOINT_NAMES, "joints"),
+                    did_you_mean(pattern, joints.iter().copied(), "joints"),
                 );
             }
         }
-        let mut claims = CANONICAL_JOINT_NAMES.map(|joint| {
-            self.actuators
+        let mut by_slot = Vec::with_capacity(joints.len());
+        let mut complaints: Vec<String> = Vec::new();
+        for joint in joints {
+            let groups: Vec<(&str, &ActuatorConfig)> = self
+                .actuators
                 .iter()
                 .filter(|(_, actuator)| actuator.joints.iter().any(|p| matches(p, joint)))
                 .map(|(group, actuator)| (group.as_str(), actuator))
-                .collect::<Vec<_>>()
-        });
-        let complaints: Vec<String> = CANONICAL_JOINT_NAMES
-            .iter()
-            .zip(&claims)
-            .filter_map(|(joint, groups)| match groups[..] {
-                [_] => None,
-                [] => Some(format!("{joint} is in no group")),
+                .collect();
+            match groups[..] {
+                [group] => by_slot.push(group),
+                [] => complaints.push(format!("{joint} is in no group")),
                 _ => {
                     let names: Vec<&str> = groups.iter().map(|(group, _)| *group).collect();
-                    Some(format!("{joint} is in {}", names.join(" and ")))
+                    complaints.push(format!("{joint} is in {}", names.join(" and ")));
                 }
-            })
-            .collect();
-        // `complaints` is empty exactly when each of the twelve lists has its one group.
-        let single: Vec<(&str, &ActuatorConfig)> = claims.iter_mut().filter_map(Vec::pop).collect();
-        match <[(&str, &ActuatorConfig); 12]>::try_from(single) {
-            Ok(by_slot) if complaints.is_empty() => Ok(by_slot),
-            _ => self.invalid(
-                "actuators",
-                complaints.join(", "),
-                "let the `joints` patterns name every canonical joint in exactly one group",
-            ),
+            }
         }
+        if complaints.is_empty() {
+            return Ok(by_slot);
+        }
+        self.invalid(
+            "actuators",
+            complaints.join(", "),
+            "let the `joints` patterns name every canonical joint in exactly one group",
+        )
     }
 
-    /// Checks what no single value can tell; errors name the robot in place of a file.
+    /// Checks what no single value can tell; errors name the robot in place of a file. Which joints the robot has is known
+    /// once its URDF is read.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
-        self.default_pose_by_slot()?;
+        self.check_slots("default_pose", self.default_pose.keys())?;
+        self.refuse_missing(self.corners())?;
         for (group, actuator) in &self.actuators {
             self.validate_actuator(&format!("actuators.{group}"), actuator)?;
         }
-        self.actuators_by_slot()?;
-        self.check_names("joint_roles", self.joint_roles.keys(), &CANONICAL_JOINT_NAMES)?;
-        self.check_names("feet", self.feet.keys(), &LEGS)
+        let mut slots: Vec<Slot> = self.default_pose.keys().filter_map(|name| Slot::parse(name)).collect();
+        slots.sort_unstable();
+        self.actuators_by_slot(&slots)?;
+        self.check_slots("joint_roles", self.joint_roles.keys())?;
+        let legs = Place::ALL.into_iter().filter(|place| place.side() != Side::Middle).map(Place::name);
+        self.check_names("feet", self.feet.keys(), &legs.collect::<Vec<_>>())
+    }
+
+    /// Joints of a quadruped that its legs must have, as one of them has it.
+    fn corners(&self) -> impl Iterator<Item = &'static str> {
+        let roles = crate::robot::ROLES.into_iter().filter(|role| {
+            let mut corners = CANONICAL_JOINT_NAMES.into_iter().filter(|joint| joint.ends_with(role));
+            corners.any(|joint| self.default_pose.contains_key(joint))
+        });
+        roles.flat_map(|role| CANONICAL_JOINT_NAMES.into_iter().filter(move |joint| joint.ends_with(role)))
+    }
+
+    /// Every key of the table `element` must be the name of a slot.
+    fn check_slots<'a>(&self, element: &str, mut keys: impl Iterator<Item = &'a String>) -> Result<(), ConfigError> {
+        match keys.find(|key| Slot::parse(key).is_none()) {
+            Some(stranger) => self.refuse_name(element, stranger, &CANONICAL_JOINT_NAMES),
+            None => Ok(()),
+        }
     }
 
     fn validate_actuator(&self, at: &str, actuator: &ActuatorConfig) -> Result<(), ConfigError> {
@@ -337,9 +378,13 @@ impl RobotConfig {
         mut keys: impl Iterator<Item = &'a String>,
         known: &[&str],
     ) -> Result<(), ConfigError> {
-        let Some(stranger) = keys.find(|key| !known.contains(&key.as_str())) else {
-            return Ok(());
-        };
+        match keys.find(|key| !known.contains(&key.as_str())) {
+            Some(stranger) => self.refuse_name(element, stranger, known),
+            None => Ok(()),
+        }
+    }
+
+    fn refuse_name(&self, element: &str, stranger: &str, known: &[&str]) -> Result<(), ConfigError> {
         let remedy = did_you_mean(stranger, known.iter().copied(), "names");
         self.invalid(&format!("{element}.{stranger}"), format!("unknown key `{stranger}`"), remedy)
             .map_err(|error| error.of_kind(ConfigErrorKind::UnknownKey))
@@ -351,7 +396,7 @@ impl RobotConfig {
 }
 
 /// Whether `pattern`, in which `*` stands for any run of characters, is all of `name`.
-fn matches(pattern: &str, name: &str) -> bool {
+pub(crate) fn matches(pattern: &str, name: &str) -> bool {
     match pattern.split_once('*') {
         None => pattern == name,
         Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {

@@ -1,5 +1,6 @@
 //! A first config for a robot of which only the URDF is known: roles, a pose to stand in, gains, ranges.
 
+mod quadruped;
 mod stance;
 mod text;
 
@@ -8,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::morphology::MorphologyModel;
-use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Roles, Warning, detect, load};
+use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Warning, load, load_str};
+use quadruped::{Roles, detect};
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
@@ -42,6 +43,8 @@ pub struct DraftOptions {
     pub urdf: Option<PathBuf>,
     /// ROS package -> folder.
     pub package_dirs: BTreeMap<String, PathBuf>,
+    /// Leg -> link of the URDF that is its foot, where geometry alone does not tell.
+    pub feet: BTreeMap<String, String>,
     /// Multiplies the gains that follow from mass and leg length. Default: 1.
     pub gain_factor: Option<f64>,
 }
@@ -72,11 +75,11 @@ struct Group {
 }
 
 /// Drafts the config of the robot whose URDF is at `file`: a quadruped's roles and feet from geometry, every other joint
-/// held, a standing pose with the feet level about the centre of mass, gains in proportion to weight times leg length, rewards as
+/// held, a standing pose with the feet level that policies of the known robots know, gains in proportion to weight times leg length, rewards as
 /// of the known robot whose mass is nearest.
 ///
 /// # Errors
-/// A name without letters or digits; those of [`load`] and [`detect`]; a robot of `POLYPOD_PATH` that cannot be read.
+/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot that is no quadruped of twelve joints; a robot of `POLYPOD_PATH` that cannot be read.
 pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     if let Some(name) = &options.name
         && !name.contains(|c: char| c.is_ascii_alphanumeric())
@@ -87,14 +90,14 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     }
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
     let whole = load(file, &load_options)?;
-    let roles = detect(&whole, &BTreeMap::new(), &BTreeMap::new())?;
+    let roles = detect(&whole, &options.feet)?;
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
     load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
         let model = load(file, &load_options)?;
-        let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new())?;
+        let roles = detect(&model, &options.feet)?;
         (model, roles)
     };
 
@@ -121,16 +124,20 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     Ok(Draft { toml: text::write(&findings), notes: notes(&findings), name })
 }
 
-/// That of the known robot whose mass is nearest to `mass` (kg), as a ratio.
+/// That of the known quadruped whose mass is nearest to `mass` (kg), as a ratio.
 fn reward_set(mass: f64) -> Result<String, Error> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(f64, String)> = None;
-    for entry in library.robots()? {
+    for entry in library.robots()?.into_iter().filter(|entry| entry.is_quadruped) {
         // a broken config of another robot is no reason to stop
-        let Some(robot) = library.robot(&entry.name).ok().and_then(|loaded| MorphologyModel::new(&loaded).ok()) else {
+        let Ok(robot) = library.robot(&entry.name) else {
             continue;
         };
-        let distance = (robot.model.total_mass() / mass).ln().abs();
+        let options = LoadOptions { locked_joints: robot.config.locked_joints.clone(), ..LoadOptions::default() };
+        let Ok(model) = load_str(&robot.urdf_text, &robot.urdf_path, &options) else {
+            continue;
+        };
+        let distance = (model.total_mass() / mass).ln().abs();
         if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
             nearest = Some((distance, robot.config.reward_set));
         }

@@ -4,10 +4,17 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3};
 
-use crate::robot::{Joint, LEGS, Model, Pose, Roles};
+use super::quadruped::Roles;
+use crate::robot::{Joint, LEGS, Model, Pose};
 
-/// Share of thigh and shank together by which the foot lies below the hip.
-const CROUCH: f64 = 0.8;
+/// Share of thigh and shank together by which the foot lies below the hip. This and the next two are the pose in which most
+/// of the known quadrupeds are trained (thighs 0.8 rad to the rear in front and 1.0 behind, knees bent by 1.5, legs 0.1
+/// outwards: Isaac Lab), with all feet on one level: a policy walks best from a pose that it knows.
+const CROUCH: f64 = 0.72;
+/// How far front and hind feet lie behind their hips, in the same share.
+const BEHIND: [f64; 2] = [0.037, 0.181];
+/// How far the legs lean outwards, rad.
+const OUTWARD: f64 = 0.1;
 /// Share of each joint's range that the pose keeps away from either end.
 const MARGIN: f64 = 0.05;
 /// What a joint without limits is searched over, rad.
@@ -22,7 +29,7 @@ pub(super) const REACHED: f64 = 1e-3;
 /// Standard gravity, m/s^2.
 pub(super) const GRAVITY: f64 = 9.81;
 
-/// A pose with bent knees in which all feet stand level, below the hips, about the centre of mass.
+/// A pose with bent knees in which all feet stand level, behind and outside the hips, about the centre of mass.
 pub(super) struct Stance {
     /// Joint angles by canonical slot, rad.
     pub angles: [f64; 12],
@@ -48,11 +55,14 @@ impl Stance {
         let mut misses = [0.0; 4];
         let mut shift = 0.0;
         for _ in 0..ROUNDS {
-            for (leg, miss) in legs.iter().zip(&mut misses) {
-                let target = DVec3::new(leg.hip.x + shift, leg.track, ground + leg.radius);
+            for (index, (leg, miss)) in legs.iter().zip(&mut misses).enumerate() {
+                let behind = BEHIND[index % 2] * leg.length;
+                let outward = OUTWARD.sin() * CROUCH * leg.length * leg.hip.y.signum();
+                let target = DVec3::new(leg.hip.x + shift - behind, leg.track + outward, ground + leg.radius);
                 *miss = leg.solve(model, target, &mut q);
             }
             let furthest = 0.2 * leg_length;
+            // what the hips of a balanced robot lie about
             shift = (centre_of_mass(model, &q).x - hips).clamp(-furthest, furthest);
         }
         let angles = roles.joint_of_slot.map(|joint| q[joint]);

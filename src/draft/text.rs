@@ -67,15 +67,16 @@ fn pose(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let stance = findings.stance;
     writeln!(
         out,
-        "\n# Joint angles of the default pose, rad: feet level below the hips, the base frame {:.3} m above their soles.",
+        "\n# Joint angles of the default pose, rad: feet level, the base frame {:.3} m above their soles.",
         stance.height
     )?;
     writeln!(out, "[default_pose]")?;
     for (slot, joint) in CANONICAL_JOINT_NAMES.iter().enumerate() {
         let range = stance::range(findings.model, findings.roles.joint_of_slot[slot]);
         let angle = (stance.angles[slot] * 1e3).round() / 1e3;
+        let sign = findings.roles.sign_of_slot[slot];
         // no negative zero
-        writeln!(out, "{joint} = {:?}", angle.clamp(*range.start(), *range.end()) + 0.0)?;
+        writeln!(out, "{joint} = {:?}", sign * angle.clamp(*range.start(), *range.end()) + 0.0)?;
     }
     Ok(())
 }

@@ -3,16 +3,19 @@
 use polypod_dynamics::elementary::exp;
 
 use crate::lines::{Line, WIDTH, lines_of};
+use crate::settings::{Robot, Settings};
 
 /// Deviations that the policy may have.
 const RANGE: [f32; 2] = [1e-6, 1e6];
 const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
-/// Deviations, and what is computed of them once.
+/// Deviations of the actions that a robot has, and what is computed of them once.
 #[derive(Clone, Debug)]
 pub(crate) struct Gaussian {
+    /// The actions that the robot has.
+    actions: Vec<usize>,
     num_actions: usize,
-    /// `[lines of an action]`, 0 beyond the actions.
+    /// `[lines of an action]`, 0 beyond the actions and where the robot has none.
     pub(crate) deviation: Vec<Line>,
     inverse: Vec<Line>,
     /// What the log-density has in any state: minus the sum of the deviations' logarithms, minus that of `sqrt(2 pi)`.
@@ -43,15 +46,16 @@ pub(crate) struct Surrogate {
 }
 
 impl Gaussian {
-    /// With deviations `[lines of an action]`, limited to [`RANGE`].
-    pub(crate) fn new(deviation: &[Line], num_actions: usize) -> Self {
+    /// With deviations `[lines of an action]`, limited to [`RANGE`], of the actions that a robot has.
+    pub(crate) fn new(deviation: &[Line], num_actions: usize, robot: &Robot) -> Self {
         let mut this = Self {
+            actions: (0..num_actions).filter(|action| robot.has_action(*action)).collect(),
             num_actions,
             deviation: vec![Line::ZERO; lines_of(num_actions)],
             inverse: vec![Line::ZERO; lines_of(num_actions)],
             constant: 0.0,
         };
-        for i in 0..num_actions {
+        for &i in &this.actions {
             let sigma = deviation[i / WIDTH].0[i % WIDTH].clamp(RANGE[0], RANGE[1]);
             this.deviation[i / WIDTH].0[i % WIDTH] = sigma;
             this.inverse[i / WIDTH].0[i % WIDTH] = 1.0 / sigma;
@@ -62,7 +66,18 @@ impl Gaussian {
 
     /// Differential entropy.
     pub(crate) fn entropy(&self) -> f32 {
-        0.5 * self.num_actions as f32 - self.constant
+        0.5 * self.actions.len() as f32 - self.constant
+    }
+
+    /// Sets the means of actions that the robot lacks to zero.
+    pub(crate) fn clear_absent(&self, mean: &mut [Line]) {
+        if self.actions.len() < self.num_actions {
+            for (i, mean) in mean.iter_mut().flat_map(|line| &mut line.0).enumerate() {
+                if self.actions.binary_search(&i).is_err() {
+                    *mean = 0.0;
+                }
+            }
+        }
     }
 
     /// Logarithm of the density of an action.
@@ -123,7 +138,7 @@ impl Gaussian {
     /// The part of [`Gaussian::divergence`] that does not depend on the means.
     pub(crate) fn divergence_of_deviations(&self, old: &Self) -> f32 {
         let mut sum = 0.0;
-        for i in 0..self.num_actions {
+        for &i in &self.actions {
             let ratio = old.deviation[i / WIDTH].0[i % WIDTH] / self.deviation[i / WIDTH].0[i % WIDTH];
             sum += 0.5 * (ratio * ratio - 1.0) - libm::logf(ratio);
         }
@@ -137,5 +152,45 @@ impl Gaussian {
                 line.0[i] -= coefficient * inverse.0[i];
             }
         }
+    }
+}
+
+/// The distributions of all robots, one for each set of actions that a robot has.
+#[derive(Clone, Debug)]
+pub(crate) struct Distributions {
+    /// Of each robot.
+    of_robot: Vec<usize>,
+    pub(crate) gaussians: Vec<Gaussian>,
+}
+
+impl Distributions {
+    /// With deviations `[lines of an action]`.
+    pub(crate) fn new(deviation: &[Line], settings: &Settings) -> Self {
+        let mut masks: Vec<&[bool]> = Vec::new();
+        let mut this = Self { of_robot: Vec::new(), gaussians: Vec::new() };
+        for robot in &settings.robots {
+            let known = masks.iter().position(|mask| *mask == &robot.action_mask[..]);
+            this.of_robot.push(known.unwrap_or(masks.len()));
+            if known.is_none() {
+                masks.push(&robot.action_mask);
+                this.gaussians.push(Gaussian::new(deviation, settings.num_actions, robot));
+            }
+        }
+        this
+    }
+
+    /// Number of a robot's distribution.
+    pub(crate) fn index(&self, robot: usize) -> usize {
+        self.of_robot[robot]
+    }
+
+    /// That of a robot.
+    pub(crate) fn of(&self, robot: usize) -> &Gaussian {
+        &self.gaussians[self.of_robot[robot]]
+    }
+
+    /// Whether robots have different actions.
+    pub(crate) fn differ(&self) -> bool {
+        self.gaussians.len() > 1
     }
 }

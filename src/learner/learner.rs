@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use polypod_dynamics::lanes::{Simd, SimdDispatch};
 
-use crate::gaussian::Gaussian;
+use crate::gaussian::Distributions;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
@@ -39,8 +39,8 @@ pub struct Learner {
     pub(crate) parts: Vec<Part>,
     pub(crate) shares: Shares,
     pub(crate) peers: Box<dyn Peers>,
-    /// The policy's distribution while the samples are collected.
-    pub(crate) old: Gaussian,
+    /// The policy's distributions while the samples are collected.
+    pub(crate) old: Distributions,
     /// What brings advantages to one scale: their mean and one over their deviation, of each robot.
     pub(crate) advantage_scale: Vec<(f32, f32)>,
     /// The same of all robots, of each mini-batch; empty where the scale is that of all samples.
@@ -121,7 +121,7 @@ impl Learner {
             matrix: Matrix::new(simd),
             dispatch: simd.dispatch(),
             mirrors: settings.robots.iter().map(of).collect(),
-            old: Gaussian::new(actor.perceptron.extra(), settings.num_actions),
+            old: Distributions::new(actor.perceptron.extra(), &settings),
             advantage_scale: vec![(0.0, 1.0); settings.robots.len()],
             mini_batch_scale: Vec::new(),
             reward_scale: settings.options.normalize_reward_per_robot.then(|| RewardScale::new(settings.robots.len())),
@@ -253,7 +253,7 @@ impl Learner {
     /// Begins the samples of an iteration.
     pub fn begin(&mut self, iteration: u64) {
         (self.iteration, self.step) = (iteration, 0);
-        self.old = Gaussian::new(self.actor.perceptron.extra(), self.settings.num_actions);
+        self.old = Distributions::new(self.actor.perceptron.extra(), &self.settings);
     }
 
     /// Stores the observations `[envs, num_obs]` before a step, and draws the actions `[envs, num_actions]`.
@@ -264,7 +264,7 @@ impl Learner {
         let Settings { num_obs, num_actions, seed, .. } = self.settings;
         let (step, lines) = (self.step, [lines_of(num_obs), lines_of(num_actions)]);
         let time = self.iteration * self.settings.options.num_steps_per_env as u64 + step as u64;
-        let (actor, matrix, gaussian) = (&self.actor, self.matrix, &self.old);
+        let (actor, matrix, distributions) = (&self.actor, self.matrix, &self.old);
         let mut rest = actions;
         let mut tasks = Vec::new();
         for part in &mut self.parts {
@@ -278,7 +278,12 @@ impl Learner {
             let (n, first_env) = (part.len(), part.envs.start);
             let observations = &part.observations[step * n * lines[0]..][..n * lines[0]];
             with_tile(|tile| {
+                let mut own_mean = vec![Line::ZERO; lines[1]];
                 actor.evaluate(matrix, observations, tile, |env, mean| {
+                    let gaussian = distributions.of(part.robot_of[env]);
+                    own_mean.copy_from_slice(mean);
+                    gaussian.clear_absent(&mut own_mean);
+                    let mean = &own_mean[..];
                     let at = (step * n + env) * lines[1];
                     let action = &mut part.actions[at..][..lines[1]];
                     let mut noise = Use::Noise.stream(seed, time, first_env + env);

@@ -51,12 +51,13 @@ impl Normalizer {
         out
     }
 
-    /// Takes in the samples of an iteration, `[num_obs]`.
-    pub(crate) fn update(&mut self, samples: &[Moments]) {
-        let added = samples.first().map_or(0, |of| of.count as u64);
+    /// Takes in the samples of an iteration, `[num_obs]`; so many in all, of which each number may be missing in some, and in the same
+    /// share of them at all times. A number that none has keeps what it has.
+    pub(crate) fn update(&mut self, samples: &[Moments], added: u64) {
         self.count += added;
         let rate = added as f64 / self.count.max(1) as f64;
-        for (of, (mean, variance)) in samples.iter().zip(self.mean.iter_mut().zip(&mut self.variance)) {
+        let numbers = samples.iter().zip(self.mean.iter_mut().zip(&mut self.variance));
+        for (of, (mean, variance)) in numbers.filter(|(of, _)| of.count > 0.0) {
             let delta = of.mean - f64::from(*mean);
             let new_mean = f64::from(*mean) + rate * delta;
             let spread = of.variance() - f64::from(*variance) + delta * (of.mean - new_mean);

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::moments::Moments;
-use crate::settings::Settings;
+use crate::settings::{Robot, Settings};
 
 /// Most parts that the envs are divided into.
 const MOST_PARTS: usize = 32;
@@ -218,13 +218,34 @@ impl Part {
         self.advantages.chunks_exact(self.len()).flat_map(move |step| step[envs.clone()].iter().copied())
     }
 
-    /// Moments of each number of the observations, about `about`.
-    pub(crate) fn observation_moments(&self, about: &[f32]) -> Vec<Moments> {
+    /// Moments of each number of the observations, about `about`: of the robots that have it.
+    #[inline(always)]
+    pub(crate) fn observation_moments(&self, about: &[f32], robots: &[Robot]) -> Vec<Moments> {
+        if robots.iter().all(|robot| robot.observation_mask.is_empty()) {
+            return self.moments_of(about, 0..self.len());
+        }
+        let mut all = vec![Moments::default(); about.len()];
+        for (robot, envs) in &self.blocks {
+            let own = self.moments_of(about, envs.clone());
+            for (number, (all, own)) in all.iter_mut().zip(own).enumerate() {
+                if robots[*robot].has_number(number) {
+                    *all = all.merge(own);
+                }
+            }
+        }
+        all
+    }
+
+    /// The same of some of the part's envs, all numbers.
+    #[inline(always)]
+    fn moments_of(&self, about: &[f32], envs: Range<usize>) -> Vec<Moments> {
         let lines = lines_of(about.len());
         let mut shift = vec![Line::ZERO; lines];
         copy_to_lines(about, &mut shift);
         let mut sums = vec![([0.0f64; WIDTH], [0.0f64; WIDTH]); lines];
-        for observation in self.observations.chunks_exact(lines) {
+        let steps = self.observations.chunks_exact(lines * self.len());
+        let observations = steps.flat_map(|step| step[envs.start * lines..envs.end * lines].chunks_exact(lines));
+        for observation in observations {
             for ((line, shift), (sum, squares)) in observation.iter().zip(&shift).zip(&mut sums) {
                 for i in 0..WIDTH {
                     let x = f64::from(line.0[i] - shift.0[i]);
@@ -233,7 +254,7 @@ impl Part {
                 }
             }
         }
-        let count = self.rewards.len() as f64;
+        let count = (self.rewards.len() / self.len() * envs.len()) as f64;
         let moments = |(i, &about): (usize, &f32)| {
             let (sum, squares) = (sums[i / WIDTH].0[i % WIDTH], sums[i / WIDTH].1[i % WIDTH]);
             Moments { count, mean: f64::from(about) + sum / count, squares: (squares - sum * sum / count).max(0.0) }

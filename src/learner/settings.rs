@@ -109,6 +109,22 @@ pub struct Robot {
     pub observation_mirror: Vec<(usize, f32)>,
     /// The same of an action.
     pub action_mirror: Vec<(usize, f32)>,
+    /// Which numbers of an observation it has; all where empty. Those that it lacks are 0, and count for nothing.
+    pub observation_mask: Vec<bool>,
+    /// Which actions it has; all where empty. Those that it lacks are 0, and count for nothing.
+    pub action_mask: Vec<bool>,
+}
+
+impl Robot {
+    /// Whether it has an action.
+    pub(crate) fn has_action(&self, action: usize) -> bool {
+        self.action_mask.get(action).is_none_or(|has| *has)
+    }
+
+    /// Whether it has a number of an observation.
+    pub(crate) fn has_number(&self, number: usize) -> bool {
+        self.observation_mask.get(number).is_none_or(|has| *has)
+    }
 }
 
 /// Settings that contradict each other, or arrays that do not fit them.
@@ -166,6 +182,12 @@ impl Settings {
                 if !(fits || mirror.is_empty() && self.options.symmetry == Symmetry::None) {
                     return Err(LearnerError::new("robots", format!("a mirror must say {size} numbers below {size}")));
                 }
+            }
+        }
+        for robot in &self.robots {
+            let masks = [(&robot.observation_mask, self.num_obs), (&robot.action_mask, self.num_actions)];
+            if let Some((_, size)) = masks.into_iter().find(|(mask, size)| !mask.is_empty() && mask.len() != *size) {
+                return Err(LearnerError::new("robots", format!("a mask must say {size} numbers, or none")));
             }
         }
         if next != self.num_envs {

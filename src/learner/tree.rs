@@ -66,7 +66,7 @@ fn descend(parts: Range<usize>, is_leaf: &impl Fn(&Range<usize>) -> bool, comple
 }
 
 /// Numbers of a [`Term`].
-pub(crate) const NUMBERS: usize = 4;
+pub(crate) const NUMBERS: usize = 5;
 
 /// What is summed over parts and told to other workers.
 pub(crate) trait Term: Copy + Default {
@@ -92,9 +92,9 @@ impl Term for [f64; NUMBERS] {
 
 impl Term for Moments {
     fn numbers(self) -> [f64; NUMBERS] {
-        [self.count, self.mean, self.squares, 0.0]
+        [self.count, self.mean, self.squares, 0.0, 0.0]
     }
-    fn from_numbers([count, mean, squares, _]: [f64; NUMBERS]) -> Self {
+    fn from_numbers([count, mean, squares, ..]: [f64; NUMBERS]) -> Self {
         Self { count, mean, squares }
     }
     fn add(self, other: Self) -> Self {

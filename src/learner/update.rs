@@ -5,7 +5,7 @@ use std::ops::Range;
 use polypod_dynamics::lanes::{Kernel, SimdDispatch};
 
 use crate::adam::{Rates, Step};
-use crate::gaussian::{Gaussian, Surrogate};
+use crate::gaussian::{Distributions, Surrogate};
 use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
 use crate::matrix::Matrix;
@@ -13,7 +13,7 @@ use crate::moments::Moments;
 use crate::network::{Mirror, Net, mirrored};
 use crate::peers::{Message, lines, term};
 use crate::rollout::{Part, parts_of, share};
-use crate::settings::{LearnerError, Settings, Symmetry};
+use crate::settings::{LearnerError, Robot, Settings, Symmetry};
 use crate::tree::{NUMBERS, SumLines, Term, Tree};
 
 /// Means over the mini-batches of an update.
@@ -52,6 +52,8 @@ struct Gradient {
     divergence: f64,
     /// Samples that are no images.
     samples: usize,
+    /// What the part's samples have of the mean entropy, where robots have different actions.
+    entropy: f64,
 }
 
 /// What all parts share in a mini-batch.
@@ -63,8 +65,9 @@ struct MiniBatch<'a> {
     batch: usize,
     /// One over the number of samples, mirror images included.
     weight: f32,
-    new: &'a Gaussian,
-    divergence_of_deviations: f32,
+    new: &'a Distributions,
+    /// Of each distribution.
+    divergence_of_deviations: &'a [f32],
     /// Mean and one over the deviation of the advantages, of each robot.
     advantages: &'a [(f32, f32)],
 }
@@ -94,7 +97,22 @@ impl MiniBatch<'_> {
         }
     }
 
-    /// The part's gradient of the surrogate loss and the entropy.
+    /// What a part has of the mean entropy of so many samples, where robots have different actions; its derivatives are added to those
+    /// of the deviations.
+    fn entropy_of(&self, part: &Part, samples: usize, deviation: &mut [Line]) -> f64 {
+        let algorithm = &self.settings.options.algorithm;
+        let mut counts = vec![0usize; self.new.gaussians.len()];
+        for &sample in part.mini_batch(self.batch, algorithm.num_mini_batches) {
+            counts[self.new.index(part.robot_of[sample as usize % part.len()])] += 1;
+        }
+        let shares = counts.into_iter().map(|count| count as f64 / samples as f64);
+        self.new.gaussians.iter().zip(shares).fold(0.0, |entropy, (gaussian, share)| {
+            gaussian.add_entropy(algorithm.entropy_coef * share as f32, deviation);
+            entropy + share * f64::from(gaussian.entropy())
+        })
+    }
+
+    /// The part's gradient of the surrogate loss.
     fn actor_gradient(&self, net: &Net, part: &Part, gradient: &mut Gradient) {
         let lines = [lines_of(self.settings.num_obs), lines_of(self.settings.num_actions)];
         let first_extra = net.perceptron.first_extra();
@@ -119,12 +137,14 @@ impl MiniBatch<'_> {
                     for (panel, line) in mean.iter_mut().enumerate() {
                         *line = tile.output()[panel * rows + row];
                     }
+                    let robot = part.robot_of[sample % part.len()];
+                    let new = self.new.of(robot);
                     if mirror.is_none() {
-                        gradient.divergence +=
-                            f64::from(self.new.divergence(&mean, old_mean, self.divergence_of_deviations));
+                        let of_deviations = self.divergence_of_deviations[self.new.index(robot)];
+                        gradient.divergence += f64::from(new.divergence(&mean, old_mean, of_deviations));
                         gradient.samples += 1;
                     }
-                    let (about, scale) = self.advantages[part.robot_of[sample % part.len()]];
+                    let (about, scale) = self.advantages[robot];
                     let surrogate = Surrogate {
                         clip: self.settings.options.algorithm.clip_param,
                         advantage: (part.advantages[sample] - about) * scale,
@@ -132,7 +152,7 @@ impl MiniBatch<'_> {
                         weight: self.weight,
                     };
                     let deviation = &mut gradient.lines[first_extra..];
-                    gradient.loss += f64::from(self.new.surrogate(action, &mut mean, deviation, &surrogate));
+                    gradient.loss += f64::from(new.surrogate(action, &mut mean, deviation, &surrogate));
                     for (panel, line) in mean.iter().enumerate() {
                         tile.delta[panel * rows + row] = *line;
                     }
@@ -180,7 +200,8 @@ type Figures = [f64; NUMBERS];
 
 /// A mini-batch's gradients of both networks, summed over the parts of all workers.
 struct Total {
-    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images.
+    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images; mean entropy of the
+    /// samples, where robots have different actions.
     sums: Figures,
     /// Squared norm of each network's gradient.
     squares: [f64; 2],
@@ -203,11 +224,11 @@ impl Learner {
                 let samples = self.samples_of(batch);
                 let rows = samples * self.settings.options.symmetry.rows_per_sample();
                 let entropy = self.compute_gradients(team, (epoch, batch), rows, &mut gradients);
-                let Total { sums: [surrogate, value, divergence, seen], squares } =
+                let Total { sums: [surrogate, value, divergence, seen, of_samples], squares } =
                     self.sum_gradients(team, &gradients)?;
                 losses.surrogate += surrogate / rows as f64;
                 losses.value += value / rows as f64;
-                losses.entropy += entropy;
+                losses.entropy += entropy.unwrap_or(of_samples);
                 if let Some(desired) = algorithm.desired_kl {
                     // an image's divergence also has what the policy lacks in symmetry
                     if seen > 0.0 {
@@ -234,16 +255,18 @@ impl Learner {
         parts_of(*num_envs).map(of_part).sum()
     }
 
-    /// Fills `gradients` of each part and network, of a mini-batch with so many rows; returns the entropy.
+    /// Fills `gradients` of each part and network, of a mini-batch with so many rows; returns the entropy, where all robots have the same.
     fn compute_gradients(
         &self,
         team: &impl Team,
         (epoch, batch): (usize, usize),
         rows: usize,
         gradients: &mut [[Gradient; 2]],
-    ) -> f64 {
+    ) -> Option<f64> {
         let algorithm = &self.settings.options.algorithm;
-        let new = Gaussian::new(self.actor.perceptron.extra(), self.settings.num_actions);
+        let new = Distributions::new(self.actor.perceptron.extra(), &self.settings);
+        let pairs = new.gaussians.iter().zip(&self.old.gaussians);
+        let divergence_of_deviations: Vec<f32> = pairs.map(|(new, old)| new.divergence_of_deviations(old)).collect();
         let advantages = match self.mini_batch_scale.get(batch) {
             Some(&scale) => vec![scale; self.mirrors.len()],
             None => self.advantage_scale.clone(),
@@ -256,9 +279,10 @@ impl Learner {
             batch,
             weight: 1.0 / rows as f32,
             new: &new,
-            divergence_of_deviations: new.divergence_of_deviations(&self.old),
+            divergence_of_deviations: &divergence_of_deviations,
             advantages: &advantages,
         };
+        let samples = rows / self.settings.options.symmetry.rows_per_sample();
         let mut tasks = Vec::with_capacity(2 * self.parts.len());
         for (part, [actor, critic]) in self.parts.iter().zip(gradients) {
             tasks.push((part, &self.actor, actor, true));
@@ -266,23 +290,26 @@ impl Learner {
         }
         team.for_each(tasks, |(part, net, gradient, is_actor)| {
             gradient.lines.fill(Line::ZERO);
-            (gradient.loss, gradient.divergence, gradient.samples) = (0.0, 0.0, 0);
+            (gradient.loss, gradient.divergence, gradient.entropy, gradient.samples) = (0.0, 0.0, 0.0, 0);
             if is_actor {
-                if part.envs.start == 0 {
-                    new.add_entropy(algorithm.entropy_coef, &mut gradient.lines[net.perceptron.first_extra()..]);
+                let deviation = &mut gradient.lines[net.perceptron.first_extra()..];
+                if new.differ() {
+                    gradient.entropy = shared.entropy_of(part, samples, deviation);
+                } else if part.envs.start == 0 {
+                    new.gaussians[0].add_entropy(algorithm.entropy_coef, deviation);
                 }
                 shared.actor_gradient(net, part, gradient);
             } else {
                 shared.critic_gradient(net, part, gradient);
             }
         });
-        f64::from(new.entropy())
+        (!new.differ()).then(|| f64::from(new.gaussians[0].entropy()))
     }
 
     /// Sums the parts' gradients of all workers into the networks' own, and what comes with them.
     fn sum_gradients(&mut self, team: &impl Team, parts: &[[Gradient; 2]]) -> Result<Total, LearnerError> {
         let figures = |[actor, critic]: &[Gradient; 2]| -> Vec<Figures> {
-            vec![[actor.loss, critic.loss, actor.divergence, actor.samples as f64]]
+            vec![[actor.loss, critic.loss, actor.divergence, actor.samples as f64, actor.entropy]]
         };
         let dispatch = self.dispatch;
         let lengths = [self.actor.gradient.len(), self.critic.gradient.len()];
@@ -383,13 +410,14 @@ impl Learner {
         let mut normalizers: Vec<_> = nets.into_iter().filter_map(|net| net.normalizer.as_mut()).collect();
         let Some(about) = normalizers.first().map(|normalizer| normalizer.mean.clone()) else { return Ok(()) };
         let mut moments = vec![Vec::new(); self.parts.len()];
-        let dispatch = self.dispatch;
+        let (dispatch, robots) = (self.dispatch, &self.settings.robots);
+        let samples = self.settings.num_envs * self.settings.options.num_steps_per_env;
         team.for_each(self.parts.iter().zip(&mut moments).collect(), |(part, moments)| {
-            *moments = dispatch.vectorize(OfObservations { part, about: &about });
+            *moments = dispatch.vectorize(OfObservations { part, about: &about, robots });
         });
         let all = self.shares.sum(&*self.peers, &moments)?;
         for normalizer in &mut normalizers {
-            normalizer.update(&all);
+            normalizer.update(&all, samples as u64);
         }
         Ok(())
     }
@@ -419,13 +447,14 @@ fn sum_lines(
 struct OfObservations<'a> {
     part: &'a Part,
     about: &'a [f32],
+    robots: &'a [Robot],
 }
 
 impl Kernel<f32> for OfObservations<'_> {
     type Output = Vec<Moments>;
     #[inline(always)]
     fn run(self) -> Vec<Moments> {
-        self.part.observation_moments(self.about)
+        self.part.observation_moments(self.about, self.robots)
     }
 }
 

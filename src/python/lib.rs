@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
-use exceptions::{guarded, to_python};
+use exceptions::{guarded, to_python, value_error};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
@@ -29,7 +29,8 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         dict.set_item("name", task.name)?;
         dict.set_item("aliases", task.aliases)?;
         dict.set_item("file", task.file)?;
-        dict.set_item("num_robots", task.num_robots)?;
+        dict.set_item("num_robots", task.robots.len())?;
+        dict.set_item("robots", task.robots)?;
         Ok(dict)
     };
     tasks.into_iter().map(entry).collect()
@@ -73,6 +74,32 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
 }
 
 #[pyfunction]
+#[pyo3(signature = (task=None, robots=Vec::new(), overrides=Vec::new()))]
+fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, overrides: Vec<String>) -> PyResult<()> {
+    let check = || {
+        let library = Library::new(Vec::new());
+        let task = task.map(|task| library.task(task, &overrides)).transpose()?;
+        for robot in &robots {
+            match &task {
+                Some(task) => library.robot_in(robot, &task.config)?,
+                None => library.robot(robot)?,
+            };
+        }
+        Ok(())
+    };
+    guarded(py, check)?.map_err(|error: polypod::config::ConfigError| to_python(py, error.into()))
+}
+
+#[pyfunction]
+fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyResult<String> {
+    let mut config: toml::Table = serde_json::from_str(config).map_err(|error| value_error(error.to_string()))?;
+    for text in &overrides {
+        polypod::config::apply_override(&mut config, text).map_err(|error| to_python(py, error.into()))?;
+    }
+    vec_sim::written(py, serde_json::to_string(&config))
+}
+
+#[pyfunction]
 fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
     let robot = guarded(py, || Library::new(Vec::new()).robot(name))?.map_err(|error| to_python(py, error.into()))?;
     Ok(robot.urdf_text)
@@ -85,16 +112,17 @@ fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>)
 }
 
 #[pyfunction]
-#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), gain_factor=1.0))]
+#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), feet=BTreeMap::new(), gain_factor=1.0))]
 fn draft_robot(
     py: Python<'_>,
     path: PathBuf,
     name: Option<String>,
     urdf: Option<PathBuf>,
     package_dirs: BTreeMap<String, PathBuf>,
+    feet: BTreeMap<String, String>,
     gain_factor: f64,
 ) -> PyResult<Bound<'_, PyDict>> {
-    let options = DraftOptions { name, urdf, package_dirs, gain_factor: Some(gain_factor) };
+    let options = DraftOptions { name, urdf, package_dirs, feet, gain_factor: Some(gain_factor) };
     let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;
@@ -136,6 +164,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(broken_configs, module)?)?;
     module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
+    module.add_function(wrap_pyfunction!(check_names, module)?)?;
+    module.add_function(wrap_pyfunction!(with_overrides, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(draft_robot, module)?)?;

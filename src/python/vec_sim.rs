@@ -9,7 +9,7 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyDict, PySlice};
 use serde::Serialize;
 
 use super::exceptions::{
@@ -17,8 +17,8 @@ use super::exceptions::{
 };
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
+use polypod::config::POLICY_GROUP;
 use polypod::morphology::{Morphologies, MorphologyModel};
-use polypod::robot::CANONICAL_JOINT_NAMES;
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
 use polypod::world::Ground;
@@ -156,6 +156,22 @@ impl VecSim {
         written(py, json)
     }
 
+    /// The columns of an observation group: a view, or the array itself where there is no other group.
+    fn columns<'py>(
+        &self,
+        py: Python<'py>,
+        rows: &Bound<'py, PyArray2<f32>>,
+        group: &str,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let task = self.sim.task();
+        let columns = &task.group(group).map_err(|error| to_python(py, error.into()))?.columns;
+        if task.groups.len() == 1 {
+            return Ok(rows.clone().into_any());
+        }
+        let columns = PySlice::new(py, columns.start as isize, columns.end as isize, 1);
+        rows.get_item((PySlice::full(py), columns))
+    }
+
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
         let names: Vec<&str> = self.sim.morphologies().iter().map(|m| m.name()).collect();
         names.iter().position(|name| *name == robot).ok_or_else(|| {
@@ -168,7 +184,7 @@ impl VecSim {
 #[pymethods]
 impl VecSim {
     #[new]
-    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, share=None))]
+    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, share=None, slots=Vec::new()))]
     fn new(
         py: Python<'_>,
         task: String,
@@ -180,6 +196,7 @@ impl VecSim {
         autoreset: &str,
         dump_dir: Option<PathBuf>,
         share: Option<(usize, usize)>,
+        slots: Vec<String>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
         let num_envs = unsigned(py, "num_envs", num_envs)?;
@@ -194,6 +211,7 @@ impl VecSim {
             autoreset,
             dump_dir,
             share,
+            slots,
             ..SimOptions::new(task, num_envs)
         };
         let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
@@ -235,7 +253,7 @@ impl VecSim {
     }
     #[getter]
     fn num_obs(&self) -> usize {
-        self.sim.batch().num_obs
+        self.sim.task().groups[0].columns.len()
     }
     #[getter]
     fn num_actions(&self) -> usize {
@@ -254,8 +272,27 @@ impl VecSim {
         self.sim.morphologies().iter().map(|m| m.name()).collect()
     }
     #[getter]
-    fn canonical_joint_names(&self) -> Vec<&'static str> {
-        CANONICAL_JOINT_NAMES.to_vec()
+    fn canonical_joint_names(&self) -> Vec<String> {
+        self.sim.slots().joint_names()
+    }
+    #[getter]
+    fn feet_names(&self) -> Vec<&'static str> {
+        self.sim.slots().feet_names()
+    }
+    #[getter]
+    fn action_mask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
+        PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)
+    }
+
+    #[pyo3(signature = (robot, group=POLICY_GROUP))]
+    fn observation_mask(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<bool>> {
+        let index = self.robot_index(py, robot)?;
+        let mask = self.sim.look(py, |sim| {
+            let task = sim.task();
+            task.group(group).map(|group| task.observation_mask(&sim.morphologies()[index])[group.columns.clone()].to_vec())
+        })?;
+        mask.map_err(|error| to_python(py, error.into()))
     }
     #[getter]
     fn task_name(&self) -> &str {
@@ -275,14 +312,26 @@ impl VecSim {
     }
     #[getter]
     fn observation_layout(&self) -> Vec<(&str, usize)> {
-        self.sim.task().observations.iter().map(|term| (term.name.as_str(), term.size)).collect()
+        let task = self.sim.task();
+        task.terms_of(&task.groups[0]).iter().map(|term| (term.name.as_str(), term.size)).collect()
+    }
+    #[getter]
+    fn observation_groups<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        // in their order
+        let groups = PyDict::new(py);
+        for group in &self.sim.task().groups {
+            groups.set_item(&group.name, (group.columns.start, group.columns.end))?;
+        }
+        Ok(groups)
     }
 
-    fn observation_terms(&self, py: Python<'_>) -> PyResult<String> {
+    #[pyo3(signature = (group=POLICY_GROUP))]
+    fn observation_terms(&self, py: Python<'_>, group: &str) -> PyResult<String> {
         #[derive(Serialize)]
         struct Entry<'a> {
             term: &'a str,
             size: usize,
+            history_length: usize,
             #[serde(flatten)]
             spec: &'a TermSpec,
             inputs: Vec<&'a str>,
@@ -290,9 +339,12 @@ impl VecSim {
             clip: Option<[f32; 2]>,
             scale: f32,
         }
-        let terms = self.sim.task().observations.iter().map(|term| Entry {
+        let task = self.sim.task();
+        let group = task.group(group).map_err(|error| to_python(py, error.into()))?;
+        let terms = task.terms_of(group).iter().map(|term| Entry {
             term: &term.name,
             size: term.size,
+            history_length: term.history,
             spec: &term.spec,
             inputs: term.spec.source.inputs(&term.name),
             offset: term.offset,
@@ -302,14 +354,23 @@ impl VecSim {
         written(py, serde_json::to_string(&terms.collect::<Vec<_>>()))
     }
 
-    fn observation_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
+    #[pyo3(signature = (robot, group=POLICY_GROUP))]
+    fn observation_mirror(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<(usize, f32)>> {
         let index = self.robot_index(py, robot)?;
-        self.sim.look(py, |sim| sim.task().mirrored_observation(&sim.morphologies()[index]))
+        let mirror = self.sim.look(py, |sim| {
+            let task = sim.task();
+            task.group(group).map(|group| {
+                let start = group.columns.start;
+                let row = task.mirrored_observation(&sim.morphologies()[index]);
+                row[group.columns.clone()].iter().map(|&(column, sign)| (column - start, sign)).collect()
+            })
+        })?;
+        mirror.map_err(|error| to_python(py, error.into()))
     }
 
     fn action_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
         let index = self.robot_index(py, robot)?;
-        self.sim.look(py, |sim| sim.morphologies()[index].mirrored_slots().to_vec())
+        self.sim.look(py, |sim| sim.morphologies()[index].mirrored_columns(sim.batch().num_actions))
     }
 
     fn env_ids(&self, py: Python<'_>, robot: &str) -> PyResult<(usize, usize)> {
@@ -319,7 +380,7 @@ impl VecSim {
 
     fn joint_map(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(&str, usize)>> {
         let morphology = &self.sim.morphologies()[self.robot_index(py, robot)?];
-        Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot).collect())
+        Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot()).collect())
     }
 
     fn robot_info(&self, py: Python<'_>) -> PyResult<String> {
@@ -395,8 +456,11 @@ impl VecSim {
     }
 
     #[getter]
-    fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        self.arrays.observations[self.arrays.current].bind(py).clone()
+    fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.observation_of(py, POLICY_GROUP)
+    }
+    fn observation_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
+        self.columns(py, self.arrays.observations[self.arrays.current].bind(py), group)
     }
     #[getter]
     fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
@@ -411,8 +475,11 @@ impl VecSim {
         self.arrays.truncated.bind(py).clone()
     }
     #[getter]
-    fn final_obs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        self.arrays.final_obs.bind(py).clone()
+    fn final_obs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.final_obs_of(py, POLICY_GROUP)
+    }
+    fn final_obs_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
+        self.columns(py, self.arrays.final_obs.bind(py), group)
     }
     #[getter]
     fn final_mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
@@ -428,7 +495,7 @@ impl VecSim {
             let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
             return Err(value_error(format!("field: there is no `{field}`; use one of {}", names.join(", "))));
         };
-        let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), known.width()], false);
+        let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), self.sim.state_width(known)], false);
         let mut out = rows.try_readwrite()?;
         let out = out.as_slice_mut()?;
         self.sim.run(py, |sim| sim.state(known, out))?.map_err(|error| to_python(py, error))?;

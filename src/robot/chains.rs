@@ -7,7 +7,36 @@ use super::model::{JointKind, Model};
 use super::pose::Pose;
 
 /// Cosine above which an axis counts as lying along a base axis.
-const ALIGNED: f64 = 0.7;
+pub(super) const ALIGNED: f64 = 0.7;
+
+/// A torso has at most this many joints in a row.
+const TORSO_JOINTS: usize = 3;
+
+/// Share of the body's width that lies about its middle.
+const MIDDLE: f64 = 0.02;
+
+/// Limbs that reach down to this share of the height above the lowest point stand on the ground.
+const GROUND: f64 = 0.3;
+
+/// Hip abduction, hip flexion and knee joint of a leg; some have no abduction.
+pub(super) type LegJoints = [Option<usize>; 3];
+
+/// Joints from where a limb hangs to its end.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LimbChain {
+    /// At least one.
+    pub joints: Vec<usize>,
+    /// Joints that hang on the limb beside its chain: fingers, toes.
+    pub twigs: Vec<usize>,
+}
+
+/// All joints of a robot.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LimbChains {
+    /// Joints between the base and limbs on both sides.
+    pub torso: Vec<usize>,
+    pub limbs: Vec<LimbChain>,
+}
 
 /// Where the robot's links are when all joints are 0, in the base frame.
 pub(super) struct ZeroPose<'a> {
@@ -46,24 +75,104 @@ impl<'a> ZeroPose<'a> {
         joints
     }
 
-    /// Hip abduction, hip flexion and knee of every chain that can be a leg.
+    /// Whether a joint turns.
+    pub fn turns(&self, joint: usize) -> bool {
+        self.model.joints[joint].kind != JointKind::Prismatic
+    }
+
+    /// All joints below `link`, parents first.
+    pub fn joints_below(&self, link: usize) -> Vec<usize> {
+        let mut below = Vec::new();
+        let mut stack = vec![link];
+        while let Some(link) = stack.pop() {
+            let children: Vec<usize> = self.model.children(link).collect();
+            below.extend(children.iter().map(|child| child - 1));
+            stack.extend(children.into_iter().rev());
+        }
+        below.sort_unstable();
+        below
+    }
+
+    /// The robot's limbs as they hang on the base and on its torso.
+    pub fn limb_chains(&self) -> LimbChains {
+        let farthest = (0..self.model.joints.len()).map(|joint| self.position(joint).y.abs()).fold(0.0, f64::max);
+        let mut found = LimbChains::default();
+        self.collect_limbs(0, MIDDLE * farthest, &mut found);
+        found
+    }
+
+    fn collect_limbs(&self, link: usize, middle: f64, found: &mut LimbChains) {
+        for child in self.model.children(link).collect::<Vec<_>>() {
+            let mut path = vec![child - 1];
+            let mut end = child;
+            let branches = loop {
+                let children: Vec<usize> = self.model.children(end).collect();
+                let [only] = children[..] else {
+                    break children;
+                };
+                path.push(only - 1);
+                end = only;
+            };
+            let side = |sign: f64| {
+                branches.iter().any(|branch| {
+                    let own = self.joints_below(*branch).into_iter().chain([branch - 1]);
+                    own.map(|joint| sign * self.position(joint).y).fold(0.0, f64::max) > middle
+                })
+            };
+            let is_in_the_middle = path.iter().all(|joint| self.position(*joint).y.abs() <= middle);
+            if path.len() <= TORSO_JOINTS && is_in_the_middle && side(1.0) && side(-1.0) {
+                found.torso.extend(path);
+                self.collect_limbs(end, middle, found);
+                continue;
+            }
+            // where a limb parts, the longest part goes on, and the others hang on it
+            let mut twigs = self.joints_below(end);
+            let longest = twigs
+                .iter()
+                .map(|joint| self.chain_to(joint + 1))
+                .fold(Vec::new(), |longest, chain| if chain.len() > longest.len() { chain } else { longest });
+            path.extend(longest.into_iter().filter(|joint| twigs.contains(joint)));
+            twigs.retain(|joint| !path.contains(joint));
+            found.limbs.push(LimbChain { joints: path, twigs });
+        }
+    }
+
+    /// Which limbs stand on the ground: those that reach down as far as any.
+    pub fn grounded(&self, limbs: &[LimbChain]) -> Vec<usize> {
+        let bottoms: Vec<f64> = limbs.iter().map(|limb| feet::lowest_below(self, limb.joints[0])).collect();
+        let top = limbs.iter().map(|limb| self.position(limb.joints[0]).z).fold(f64::NEG_INFINITY, f64::max);
+        let ground = bottoms.iter().copied().fold(f64::INFINITY, f64::min);
+        let is_leg = |limb: &usize| {
+            let reaches_down = bottoms[*limb] < self.position(limbs[*limb].joints[0]).z;
+            reaches_down && bottoms[*limb] <= ground + GROUND * (top - ground)
+        };
+        (0..limbs.len()).filter(is_leg).collect()
+    }
+
+    /// Hip abduction, hip flexion and knee of every chain that can be a leg of a body whose legs move in planes along it.
     ///
-    /// A leg reaches below its first joint. Its joints turn about the base's x, y and y; only
-    /// when there are not four such chains, any chain of exactly three turning joints will do.
-    pub fn leg_candidates(&self, chains: &[Vec<usize>], wanted: usize) -> Vec<[usize; 3]> {
+    /// A leg reaches below its first joint. Its joints turn about the base's x, y and y, or there are just two, about y
+    /// and y; only when there are not as many such chains as wanted, any chain of exactly three turning joints will do.
+    pub fn leg_candidates(&self, chains: &[Vec<usize>], wanted: usize) -> Vec<LegJoints> {
         let by_axes = self.candidates(chains, |turning| self.by_axes(turning));
         if by_axes.len() == wanted {
             return by_axes;
         }
-        let by_order = self.candidates(chains, |turning| self.by_axes(turning).or_else(|| turning.try_into().ok()));
+        let by_two = self.candidates(chains, |turning| self.by_axes(turning).or_else(|| self.by_two(turning)));
+        if by_two.len() == wanted {
+            return by_two;
+        }
+        let by_order = self.candidates(chains, |turning| {
+            let three = || turning.try_into().ok().map(|three: [usize; 3]| three.map(Some));
+            self.by_axes(turning).or_else(three)
+        });
         if by_order.len() == wanted { by_order } else { by_axes }
     }
 
-    fn candidates(&self, chains: &[Vec<usize>], pick: impl Fn(&[usize]) -> Option<[usize; 3]>) -> Vec<[usize; 3]> {
+    fn candidates(&self, chains: &[Vec<usize>], pick: impl Fn(&[usize]) -> Option<LegJoints>) -> Vec<LegJoints> {
         let mut legs = Vec::new();
         for chain in chains {
-            let turns = |joint: &usize| self.model.joints[*joint].kind != JointKind::Prismatic;
-            let turning: Vec<usize> = chain.iter().copied().filter(turns).collect();
+            let turning: Vec<usize> = chain.iter().copied().filter(|joint| self.turns(*joint)).collect();
             let Some(leg) = pick(&turning) else {
                 continue;
             };
@@ -76,20 +185,33 @@ impl<'a> ZeroPose<'a> {
     }
 
     /// The first joint about x and the next two about y.
-    fn by_axes(&self, turning: &[usize]) -> Option<[usize; 3]> {
+    fn by_axes(&self, turning: &[usize]) -> Option<LegJoints> {
         let mut rest = turning.iter().copied();
         let hip = rest.find(|joint| self.axis(*joint).x.abs() > ALIGNED)?;
         let thigh = rest.find(|joint| self.axis(*joint).y.abs() > ALIGNED)?;
         let knee = rest.find(|joint| self.axis(*joint).y.abs() > ALIGNED)?;
-        Some([hip, thigh, knee])
+        Some([Some(hip), Some(thigh), Some(knee)])
     }
 
-    fn reaches_down(&self, [hip, _, knee]: &[usize; 3]) -> bool {
-        let lowest = match feet::find(self, *knee, None) {
-            Some(foot) => self.links[foot.link].transform_point(foot.point).z,
-            None => self.position(*knee).z,
+    /// Two joints, both about y.
+    fn by_two(&self, turning: &[usize]) -> Option<LegJoints> {
+        match *turning {
+            [thigh, knee] if turning.iter().all(|joint| self.axis(*joint).y.abs() > ALIGNED) => {
+                Some([None, Some(thigh), Some(knee)])
+            }
+            _ => None,
+        }
+    }
+
+    fn reaches_down(&self, leg: &LegJoints) -> bool {
+        let (Some(&hip), Some(&knee)) = (leg.iter().flatten().next(), leg.iter().flatten().next_back()) else {
+            return false;
         };
-        lowest < self.position(*hip).z
+        let lowest = match feet::find(self, knee, None) {
+            Some(foot) => self.links[foot.link].transform_point(foot.point).z,
+            None => self.position(knee).z,
+        };
+        lowest < self.position(hip).z
     }
 
     /// Whether `link` is the child of `joint` or hangs on it.

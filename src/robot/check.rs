@@ -6,12 +6,13 @@ use std::path::Path;
 
 use super::articulation::Articulation;
 use super::error::RobotError;
+use super::limbs::{LimbKind, Roles};
 use super::model::{Geometry, JointKind, Model, Shape};
-use super::roles::{CANONICAL_JOINT_NAMES, LEGS, Roles, detect};
+use super::roles::detect;
 use super::urdf::{LoadOptions, load};
 
-/// Reads the URDF file at `path` and describes what it is read as: links, joints, contact bodies, whether it is a
-/// quadruped, and every warning. A robot that is no quadruped is none the worse for it.
+/// Reads the URDF file at `path` and describes what it is read as: links, joints, contact bodies, which limbs it
+/// has, and every warning. A robot without legs is none the worse for it.
 ///
 /// # Errors
 /// Those of [`load`].
@@ -40,8 +41,8 @@ fn describe(model: &Model, out: &mut String) -> fmt::Result {
     joints(model, out)?;
     bodies(model, out)?;
     match detect(model, &BTreeMap::new(), &BTreeMap::new()) {
-        Ok(roles) => quadruped(model, &roles, out)?,
-        Err(error) => writeln!(out, "\nno quadruped: {}", error.diagnosis().problem)?,
+        Ok(roles) => limbs(model, &roles, out)?,
+        Err(error) => writeln!(out, "\nno legged robot: {}", error.diagnosis().problem)?,
     }
     writeln!(out, "\nwarnings: {}", model.warnings.len())?;
     for warning in &model.warnings {
@@ -104,14 +105,29 @@ fn shape(shape: &Shape) -> String {
     }
 }
 
-fn quadruped(model: &Model, roles: &Roles, out: &mut String) -> fmt::Result {
-    writeln!(out, "\nquadruped")?;
-    for (leg, name) in LEGS.iter().enumerate() {
-        let slots = [leg, leg + 4, leg + 8];
-        let joints = slots
-            .map(|slot| format!("{} = {}", CANONICAL_JOINT_NAMES[slot], model.joints[roles.joint_of_slot[slot]].name));
-        let foot = &model.bodies[roles.foot_body[leg]].name;
-        writeln!(out, "  {name}: {}, foot = {foot}", joints.join(", "))?;
+fn limbs(model: &Model, roles: &Roles, out: &mut String) -> fmt::Result {
+    writeln!(out, "\n{} (+: the URDF's axis turns as the role does; -: the other way round)", roles.class())?;
+    for limb in &roles.limbs {
+        let joints: Vec<String> = limb
+            .joints
+            .iter()
+            .map(|joint| {
+                let sign = if joint.sign < 0.0 { '-' } else { '+' };
+                format!("{} = {sign}{}", joint.slot, model.joints[joint.joint].name)
+            })
+            .collect();
+        let kind = match limb.kind {
+            LimbKind::Leg => "leg",
+            LimbKind::Arm => "arm",
+            LimbKind::Torso => "torso",
+            LimbKind::Head => "head",
+            LimbKind::Tail => "tail",
+        };
+        write!(out, "  {} {kind}: {}", limb.place.name(), joints.join(", "))?;
+        if let Some(foot) = &limb.foot {
+            write!(out, ", foot = {}", model.bodies[foot.body].name)?;
+        }
+        writeln!(out)?;
     }
     Ok(())
 }

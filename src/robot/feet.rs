@@ -11,12 +11,15 @@ const SPHERE_REACH: f64 = 0.8;
 /// Components of a unit vector below this are zero.
 const FLAT: f64 = 1e-6;
 
+/// What is no higher than this above the lowest part of a foot is its sole, m.
+const SOLE: f64 = 5e-3;
+
 /// Points of a hull that are no higher than this above its lowest one are its sole, m.
 const LEVEL: f64 = 1e-4;
 
 /// The contact of a leg with the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Foot {
+pub(super) struct Touch {
     /// Index of the contact body.
     pub body: usize,
     /// Index of the link that carries it.
@@ -33,7 +36,7 @@ pub(super) struct Foot {
 /// The foot of the leg that ends in `knee`: of all shapes below the knee (or only those of body
 /// `named`), the sphere farthest from the knee; any other shape only when it reaches clearly
 /// farther. `None` when there are no shapes.
-pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Option<Foot> {
+pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Option<Touch> {
     let knee_position = pose.position(knee);
     let mut feet = Vec::new();
     for (index, body) in pose.model.bodies.iter().enumerate() {
@@ -47,7 +50,7 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
         let link = &pose.links[body.link];
         for shape in &body.shapes {
             for (point, radius) in contact_balls(shape, link.rotation.transpose() * -DVec3::Z) {
-                feet.push(Foot {
+                feet.push(Touch {
                     body: index,
                     link: body.link,
                     point,
@@ -58,10 +61,46 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
             }
         }
     }
-    let farthest = |feet: &mut dyn Iterator<Item = &Foot>| feet.max_by(|a, b| a.reach.total_cmp(&b.reach)).copied();
+    let farthest = |feet: &mut dyn Iterator<Item = &Touch>| feet.max_by(|a, b| a.reach.total_cmp(&b.reach)).copied();
     let any = farthest(&mut feet.iter())?;
     let sphere = farthest(&mut feet.iter().filter(|foot| foot.is_sphere));
     Some(sphere.filter(|foot| foot.reach >= SPHERE_REACH * any.reach).unwrap_or(any))
+}
+
+/// The foot of a leg that ends in a sole: the middle of what is lowest of the body, at zero joint positions. A single ball
+/// is taken as it is.
+pub(super) fn sole(pose: &ZeroPose<'_>, body: usize) -> Option<(DVec3, f64)> {
+    let body = &pose.model.bodies[body];
+    let link = &pose.links[body.link];
+    let down = link.rotation.transpose() * -DVec3::Z;
+    let balls: Vec<(DVec3, f64)> = body.shapes.iter().flat_map(|shape| contact_balls(shape, down)).collect();
+    let depth = |(point, radius): &(DVec3, f64)| point.dot(down) + radius;
+    let deepest = balls.iter().map(depth).fold(f64::NEG_INFINITY, f64::max);
+    let lowest: Vec<&(DVec3, f64)> = balls.iter().filter(|ball| depth(ball) > deepest - SOLE).collect();
+    match lowest[..] {
+        [] => None,
+        [ball] => Some(*ball),
+        _ => {
+            let touching = lowest.iter().map(|(point, radius)| point + down * *radius);
+            Some((touching.sum::<DVec3>() / lowest.len() as f64, 0.0))
+        }
+    }
+}
+
+/// Lowest z of what hangs on `joint`, shapes and joints, at zero joint positions in the base frame, m.
+pub(super) fn lowest_below(pose: &ZeroPose<'_>, joint: usize) -> f64 {
+    let hangs = |link: usize| pose.is_below(link, joint);
+    let joints = (0..pose.model.joints.len()).filter(|other| hangs(other + 1)).map(|other| pose.position(other).z);
+    let bodies = pose.model.bodies.iter().filter(|body| hangs(body.link));
+    let shapes = bodies.flat_map(|body| {
+        let link = &pose.links[body.link];
+        let down = link.rotation.transpose() * -DVec3::Z;
+        body.shapes
+            .iter()
+            .flat_map(move |shape| contact_balls(shape, down))
+            .map(|(point, radius)| link.transform_point(point).z - radius)
+    });
+    joints.chain(shapes).fold(f64::INFINITY, f64::min)
 }
 
 /// Centres (link frame) and radii of the balls with which a shape can touch ground that lies in

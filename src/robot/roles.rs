@@ -1,114 +1,112 @@
-//! Which joint is which: four legs, three joints each, and their feet, told apart by geometry.
+//! Which joint is which: limbs, the roles of their joints, and feet, told apart by geometry.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
 
-use super::chains::ZeroPose;
+use super::chains::{LimbChain, ZeroPose};
 use super::error::{Diagnosis, RobotError, nearest_name};
-use super::feet::{self, Foot};
+use super::feet;
+use super::limbs::{Foot, Limb, LimbJoint, LimbKind, Place, Role, Roles, Side, Slot};
 use super::model::Model;
-
-/// Legs in canonical order: left front, left hind, right front, right hind.
-pub const LEGS: [&str; 4] = ["LF", "LH", "RF", "RH"];
-
-/// Joints of a leg in canonical order: hip abduction, hip flexion, knee flexion.
-pub const ROLES: [&str; 3] = ["HAA", "HFE", "KFE"];
-
-/// Canonical joints in slot order: role-major, legs inside (`slot = 4 * role + leg`).
-pub const CANONICAL_JOINT_NAMES: [&str; 12] = [
-    "LF_HAA", "LH_HAA", "RF_HAA", "RH_HAA", "LF_HFE", "LH_HFE", "RF_HFE", "RH_HFE", "LF_KFE", "LH_KFE", "RF_KFE",
-    "RH_KFE",
-];
+use super::quadruped::{self, CANONICAL_JOINT_NAMES, CORNERS, LEG_ROLES};
 
 /// Chains that an error lists.
 const LISTED: usize = 12;
-
-/// How a quadruped's joints and bodies map to canonical ones.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Roles {
-    /// For each slot of [`CANONICAL_JOINT_NAMES`], the index in [`Model::joints`].
-    pub joint_of_slot: [usize; 12],
-    /// For each of [`LEGS`], the index in [`Model::bodies`] of its foot.
-    pub foot_body: [usize; 4],
-    /// For each of [`LEGS`], the centre of the foot's sphere, or its lowest point at zero joint
-    /// positions, in the frame of the link that carries it, m.
-    pub foot_point: [DVec3; 4],
-    /// For each of [`LEGS`], the radius of the foot's sphere, or 0, m.
-    pub foot_radius: [f64; 4],
-}
 
 /// What part of the robot a contact body is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BodyGroup {
     /// Part of the base link.
     Base,
-    /// Moved by a hip abduction joint.
+    /// Part of the torso: a link between the base and other limbs.
+    Torso,
+    /// Of a leg, above the thigh.
     Hip,
-    /// Moved by a hip flexion joint.
+    /// Of a leg, what the knee hangs on.
     Thigh,
-    /// Moved by a knee, but not the foot.
+    /// Of a leg, below the knee, but not the foot.
     Shank,
     /// The foot of a leg.
     Foot,
-    /// Not part of a leg: an arm, a head.
+    /// Part of an arm.
+    Arm,
+    /// Part of a head.
+    Head,
+    /// None of these.
     Other,
 }
 
-/// Hip abduction, hip flexion and knee joint.
-type LegJoints = [usize; 3];
+/// What a config names.
+#[derive(Default)]
+pub(super) struct Overrides {
+    pub joints: BTreeMap<Slot, usize>,
+    pub feet: BTreeMap<Place, usize>,
+}
 
-/// Finds legs, joint roles and feet of a quadruped from its geometry at zero joint positions.
+/// Finds limbs, joint roles and feet from a robot's geometry at zero joint positions.
 ///
-/// `joint_overrides` maps canonical joint names to joint names, `foot_overrides` legs to contact
-/// bodies; a leg whose three joints are all named is taken as it is.
+/// Two legs make a biped (a humanoid, with arms), four a quadruped, six a hexapod. `joint_overrides` maps slots to joint
+/// names, `foot_overrides` the places of legs to contact bodies. A quadruped's leg whose joints are all named is taken as it
+/// is; where all joints of the robot are named, geometry is not asked.
 ///
 /// # Errors
-/// [`RobotError::Options`] for overrides that name nothing, [`RobotError::Roles`] when there are
-/// not four legs, one at each corner, or a leg has no foot; it lists what was found.
+/// [`RobotError::Options`] for overrides that name nothing, [`RobotError::Roles`] when there are not two, four or six legs,
+/// their places cannot be told, or a leg has no foot; it lists what was found.
 pub fn detect(
     model: &Model,
     joint_overrides: &BTreeMap<String, String>,
     foot_overrides: &BTreeMap<String, String>,
 ) -> Result<Roles, RobotError> {
-    let detector = Detector { model, pose: ZeroPose::new(model) };
-    let named_joints = detector.named_joints(joint_overrides)?;
-    let named_feet = detector.named_feet(foot_overrides)?;
-    let mut legs = detector.legs(&named_joints)?;
-    for (slot, joint) in named_joints.iter().enumerate() {
-        if let Some(joint) = joint {
-            legs[slot % 4][slot / 4] = *joint;
+    let pose = ZeroPose::new(model);
+    let named = Overrides { joints: named_joints(model, joint_overrides)?, feet: named_feet(model, foot_overrides)? };
+    refuse_shared_joints(&pose, named.joints.iter().map(|(slot, joint)| (*slot, *joint)))?;
+    let is_quadrupeds = |slot: &Slot| CORNERS.contains(&slot.place) && LEG_ROLES.contains(&slot.role);
+    let all_named = !model.joints.is_empty()
+        && (0..model.joints.len()).all(|joint| named.joints.values().any(|named| *named == joint));
+    let limbs =
+        if all_named && !named.joints.keys().all(is_quadrupeds) { Vec::new() } else { found_limbs(&pose, &named)? };
+    let limbs = with_named(&pose, number(limbs), &named)?;
+    let limbs = limbs.into_iter().map(|limb| finish(&pose, limb, &named)).collect::<Result<Vec<_>, _>>()?;
+    refuse_shared_joints(
+        &pose,
+        limbs.iter().flat_map(|limb| limb.joints.iter().map(|joint| (joint.slot, joint.joint))),
+    )?;
+    for place in named.feet.keys() {
+        if !limbs.iter().any(|limb| limb.kind == LimbKind::Leg && limb.place == *place) {
+            let legs: Vec<&str> =
+                limbs.iter().filter(|limb| limb.kind == LimbKind::Leg).map(|limb| limb.place.name()).collect();
+            let remedy = nearest_name(place.name(), legs.iter().copied());
+            return Err(option_error(model, "feet", place.name(), "is no leg of this robot", remedy));
         }
     }
-    detector.refuse_shared_joints(&legs)?;
-
-    let mut roles =
-        Roles { joint_of_slot: [0; 12], foot_body: [0; 4], foot_point: [DVec3::ZERO; 4], foot_radius: [0.0; 4] };
-    for (index, leg) in legs.iter().enumerate() {
-        for (role, joint) in leg.iter().enumerate() {
-            roles.joint_of_slot[4 * role + index] = *joint;
-        }
-        let foot = detector.foot(index, leg, named_feet[index])?;
-        roles.foot_body[index] = foot.body;
-        roles.foot_point[index] = foot.point;
-        roles.foot_radius[index] = foot.radius;
-    }
-    Ok(roles)
+    Ok(Roles::new(limbs))
 }
 
 /// The group of each of [`Model::bodies`].
 pub fn body_groups(model: &Model, roles: &Roles) -> Vec<BodyGroup> {
+    let mut own = vec![None; model.links.len()];
+    for limb in &roles.limbs {
+        let knee = limb.joints.iter().position(|joint| joint.slot.role.is_knee());
+        for (at, joint) in limb.joints.iter().enumerate() {
+            own[joint.joint + 1] = Some(match limb.kind {
+                LimbKind::Leg => match knee {
+                    Some(knee) if at + 1 < knee => BodyGroup::Hip,
+                    Some(knee) if at + 1 == knee => BodyGroup::Thigh,
+                    Some(_) => BodyGroup::Shank,
+                    None => BodyGroup::Thigh,
+                },
+                LimbKind::Arm => BodyGroup::Arm,
+                LimbKind::Torso => BodyGroup::Torso,
+                LimbKind::Head => BodyGroup::Head,
+                LimbKind::Tail => BodyGroup::Other,
+            });
+        }
+    }
     let group_of_link = |link: usize| {
         let above = |link: &usize| model.parent(*link);
-        for link in std::iter::successors(Some(link), above) {
-            if link == 0 {
-                break;
-            }
-            if let Some(slot) = roles.joint_of_slot.iter().position(|j| j + 1 == link) {
-                return [BodyGroup::Hip, BodyGroup::Thigh, BodyGroup::Shank][slot / 4];
-            }
-        }
-        BodyGroup::Other
+        let mut links = std::iter::successors(Some(link), above);
+        links.find_map(|link| own[link]).unwrap_or(BodyGroup::Other)
     };
     let bodies = model.bodies.iter().enumerate();
     bodies
@@ -120,167 +118,346 @@ pub fn body_groups(model: &Model, roles: &Roles) -> Vec<BodyGroup> {
         .collect()
 }
 
-struct Detector<'a> {
-    model: &'a Model,
-    pose: ZeroPose<'a>,
+/// A limb before its joints are numbered within their roles.
+struct RawLimb {
+    place: Place,
+    kind: LimbKind,
+    joints: Vec<(usize, Role)>,
 }
 
-impl Detector<'_> {
-    fn named_joints(&self, overrides: &BTreeMap<String, String>) -> Result<[Option<usize>; 12], RobotError> {
-        let mut named = [None; 12];
-        for (canonical, name) in overrides {
-            let slot = CANONICAL_JOINT_NAMES.iter().position(|n| n == canonical);
-            let slot = slot.ok_or_else(|| {
-                let remedy = nearest_name(canonical, CANONICAL_JOINT_NAMES);
-                self.option_error("joint_roles", canonical, "is no canonical joint", remedy)
-            })?;
-            let joint = self.model.joint_index(name).ok_or_else(|| {
-                let known = self.model.joints.iter().map(|joint| joint.name.as_str());
-                let problem = format!("names \"{name}\", which is no moving joint");
-                self.option_error("joint_roles", canonical, problem, nearest_name(name, known))
-            })?;
-            named[slot] = Some(joint);
-        }
-        Ok(named)
+fn named_joints(model: &Model, overrides: &BTreeMap<String, String>) -> Result<BTreeMap<Slot, usize>, RobotError> {
+    let mut named = BTreeMap::new();
+    for (canonical, name) in overrides {
+        let slot = Slot::parse(canonical).ok_or_else(|| {
+            let remedy = nearest_name(canonical, CANONICAL_JOINT_NAMES);
+            option_error(model, "joint_roles", canonical, "is no canonical joint", remedy)
+        })?;
+        let joint = model.joint_index(name).ok_or_else(|| {
+            let known = model.joints.iter().map(|joint| joint.name.as_str());
+            let problem = format!("names \"{name}\", which is no moving joint");
+            option_error(model, "joint_roles", canonical, problem, nearest_name(name, known))
+        })?;
+        named.insert(slot, joint);
     }
+    Ok(named)
+}
 
-    fn named_feet(&self, overrides: &BTreeMap<String, String>) -> Result<[Option<usize>; 4], RobotError> {
-        let mut named = [None; 4];
-        for (leg, name) in overrides {
-            let index = LEGS
-                .iter()
-                .position(|known| known == leg)
-                .ok_or_else(|| self.option_error("feet", leg, "is no leg", nearest_name(leg, LEGS)))?;
-            let bodies = &self.model.bodies;
-            let body = bodies.iter().position(|body| body.name == *name);
-            let body = body.ok_or_else(|| {
-                let known = bodies.iter().map(|body| body.name.as_str());
-                let problem = format!("names \"{name}\", which is no link with collision shapes");
-                self.option_error("feet", leg, problem, nearest_name(name, known))
-            })?;
-            named[index] = Some(body);
-        }
-        Ok(named)
+fn named_feet(model: &Model, overrides: &BTreeMap<String, String>) -> Result<BTreeMap<Place, usize>, RobotError> {
+    let mut named = BTreeMap::new();
+    for (leg, name) in overrides {
+        let is_leg = |place: &Place| place.side() != Side::Middle;
+        let known = || Place::ALL.into_iter().filter(is_leg).map(Place::name);
+        let place = Place::parse(leg).filter(is_leg).ok_or_else(|| {
+            option_error(model, "feet", leg, "is no leg", nearest_name(leg, known().collect::<Vec<_>>()))
+        })?;
+        let bodies = &model.bodies;
+        let body = bodies.iter().position(|body| body.name == *name);
+        let body = body.ok_or_else(|| {
+            let known = bodies.iter().map(|body| body.name.as_str());
+            let problem = format!("names \"{name}\", which is no link with collision shapes");
+            option_error(model, "feet", leg, problem, nearest_name(name, known))
+        })?;
+        named.insert(place, body);
     }
+    Ok(named)
+}
 
-    /// The joints of each of [`LEGS`].
-    fn legs(&self, named: &[Option<usize>; 12]) -> Result<[LegJoints; 4], RobotError> {
-        let mut legs: [Option<LegJoints>; 4] =
-            std::array::from_fn(|leg| Some([named[leg]?, named[leg + 4]?, named[leg + 8]?]));
-        let taken: Vec<usize> = legs.iter().flatten().flatten().copied().collect();
-        let mut chains = self.pose.chains();
-        chains.retain(|chain| !chain.iter().any(|joint| taken.contains(joint)));
-        let wanted = legs.iter().filter(|leg| leg.is_none()).count();
-        let found = self.pose.leg_candidates(&chains, wanted);
-        if found.len() != wanted {
-            let legs = found.len() + 4 - wanted;
-            return Err(self.roles_error(
+/// Limbs by geometry. A quadruped's joints that are named are taken into account; others are put in afterwards.
+fn found_limbs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<Vec<RawLimb>, RobotError> {
+    let chains = pose.limb_chains();
+    let mut legs = pose.grounded(&chains.limbs);
+    // what has no knee is no leg
+    legs.retain(|leg| {
+        let chain = &chains.limbs[*leg];
+        pose.biped_leg(&chain.joints).contains(&Role::Knee) || pose.points_away(&chain.joints, tip(pose, chain))
+    });
+    let feet: Vec<DVec3> = legs.iter().map(|leg| tip(pose, &chains.limbs[*leg])).collect();
+    let radial = |at: usize| pose.points_away(&chains.limbs[legs[at]].joints, feet[at]);
+    let is_quadruped = named.joints.keys().any(|slot| LEG_ROLES.contains(&slot.role) && CORNERS.contains(&slot.place));
+    let mut limbs = Vec::new();
+    let mut taken: BTreeSet<usize> = chains.torso.iter().copied().collect();
+    let places = match legs.len() {
+        2 if !is_quadruped => Some(sides(pose, &chains.limbs, &legs, &feet)?),
+        6 if !is_quadruped => Some(sides(pose, &chains.limbs, &legs, &feet)?),
+        4 if !is_quadruped && (0..4).all(radial) => Some(sides(pose, &chains.limbs, &legs, &feet)?),
+        _ => None,
+    };
+    let Some(places) = places else {
+        let corner_legs = quadruped::legs(pose, named)?;
+        let corner_slots = CORNERS.into_iter().zip(&corner_legs).flat_map(|(place, leg)| {
+            LEG_ROLES.into_iter().zip(leg).filter_map(move |(role, joint)| Some((Slot::new(place, role), (*joint)?)))
+        });
+        refuse_shared_joints(pose, corner_slots)?;
+        for (place, leg) in CORNERS.into_iter().zip(&corner_legs) {
+            let own = leg.iter().flatten().copied().collect::<Vec<usize>>();
+            let of_chain = chains.limbs.iter().find(|chain| leg[2].is_some_and(|knee| chain.joints.contains(&knee)));
+            let mut joints: Vec<usize> = of_chain.map(|chain| chain.joints.clone()).unwrap_or_default();
+            joints.retain(|joint| !corner_legs.iter().any(|other| other != leg && other.contains(&Some(*joint))));
+            joints.extend(own.iter().filter(|joint| !joints.contains(joint)).copied().collect::<Vec<_>>());
+            joints.sort_unstable();
+            let roles = pose.quadruped_leg(&joints, leg);
+            let mut joints: Vec<(usize, Role)> = joints.into_iter().zip(roles).collect();
+            joints.extend(of_chain.iter().flat_map(|chain| &chain.twigs).map(|joint| (*joint, Role::Toe)));
+            joints.retain(|(joint, _)| own.contains(joint) || taken.insert(*joint));
+            taken.extend(own);
+            limbs.push(RawLimb { place, kind: LimbKind::Leg, joints });
+        }
+        add_upper_limbs(pose, &chains.torso, &chains.limbs, &taken, &mut limbs);
+        return Ok(limbs);
+    };
+    for (at, place) in places.into_iter().enumerate() {
+        let chain = &chains.limbs[legs[at]];
+        let roles = match pose.lift_axis(&chain.joints, feet[at]) {
+            Some(lift) if legs.len() > 2 && radial(at) => pose.radial_leg(&chain.joints, lift),
+            _ if legs.len() > 2 => {
+                let known = pose.leg_candidates(std::slice::from_ref(&chain.joints), 1);
+                pose.quadruped_leg(&chain.joints, &known.first().copied().unwrap_or_default())
+            }
+            _ => pose.biped_leg(&chain.joints),
+        };
+        let mut joints: Vec<(usize, Role)> = chain.joints.iter().copied().zip(roles).collect();
+        joints.extend(chain.twigs.iter().map(|joint| (*joint, Role::Toe)));
+        taken.extend(joints.iter().map(|(joint, _)| *joint));
+        limbs.push(RawLimb { place, kind: LimbKind::Leg, joints });
+    }
+    add_upper_limbs(pose, &chains.torso, &chains.limbs, &taken, &mut limbs);
+    Ok(limbs)
+}
+
+/// Where a leg ends, in the base frame, m.
+fn tip(pose: &ZeroPose<'_>, chain: &LimbChain) -> DVec3 {
+    let foot = chain.joints.iter().rev().find_map(|joint| feet::find(pose, *joint, None));
+    match (foot, chain.joints.last()) {
+        (Some(foot), _) => pose.links[foot.link].transform_point(foot.point),
+        (None, Some(last)) => pose.position(*last),
+        (None, None) => DVec3::ZERO,
+    }
+}
+
+/// The places of two, four or six legs: as many on the left as on the right, from the front to the back.
+fn sides(pose: &ZeroPose<'_>, chains: &[LimbChain], legs: &[usize], feet: &[DVec3]) -> Result<Vec<Place>, RobotError> {
+    use Place::{Left, LeftFront, LeftHind, LeftMiddle, Right, RightFront, RightHind, RightMiddle};
+    let (left, right): (&[Place], &[Place]) = match legs.len() {
+        2 => (&[Left], &[Right]),
+        4 => (&[LeftFront, LeftHind], &[RightFront, RightHind]),
+        _ => (&[LeftFront, LeftMiddle, LeftHind], &[RightFront, RightMiddle, RightHind]),
+    };
+    let mean = feet.iter().sum::<DVec3>() / feet.len() as f64;
+    let spread = feet.iter().map(|foot| foot.distance(mean)).fold(0.0, f64::max);
+    let mut places = vec![Left; legs.len()];
+    for (side, names) in [(1.0, left), (-1.0, right)] {
+        let mut own: Vec<usize> = (0..legs.len()).filter(|at| side * (feet[*at].y - mean.y) > 0.02 * spread).collect();
+        own.sort_by(|a, b| feet[*b].x.total_cmp(&feet[*a].x));
+        if own.len() != names.len() {
+            let found: Vec<&[usize]> = legs.iter().map(|leg| &chains[*leg].joints[..]).collect();
+            return Err(roles_error(
+                pose,
                 "<robot>",
-                format!("{legs} legs were found instead of 4: {}", self.list(&chains)),
-                "name all joints of the legs in joint_roles, or lock the joints that are no legs'",
+                format!("there are not as many legs on the left as on the right: {}", list(pose, &found)),
+                "let the base frame have x forward and y left, or name all joints in joint_roles",
             ));
         }
+        for (at, place) in own.into_iter().zip(names) {
+            places[at] = *place;
+        }
+    }
+    Ok(places)
+}
 
-        let hip = |leg: &LegJoints| self.pose.position(leg[0]);
-        let foot = |leg: &LegJoints| match feet::find(&self.pose, leg[2], None) {
-            Some(foot) => self.pose.links[foot.link].transform_point(foot.point),
-            None => self.pose.position(leg[2]),
+/// Torso, arms, heads and tails.
+fn add_upper_limbs(
+    pose: &ZeroPose<'_>,
+    torso: &[usize],
+    chains: &[LimbChain],
+    taken: &BTreeSet<usize>,
+    limbs: &mut Vec<RawLimb>,
+) {
+    if !torso.is_empty() {
+        let joints = torso.iter().copied().zip(pose.middle_limb(torso)).collect();
+        limbs.push(RawLimb { place: Place::Torso, kind: LimbKind::Torso, joints });
+    }
+    let farthest = (0..pose.model.joints.len()).map(|joint| pose.position(joint).y.abs()).fold(0.0, f64::max);
+    for chain in chains {
+        let joints: Vec<usize> = chain.joints.iter().copied().filter(|joint| !taken.contains(joint)).collect();
+        let twigs = chain.twigs.iter().copied().filter(|joint| !taken.contains(joint));
+        let Some(&first) = joints.first() else {
+            continue;
         };
-        // Where the hips do not tell the corners apart, the feet may.
-        let corners = self.corners(&legs, &found, &hip).or_else(|| self.corners(&legs, &found, &foot));
-        let Some(corners) = corners else {
-            return Err(self.roles_error(
-                "<robot>",
-                format!("the legs are not one at each corner of the base: {}", self.list(&found)),
-                "let the base frame have x forward and y left, or name the joints in joint_roles",
+        let at = pose.position(first);
+        let (place, kind) = if at.y > 0.02 * farthest {
+            (Place::Left, LimbKind::Arm)
+        } else if at.y < -0.02 * farthest {
+            (Place::Right, LimbKind::Arm)
+        } else if joints.len() >= 3 {
+            (Place::Arm, LimbKind::Arm)
+        } else if at.x < 0.0 && at.z <= 0.1 {
+            (Place::Tail, LimbKind::Tail)
+        } else {
+            (Place::Head, LimbKind::Head)
+        };
+        let roles = if place.side() == Side::Middle { pose.middle_limb(&joints) } else { pose.arm(&joints) };
+        let mut joints: Vec<(usize, Role)> = joints.into_iter().zip(roles).collect();
+        let of_twig = |joint: usize| match kind {
+            LimbKind::Arm => (joint, Role::Finger),
+            _ => (joint, pose.middle_limb(&[joint])[0]),
+        };
+        joints.extend(twigs.map(of_twig));
+        limbs.push(RawLimb { place, kind, joints });
+    }
+}
+
+/// Numbers the joints of each role and place.
+fn number(limbs: Vec<RawLimb>) -> Vec<Limb> {
+    let mut next: BTreeMap<(Place, Role), u8> = BTreeMap::new();
+    let limbs = limbs.into_iter().map(|RawLimb { place, kind, joints }| {
+        let joints = joints.into_iter().map(|(joint, role)| {
+            let nth = next.entry((place, role)).or_default();
+            let slot = Slot { role, nth: *nth, place };
+            *nth = nth.saturating_add(1);
+            LimbJoint { joint, slot, sign: 1.0 }
+        });
+        Limb { place, kind, joints: joints.collect(), foot: None }
+    });
+    limbs.collect()
+}
+
+/// The limbs with the joints that are named in the slots that they are named for.
+fn with_named(pose: &ZeroPose<'_>, mut limbs: Vec<Limb>, named: &Overrides) -> Result<Vec<Limb>, RobotError> {
+    let is_named = |joint: usize| named.joints.values().any(|named| *named == joint);
+    for limb in &mut limbs {
+        limb.joints.retain(|joint| !is_named(joint.joint));
+    }
+    for (&slot, &joint) in &named.joints {
+        let kind = kind_of(slot);
+        if let Some(other) = limbs.iter().flat_map(|limb| &limb.joints).find(|other| other.slot == slot) {
+            return Err(roles_error(
+                pose,
+                format!("joint \"{}\"", pose.model.joints[joint].name),
+                format!("and {} are both {slot}", pose.model.joints[other.joint].name),
+                "give each of them its own canonical joint in joint_roles, or lock one",
             ));
-        };
-        for (leg, corner) in found.iter().zip(corners) {
-            legs[corner] = Some(*leg);
         }
-        // `corners` fills every gap exactly once.
-        Ok(legs.map(Option::unwrap_or_default))
-    }
-
-    /// The index in [`LEGS`] of each found leg, by where `point` lies among all legs; `None` when
-    /// two legs share a corner or one lies on a middle line.
-    fn corners(
-        &self,
-        named: &[Option<LegJoints>; 4],
-        found: &[LegJoints],
-        point: &dyn Fn(&LegJoints) -> DVec3,
-    ) -> Option<Vec<usize>> {
-        let all: Vec<DVec3> = named.iter().flatten().chain(found).map(point).collect();
-        let mean = all.iter().sum::<DVec3>() / all.len() as f64;
-        let spread = all.iter().map(|p| p.distance(mean)).fold(0.0, f64::max);
-        let mut free = named.map(|leg| leg.is_none());
-        let mut corners = Vec::with_capacity(found.len());
-        for leg in found {
-            let offset = point(leg) - mean;
-            if offset.x.abs().min(offset.y.abs()) <= 0.02 * spread {
-                return None;
-            }
-            let corner = 2 * usize::from(offset.y < 0.0) + usize::from(offset.x < 0.0);
-            if !std::mem::take(&mut free[corner]) {
-                return None;
-            }
-            corners.push(corner);
+        let joint = LimbJoint { joint, slot, sign: 1.0 };
+        match limbs.iter_mut().find(|limb| limb.place == slot.place && limb.kind == kind) {
+            Some(limb) => limb.joints.push(joint),
+            None => limbs.push(Limb { place: slot.place, kind, joints: vec![joint], foot: None }),
         }
-        Some(corners)
     }
+    limbs.retain(|limb| !limb.joints.is_empty());
+    for limb in &mut limbs {
+        // a parent's index is below its children's
+        limb.joints.sort_by_key(|joint| (matches!(joint.slot.role, Role::Toe | Role::Finger), joint.joint));
+    }
+    Ok(limbs)
+}
 
-    fn refuse_shared_joints(&self, legs: &[LegJoints; 4]) -> Result<(), RobotError> {
-        let mut slot_of: BTreeMap<usize, &str> = BTreeMap::new();
-        for (slot, canonical) in CANONICAL_JOINT_NAMES.into_iter().enumerate() {
-            let joint = legs[slot % 4][slot / 4];
-            if let Some(other) = slot_of.insert(joint, canonical) {
-                return Err(self.roles_error(
-                    format!("joint \"{}\"", self.model.joints[joint].name),
-                    format!("is both {other} and {canonical}"),
-                    "give each canonical joint its own joint in joint_roles",
-                ));
-            }
+fn kind_of(slot: Slot) -> LimbKind {
+    match (slot.place, slot.role) {
+        (Place::Torso, _) => LimbKind::Torso,
+        (Place::Head, _) => LimbKind::Head,
+        (Place::Tail, _) => LimbKind::Tail,
+        (Place::Arm, _) => LimbKind::Arm,
+        (
+            _,
+            Role::ShoulderPitch
+            | Role::ShoulderRoll
+            | Role::ShoulderYaw
+            | Role::Elbow
+            | Role::WristRoll
+            | Role::WristPitch
+            | Role::WristYaw
+            | Role::Finger,
+        ) => LimbKind::Arm,
+        _ => LimbKind::Leg,
+    }
+}
+
+/// The limb with its foot and the signs of its joints.
+fn finish(pose: &ZeroPose<'_>, mut limb: Limb, named: &Overrides) -> Result<Limb, RobotError> {
+    let chain: Vec<usize> = limb.joints.iter().map(|joint| joint.joint).collect();
+    if limb.kind == LimbKind::Leg {
+        limb.foot = Some(foot(pose, &limb, named.feet.get(&limb.place).copied())?);
+    }
+    let lifts = limb.joints.iter().any(|joint| joint.slot.role == Role::HipLift);
+    let lift = limb.foot.filter(|_| lifts).and_then(|foot| {
+        let link = &pose.links[pose.model.bodies[foot.body].link];
+        pose.lift_axis(&chain, link.transform_point(foot.point))
+    });
+    for joint in &mut limb.joints {
+        joint.sign = pose.sign(joint.joint, joint.slot.role, &chain, lift);
+    }
+    Ok(limb)
+}
+
+fn foot(pose: &ZeroPose<'_>, limb: &Limb, named: Option<usize>) -> Result<Foot, RobotError> {
+    let model = pose.model;
+    let (place, first) = (limb.place.name(), limb.joints[0].joint);
+    if let Some(body) = named
+        && !pose.is_below(model.bodies[body].link, first)
+    {
+        let problem = format!("\"{}\" is not on this leg", model.bodies[body].name);
+        return Err(option_error(model, "feet", place, problem, "name a body of the leg".to_string()));
+    }
+    let knee = limb.joints.iter().find(|joint| joint.slot.role == Role::Kfe).map(|joint| joint.joint);
+    let chain = limb.joints.iter().rev().filter(|joint| joint.slot.role != Role::Toe).map(|joint| joint.joint);
+    let found = match knee {
+        Some(knee) => feet::find(pose, knee, named),
+        None => chain.clone().find_map(|joint| feet::find(pose, joint, named)),
+    };
+    let Some(found) = found else {
+        let last = knee.or_else(|| chain.clone().next()).unwrap_or(first);
+        let shank = named.map_or_else(|| &model.links[last + 1].name, |body| &model.bodies[body].name);
+        return Err(roles_error(
+            pose,
+            format!("link \"{shank}\""),
+            format!("leg {place} has no collision shape for a foot there"),
+            "add a <collision> with a <sphere>, or name the foot's link in feet",
+        ));
+    };
+    // a sole is more than the point that is farthest from the knee
+    let sole = if knee.is_some() { None } else { feet::sole(pose, found.body) };
+    let (point, radius) = sole.unwrap_or((found.point, found.radius));
+    Ok(Foot { body: found.body, point, radius })
+}
+
+fn refuse_shared_joints(pose: &ZeroPose<'_>, slots: impl Iterator<Item = (Slot, usize)>) -> Result<(), RobotError> {
+    let mut all: Vec<(Slot, usize)> = slots.collect();
+    all.sort_unstable();
+    let mut slot_of: BTreeMap<usize, Slot> = BTreeMap::new();
+    for (slot, joint) in all {
+        if let Some(other) = slot_of.insert(joint, slot) {
+            return Err(roles_error(
+                pose,
+                format!("joint \"{}\"", pose.model.joints[joint].name),
+                format!("is both {other} and {slot}"),
+                "give each canonical joint its own joint in joint_roles",
+            ));
         }
-        Ok(())
     }
+    Ok(())
+}
 
-    fn foot(&self, leg: usize, joints: &LegJoints, named: Option<usize>) -> Result<Foot, RobotError> {
-        if let Some(body) = named
-            && !self.pose.is_below(self.model.bodies[body].link, joints[0])
-        {
-            let problem = format!("\"{}\" is not on this leg", self.model.bodies[body].name);
-            let remedy = "name a body of the leg".to_string();
-            return Err(self.option_error("feet", LEGS[leg], problem, remedy));
-        }
-        feet::find(&self.pose, joints[2], named).ok_or_else(|| {
-            let shank =
-                named.map_or_else(|| &self.model.links[joints[2] + 1].name, |body| &self.model.bodies[body].name);
-            self.roles_error(
-                format!("link \"{shank}\""),
-                format!("leg {} has no collision shape for a foot there", LEGS[leg]),
-                "add a <collision> with a <sphere>, or name the foot's link in feet",
-            )
-        })
+pub(super) fn list<C: AsRef<[usize]>>(pose: &ZeroPose<'_>, chains: &[C]) -> String {
+    if chains.is_empty() {
+        return "it has no chains of moving joints".to_string();
     }
+    let mut listed: Vec<String> = chains.iter().take(LISTED).map(|chain| pose.describe(chain.as_ref())).collect();
+    if chains.len() > LISTED {
+        listed.push(format!("and {} more", chains.len() - LISTED));
+    }
+    listed.join(", ")
+}
 
-    fn list<C: AsRef<[usize]>>(&self, chains: &[C]) -> String {
-        if chains.is_empty() {
-            return "it has no chains of moving joints".to_string();
-        }
-        let mut listed: Vec<String> =
-            chains.iter().take(LISTED).map(|chain| self.pose.describe(chain.as_ref())).collect();
-        if chains.len() > LISTED {
-            listed.push(format!("and {} more", chains.len() - LISTED));
-        }
-        listed.join(", ")
-    }
+fn option_error(model: &Model, table: &str, key: &str, problem: impl Into<String>, remedy: String) -> RobotError {
+    let element = format!("{table}.{key}");
+    RobotError::Options(Diagnosis::new(&model.source, element, problem, remedy))
+}
 
-    fn option_error(&self, table: &str, key: &str, problem: impl Into<String>, remedy: String) -> RobotError {
-        let element = format!("{table}.{key}");
-        RobotError::Options(Diagnosis::new(&self.model.source, element, problem, remedy))
-    }
-
-    fn roles_error(&self, element: impl Into<String>, problem: String, remedy: &str) -> RobotError {
-        RobotError::Roles(Diagnosis::new(&self.model.source, element, problem, remedy))
-    }
+pub(super) fn roles_error(
+    pose: &ZeroPose<'_>,
+    element: impl Into<String>,
+    problem: String,
+    remedy: &str,
+) -> RobotError {
+    RobotError::Roles(Diagnosis::new(&pose.model.source, element, problem, remedy))
 }

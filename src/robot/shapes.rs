@@ -43,7 +43,7 @@ pub(super) fn bodies(
             }
             match geometry(&collision.geometry, file, options, &mut warn) {
                 Ok(geometry) => shapes.push(Shape { geometry, origin }),
-                Err((problem, remedy)) => warn((format!("{problem}; the shape is left out"), remedy)),
+                Err((problem, remedy)) => warn((format!("{problem}{LEFT_OUT}"), remedy)),
             }
         }
         if !shapes.is_empty() {
@@ -52,6 +52,9 @@ pub(super) fn bodies(
     }
     bodies
 }
+
+/// Ends the problem of a warning about a shape that is not there.
+pub(super) const LEFT_OUT: &str = "; the shape is left out";
 
 /// Problem and remedy.
 type Remark = (String, String);

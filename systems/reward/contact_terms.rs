@@ -14,23 +14,29 @@ use crate::systems::view::RobotView;
 /// A group of contact bodies, as configs name it.
 #[derive(Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
-enum Group {
+pub(in crate::systems) enum Group {
     Base,
+    Torso,
     Hip,
     Thigh,
     Shank,
     Foot,
+    Arm,
+    Head,
 }
 
 impl Group {
     #[inline(always)]
-    fn holds(self, group: BodyGroup) -> bool {
+    pub(in crate::systems) fn holds(self, group: BodyGroup) -> bool {
         let own = match self {
             Group::Base => BodyGroup::Base,
+            Group::Torso => BodyGroup::Torso,
             Group::Hip => BodyGroup::Hip,
             Group::Thigh => BodyGroup::Thigh,
             Group::Shank => BodyGroup::Shank,
             Group::Foot => BodyGroup::Foot,
+            Group::Arm => BodyGroup::Arm,
+            Group::Head => BodyGroup::Head,
         };
         own == group
     }
@@ -45,10 +51,10 @@ struct AirTimeThreshold {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct BodiesInContact {
+pub(in crate::systems) struct BodiesInContact {
     /// Normal force that counts, N.
-    threshold: f32,
-    bodies: Vec<Group>,
+    pub(in crate::systems) threshold: f32,
+    pub(in crate::systems) bodies: Vec<Group>,
 }
 
 #[derive(Deserialize)]
@@ -164,10 +170,10 @@ fn foot_slip(p: &Force, r: &RobotView) -> f32 {
     feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
 }
 
-/// Diagonal feet together, the two diagonals in turn. Feet are in the order LF, LH, RF, RH.
+/// Diagonal feet together, the two diagonals in turn, of robots with four feet in the order LF, LH, RF, RH; 0 for others.
 #[inline(always)]
 fn gait(p: &Gait, r: &RobotView) -> f32 {
-    if !is_moving(r, p.velocity_threshold) {
+    if r.contacts.air_time.len() != 4 || !is_moving(r, p.velocity_threshold) {
         return 0.0;
     }
     let (air, contact) = (&r.contacts.air_time, &r.contacts.contact_time);

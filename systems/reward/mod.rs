@@ -1,7 +1,11 @@
 //! Rewards: the weighted sum of the terms of each robot's own reward set.
 
 mod contact_terms;
+mod gait_terms;
+mod joint_terms;
 mod motion_terms;
+
+pub(super) use contact_terms::BodiesInContact;
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -68,7 +72,9 @@ pub(super) fn compute_rewards(
 /// All built-in reward terms, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {
     motion_terms::register(registry);
+    joint_terms::register(registry);
     contact_terms::register(registry);
+    gait_terms::register(registry);
 }
 
 /// Sum of squares.

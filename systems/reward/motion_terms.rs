@@ -6,6 +6,7 @@ use serde::Deserialize;
 
 use super::{norm, sum_of_squares};
 use crate::dynamics::elementary::exp;
+use crate::morphology::MorphologyModel;
 use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
 
@@ -28,6 +29,13 @@ struct RampedStd {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
+struct Height {
+    /// Height of the base that is asked for, m. Default: that of the robot's default pose.
+    target_height: Option<f32>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct StandStill {
     /// Factor while the robot is to stand and stands.
     stand_still_scale: f32,
@@ -40,13 +48,10 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("track_ang_vel_z_exp", track_ang_vel_z_exp);
     registry.reward("lin_vel_z_l2", |_: &NoParams, r| r.imu.linear_velocity[2] * r.imu.linear_velocity[2]);
     registry.reward("ang_vel_xy_l2", |_: &NoParams, r| sum_of_squares(&r.imu.angular_velocity[..2]));
-    registry.reward("dof_torques_l2", |_: &NoParams, r| sum_of_squares(&r.effort.applied));
-    registry.reward("dof_acc_l2", |_: &NoParams, r| sum_of_squares(&r.effort.acceleration));
-    registry.reward("action_rate_l2", |_: &NoParams, r| action_change(r));
     registry.reward("flat_orientation_l2", |_: &NoParams, r| sum_of_squares(&r.imu.projected_gravity[..2]));
     registry.reward("base_angular_velocity", base_angular_velocity);
     registry.reward("base_linear_velocity", base_linear_velocity);
-    registry.reward("action_smoothness", |_: &NoParams, r| action_change(r).sqrt());
+    registry.reward_for("base_height_l2", base_height, base_height_l2);
     registry.reward("base_motion", base_motion);
     registry.reward("base_orientation", |_: &NoParams, r| norm(&r.imu.projected_gravity[..2]));
     registry.reward("joint_acc", |_: &NoParams, r| norm(&r.effort.acceleration));
@@ -60,12 +65,6 @@ pub(super) fn register(registry: &mut Registry) {
 #[inline(always)]
 fn velocity_error(r: &RobotView) -> [f32; 2] {
     [r.command[0] - r.imu.linear_velocity[0], r.command[1] - r.imu.linear_velocity[1]]
-}
-
-#[inline(always)]
-fn action_change(r: &RobotView) -> f32 {
-    let pairs = r.action.current.iter().zip(&r.action.previous);
-    pairs.fold(0.0, |sum: f32, (a, b)| (a - b).mul_add(a - b, sum))
 }
 
 /// Whether the robot is told to move or moves faster than `threshold`, m/s.
@@ -100,6 +99,17 @@ fn base_linear_velocity(p: &RampedStd, r: &RobotView) -> f32 {
 fn base_motion(_: &NoParams, r: &RobotView) -> f32 {
     let (v, w) = (&r.imu.linear_velocity, &r.imu.angular_velocity);
     0.8 * v[2] * v[2] + 0.2 * (w[0].abs() + w[1].abs())
+}
+
+fn base_height(p: Height, robot: &MorphologyModel) -> Result<f32, (String, String, String)> {
+    let default = robot.stance.spawn_height - robot.config.reset.spawn_margin as f32;
+    Ok(p.target_height.unwrap_or(default))
+}
+
+#[inline(always)]
+fn base_height_l2(target: &f32, r: &RobotView) -> f32 {
+    let error = r.base_height() - target;
+    error * error
 }
 
 #[inline(always)]

@@ -3,7 +3,7 @@
 use smallvec::smallvec;
 
 use super::{SensedRobot, Sensor};
-use crate::components::{ContactForces, ContactSensor, FORCE_HISTORY, PerFoot};
+use crate::components::{ContactForces, ContactSensor, FORCE_HISTORY};
 use crate::config::TaskConfig;
 use crate::morphology::MorphologyModel;
 
@@ -18,7 +18,14 @@ impl Sensor for ContactSensor {
     }
 
     fn new((): &(), morphology: &MorphologyModel) -> Self {
-        Self { peak_force: smallvec![0.0; morphology.topology.num_bodies], ..Self::default() }
+        let times = || smallvec![0.0; morphology.feet.len()];
+        Self {
+            peak_force: smallvec![0.0; morphology.topology.num_bodies],
+            contact_time: times(),
+            air_time: times(),
+            last_contact_time: times(),
+            last_air_time: times(),
+        }
     }
 
     #[inline(always)]
@@ -27,43 +34,75 @@ impl Sensor for ContactSensor {
     }
 
     fn begin(&mut self, (): &(), _: &SensedRobot) {
-        let mut peak_force = std::mem::take(&mut self.peak_force);
-        peak_force.fill(0.0);
-        *self = Self { peak_force, ..Self::default() };
+        self.peak_force.fill(0.0);
+        for times in [&mut self.contact_time, &mut self.air_time, &mut self.last_contact_time, &mut self.last_air_time]
+        {
+            times.fill(0.0);
+        }
     }
 }
 
 impl ContactSensor {
     /// The forces of a control step; `feet` are the contact bodies that are feet.
     #[inline(always)]
-    fn read(&mut self, forces: &ContactForces, feet: &PerFoot<usize>, dt: f32) {
+    fn read(&mut self, forces: &ContactForces, feet: &[usize], dt: f32) {
         let larger = |x: f32, other: f32| if other > x { other } else { x };
-        let mut peaks = PerFoot::default();
-        let steps = &forces.feet_normal[..];
-        for normal in &steps[steps.len().saturating_sub(FORCE_HISTORY)..] {
-            for (peak, normal) in peaks.iter_mut().zip(normal) {
-                *peak = larger(*peak, *normal);
-            }
-        }
+        let steps = forces.feet_normal.chunks_exact(feet.len().max(1));
         self.peak_force.fill(0.0);
-        for (&body, peak) in feet.iter().zip(peaks) {
-            self.peak_force[body] = peak;
+        for normal in steps.clone().skip(steps.len().saturating_sub(FORCE_HISTORY)) {
+            for (&body, normal) in feet.iter().zip(normal) {
+                self.peak_force[body] = larger(self.peak_force[body], *normal);
+            }
         }
         for force in &forces.others {
             self.peak_force[force.body as usize] = force.normal.into_iter().fold(0.0, larger);
         }
-        let Self { contact_time: contact, air_time: air, last_contact_time, last_air_time, .. } = self;
-        for normal in steps {
-            // by selection: which foot stands when is hard to foresee
-            for foot in 0..normal.len() {
-                let stands = normal[foot] > FORCE_THRESHOLD;
-                let (longer_contact, longer_air) = (contact[foot] + dt, air[foot] + dt);
-                last_air_time[foot] = if stands & (air[foot] > 0.0) { longer_air } else { last_air_time[foot] };
-                last_contact_time[foot] =
-                    if !stands & (contact[foot] > 0.0) { longer_contact } else { last_contact_time[foot] };
-                contact[foot] = if stands { longer_contact } else { 0.0 };
-                air[foot] = if stands { 0.0 } else { longer_air };
+        let Self { contact_time, air_time, last_contact_time, last_air_time, .. } = self;
+        let times = [&mut contact_time[..], &mut air_time[..], &mut last_contact_time[..], &mut last_air_time[..]];
+        count_times(times, &forces.feet_normal, dt);
+    }
+}
+
+/// Advances contact, air, last contact and last air times of the feet by physics steps of `dt`, with these normal forces,
+/// `[steps, feet]`. Four feet, those of most robots, are counted side by side.
+#[inline(always)]
+fn count_times(times: [&mut [f32]; 4], normal: &[f32], dt: f32) {
+    let [contact, air, last_contact, last_air] = times;
+    let feet = contact.len();
+    if let (Ok(contact), Ok(air), Ok(last_contact), Ok(last_air)) = (
+        <&mut [f32; 4]>::try_from(&mut *contact),
+        <&mut [f32; 4]>::try_from(&mut *air),
+        <&mut [f32; 4]>::try_from(&mut *last_contact),
+        <&mut [f32; 4]>::try_from(&mut *last_air),
+    ) {
+        let mut own = [*contact, *air, *last_contact, *last_air];
+        for normal in normal.as_chunks::<4>().0 {
+            let [contact, air, last_contact, last_air] = &mut own;
+            for foot in 0..4 {
+                count(
+                    [&mut contact[foot], &mut air[foot], &mut last_contact[foot], &mut last_air[foot]],
+                    normal[foot],
+                    dt,
+                );
             }
         }
+        [*contact, *air, *last_contact, *last_air] = own;
+        return;
     }
+    for normal in normal.chunks_exact(feet.max(1)) {
+        for foot in 0..feet {
+            count([&mut contact[foot], &mut air[foot], &mut last_contact[foot], &mut last_air[foot]], normal[foot], dt);
+        }
+    }
+}
+
+/// A physics step of one foot, by selection: which foot stands when is hard to foresee.
+#[inline(always)]
+fn count([contact, air, last_contact, last_air]: [&mut f32; 4], normal: f32, dt: f32) {
+    let stands = normal > FORCE_THRESHOLD;
+    let (longer_contact, longer_air) = (*contact + dt, *air + dt);
+    *last_air = if stands & (*air > 0.0) { longer_air } else { *last_air };
+    *last_contact = if !stands & (*contact > 0.0) { longer_contact } else { *last_contact };
+    *contact = if stands { longer_contact } else { 0.0 };
+    *air = if stands { 0.0 } else { longer_air };
 }

@@ -7,6 +7,7 @@ mod contact;
 mod feet;
 mod height_scan;
 mod imu;
+pub(super) mod joint_descriptors;
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::component::Mutable;
@@ -18,7 +19,7 @@ use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, faults, for_both, keep_row_order, saved};
 use crate::components::{
     BasePose, BaseVelocity, Body, ContactForces, ContactSensor, Env, EnvId, EnvOrigin, Episode, HeightScan, Imu,
-    JointState, Morphology, MountedOn, Robot,
+    JointDescriptors, JointState, Morphology, MountedOn, Robot, Stance,
 };
 use crate::config::TaskConfig;
 use crate::dynamics::Parameters;
@@ -47,6 +48,8 @@ pub struct SensedRobot<'a> {
     pub forces: &'a ContactForces,
     /// The robot's own numbers.
     pub body: &'a Parameters<f32>,
+    /// Default pose and action scale of this body.
+    pub stance: &'a Stance,
     /// What the robots stand on.
     pub ground: &'a Ground,
     /// Length of a physics step, s.
@@ -74,6 +77,11 @@ pub trait Sensor: saved::Saved + RowKind + Component<Mutability = Mutable> {
     /// Begins a new episode. Default: measures.
     #[inline(always)]
     fn begin(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
+        self.measure(settings, robot);
+    }
+    /// Measures after a snapshot was restored that does not hold the sensor. Default: measures.
+    #[inline(always)]
+    fn renew(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
         self.measure(settings, robot);
     }
 }
@@ -124,6 +132,7 @@ type SensedColumns = (
     &'static JointState,
     &'static ContactForces,
     &'static Body,
+    &'static Stance,
 );
 
 /// System parameter: what measuring on all robots takes.
@@ -141,19 +150,20 @@ struct Sensing<'w, 's, S: Sensor> {
 
 impl<S: Sensor> Sensing<'_, '_, S> {
     /// Measures on all robots, or begins the episodes of those that have just been reset.
-    fn run(&mut self, begins: bool) -> Result<(), Error> {
+    fn run(&mut self, occasion: Occasion) -> Result<(), Error> {
         let (origins, episodes) = self.envs.read()?;
-        if begins && !episodes.iter().any(|episode| episode.fresh) {
+        if occasion == Occasion::Begin && !episodes.iter().any(|episode| episode.fresh) {
             return Ok(());
         }
-        let (tags, poses, velocities, joints, forces, bodies) = self.robots.read()?;
-        let rows = (tags, (poses, velocities, joints), (forces, bodies), (origins, episodes), self.sensors.write()?);
+        let (tags, poses, velocities, joints, forces, bodies, stances) = self.robots.read()?;
+        let rows =
+            (tags, (poses, velocities, joints), (forces, bodies, stances), (origins, episodes), self.sensors.write()?);
         let common = Common {
             morphologies: &self.morphologies,
             ground: &self.ground,
             settings: &self.settings.0,
             dt: self.task.config.sim.dt,
-            begins,
+            occasion,
         };
         self.workers.vectorize_chunks(rows, tags.len(), |_, _, rows| SensorRows { common, rows });
         Ok(())
@@ -162,20 +172,35 @@ impl<S: Sensor> Sensing<'_, '_, S> {
 
 /// Measures on all robots.
 fn measure_all<S: Sensor>(mut sensing: Sensing<S>) -> Result {
-    Ok(sensing.run(false)?)
+    Ok(sensing.run(Occasion::Measure)?)
+}
+
+fn renew_all<S: Sensor>(mut sensing: Sensing<S>) -> Result {
+    Ok(sensing.run(Occasion::Renew)?)
 }
 
 /// Measures on all robots, where the task has such sensors; after a snapshot was restored.
 fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
     if world.contains_resource::<SensorSettings<S>>() {
-        faults::outcome::<(), ()>(world.run_system_cached(measure_all::<S>))?;
+        faults::outcome::<(), ()>(world.run_system_cached(renew_all::<S>))?;
     }
     Ok(())
 }
 
 /// Begins the episodes of the robots that have just been reset.
 fn begin_episodes<S: Sensor>(mut sensing: Sensing<S>) -> Result {
-    Ok(sensing.run(true)?)
+    Ok(sensing.run(Occasion::Begin)?)
+}
+
+/// Why sensors are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Occasion {
+    /// After the physics of a control step.
+    Measure,
+    /// Robots whose episode has just begun, which begin it.
+    Begin,
+    /// After a snapshot was restored.
+    Renew,
 }
 
 /// What all rows have in common.
@@ -184,8 +209,7 @@ struct Common<'a, S: Sensor> {
     ground: &'a Ground,
     settings: &'a S::Settings,
     dt: f64,
-    /// Only the robots whose episode has just begun, which begin it.
-    begins: bool,
+    occasion: Occasion,
 }
 
 impl<S: Sensor> Clone for Common<'_, S> {
@@ -199,7 +223,7 @@ impl<S: Sensor> Copy for Common<'_, S> {}
 type Columns<'a, S> = (
     &'a [Morphology],
     (&'a [BasePose], &'a [BaseVelocity], &'a [JointState]),
-    (&'a [ContactForces], &'a [Body]),
+    (&'a [ContactForces], &'a [Body], &'a [Stance]),
     (&'a [EnvOrigin], &'a [Episode]),
     &'a mut [S],
 );
@@ -214,8 +238,8 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { common: Common { morphologies, ground, settings, dt, begins }, rows } = self;
-        let (tags, (poses, velocities, joints), (forces, bodies), (origins, episodes), sensors) = rows;
+        let Self { common: Common { morphologies, ground, settings, dt, occasion }, rows } = self;
+        let (tags, (poses, velocities, joints), (forces, bodies, stances), (origins, episodes), sensors) = rows;
         let order = if S::READS_TERRAIN { ground.order_of_tiles(origins) } else { None };
         for k in 0..tags.len() {
             let row = order.as_ref().map_or(k, |order| order[k] as usize);
@@ -227,13 +251,15 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
                 joints: &joints[row],
                 forces: &forces[row],
                 body: &bodies[row].0,
+                stance: &stances[row],
                 ground,
                 dt: dt as f32,
             };
-            if !begins {
-                sensors[row].measure(settings, &robot);
-            } else if episodes[row].fresh {
-                sensors[row].begin(settings, &robot);
+            match occasion {
+                Occasion::Measure => sensors[row].measure(settings, &robot),
+                Occasion::Begin if episodes[row].fresh => sensors[row].begin(settings, &robot),
+                Occasion::Begin => {}
+                Occasion::Renew => sensors[row].renew(settings, &robot),
             }
         }
     }
@@ -248,6 +274,7 @@ impl Plugin for SensePlugin {
         add_sensor::<ContactSensor>(app);
         add_sensor::<Imu>(app);
         add_sensor::<HeightScan>(app);
+        add_sensor::<JointDescriptors>(app);
         app.add_systems(ControlStep, feet::measure_feet.in_set(PipelineSet::Sense));
     }
 }

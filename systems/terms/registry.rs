@@ -12,12 +12,15 @@ use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
 use crate::config::{ConfigError, TaskConfig, parse_params};
 use crate::dynamics::lanes::{Kernel, SimdDispatch};
+use crate::morphology::MorphologyModel;
 
 /// The parameters of a term that has none.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct NoParams {}
 
+/// Makes a reward term of its parameters for a robot.
+type RewardBuilder = Box<dyn Fn(&str, &str, &Table, &MorphologyModel) -> Result<RewardFn, ConfigError> + Send + Sync>;
 type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
 pub(super) type RewardFn = Box<dyn Fn(&RobotView, SimdDispatch) -> f32 + Send + Sync>;
 /// Writes an observation; none where a system of its own does so, see [`add_observation`](super::super::add_observation).
@@ -26,13 +29,14 @@ pub(super) type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + 
 pub(super) type BodyFn = Box<dyn Fn(&mut NewBody, &mut EnvRng) + Send + Sync>;
 pub(super) type ResetFn = Box<dyn Fn(&mut NewState, &mut EnvRng) + Send + Sync>;
 pub(super) type CurriculumFn = Box<dyn Fn(&mut EpisodeEnd, &mut EnvRng) + Send + Sync>;
-pub(super) type SizeFn = Box<dyn Fn(&TaskConfig) -> Result<usize, (String, String)> + Send + Sync>;
+/// Numbers of a term in a task and a batch of so many joints.
+pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, usize) -> Result<usize, (String, String)> + Send + Sync>;
 pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
 /// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the app.
 #[derive(Resource, Default)]
 pub struct Registry {
-    pub(super) rewards: BTreeMap<&'static str, Builder<RewardFn>>,
+    pub(super) rewards: BTreeMap<&'static str, RewardBuilder>,
     pub(super) observations: BTreeMap<&'static str, RegisteredObservation>,
     pub(super) terminations: BTreeMap<&'static str, (bool, Builder<TerminationFn>)>,
     pub(super) body: Events<BodyFn>,
@@ -64,8 +68,25 @@ impl Registry {
     where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        let build: Builder<RewardFn> = Box::new(move |file, element, table| {
+        self.reward_for(name, |p: P, _| Ok(p), f);
+    }
+
+    /// A reward term that is prepared for each kind of robot: `prepare` makes of the task's parameters what the term computes with,
+    /// such as the joints that patterns name; or it gives key, problem and remedy.
+    pub fn reward_for<P, Q>(
+        &mut self,
+        name: &'static str,
+        prepare: fn(P, &MorphologyModel) -> Result<Q, (String, String, String)>,
+        f: impl Fn(&Q, &RobotView) -> f32 + Copy + Send + Sync + 'static,
+    ) where
+        P: DeserializeOwned + 'static,
+        Q: Send + Sync + 'static,
+    {
+        let build: RewardBuilder = Box::new(move |file, element, table, robot| {
             let p: P = parse_params(file, element, table)?;
+            let p = prepare(p, robot).map_err(|(key, problem, remedy)| {
+                ConfigError::invalid(file, format!("{element}.{key}"), problem, remedy)
+            })?;
             Ok(Box::new(move |view: &RobotView, simd: SimdDispatch| simd.vectorize(Reward { f: &f, p: &p, view })))
         });
         self.rewards.insert(name, build);
@@ -77,6 +98,26 @@ impl Registry {
         P: DeserializeOwned + Send + Sync + 'static,
     {
         self.observation_of(name, move |_| Ok(size), spec, |_| 0.0, f);
+    }
+
+    /// An observation term of `count` numbers for each joint. It is handed the robot's own joints, in the order of
+    /// [`MorphologyModel::slots`](crate::morphology::MorphologyModel::slots): all joints' first number, then their next.
+    pub fn joint_observation<P>(
+        &mut self,
+        name: &'static str,
+        count: usize,
+        spec: TermSpec,
+        f: fn(&P, &RobotView, &mut [f32]),
+    ) where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
+            let p: P = parse_params(file, element, table)?;
+            let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
+            Ok(BuiltObservation { offset: 0.0, write })
+        });
+        let size: SizeFn = Box::new(move |_, joints| Ok(count * joints));
+        self.observations.insert(name, RegisteredObservation { spec, size, build });
     }
 
     /// An observation term whose size depends on the task, and whose parameters hold a number that it takes off its source.
@@ -98,7 +139,8 @@ impl Registry {
             let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
             Ok(BuiltObservation { offset, write })
         });
-        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(size), build });
+        self.observations
+            .insert(name, RegisteredObservation { spec, size: Box::new(move |task, _| size(task)), build });
     }
 
     /// An observation term that a system of its own writes.
@@ -107,7 +149,7 @@ impl Registry {
             let NoParams {} = parse_params(file, element, table)?;
             Ok(BuiltObservation { offset: 0.0, write: None })
         });
-        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_| Ok(size)), build });
+        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_, _| Ok(size)), build });
     }
 
     /// Names of all observation terms and what they are.

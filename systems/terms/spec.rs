@@ -4,9 +4,11 @@ use serde::Serialize;
 
 use crate::config::HeightScannerConfig;
 use crate::morphology::MorphologyModel;
-use crate::robot::{CANONICAL_JOINT_NAMES, ROLES};
+use crate::robot::{CANONICAL_JOINT_NAMES, ROLES, Slot};
 
+/// Joints of a body that blocks describe: a quadruped's.
 const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
+const FEET: usize = 4;
 
 /// What the numbers of a term are, which says how they change in a mirror that exchanges left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -20,8 +22,11 @@ pub enum TermKind {
     Pseudovector,
     /// Forward and left velocity and yaw rate: the last two change their signs.
     PlanarVelocity,
-    /// A number of each joint, canonical order: joints change sides, and some of them their signs.
+    /// Numbers of each joint, in the batch's columns: all joints' first number, then their next. Joints change sides, and some of
+    /// them their signs. A robot's own numbers are written and observed; columns of joints that it lacks are zero.
     PerJoint,
+    /// A number of each foot of a quadruped, in the order LF, LH, RF, RH: feet change sides.
+    PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
     /// What body the robot is, in blocks ([`TermSpec::blocks`]): numbers of joints change like those of `PerJoint`.
@@ -45,11 +50,11 @@ pub enum TermSource {
     ProjectedGravity,
     /// Commanded forward velocity, left velocity and yaw rate.
     VelocityCommand,
-    /// Joint positions, canonical order.
+    /// Joint positions, in the batch's columns and canonical directions.
     JointPosition,
-    /// Joint positions less the default pose, canonical order.
+    /// Joint positions less the default pose, likewise.
     JointPositionMinusDefault,
-    /// Joint velocities, canonical order.
+    /// Joint velocities, likewise.
     JointVelocity,
     /// The action of the previous control step.
     LastAction,
@@ -87,7 +92,7 @@ pub enum Per {
     Width,
     /// A role of joints: all numbers of the first role, then those of the next.
     Role,
-    /// A joint: the first number of all joints in canonical order, then the next number of all joints.
+    /// A joint of a quadruped: the first number of all joints in canonical order, then the next number of all joints.
     Joint,
 }
 
@@ -132,12 +137,33 @@ pub struct TermSpec {
     pub magnitude: f32,
     /// What its numbers belong to, in order, for the kind [`TermKind::Body`]; empty for the others.
     pub blocks: &'static [Block],
+    /// Signs that the numbers of one joint take in a mirror on top of the joint's own, for the kind [`TermKind::PerJoint`]; empty
+    /// where each takes the joint's own sign.
+    pub joint_mirror: &'static [JointMirror],
+}
+
+/// How a number of a joint changes in a mirror between left and right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointMirror {
+    /// As the joint's position does: it takes the joint's sign.
+    Position,
+    /// As the joint's position does, and once more: what an axis has forward and up.
+    Opposite,
+    /// Not at all.
+    Even,
+    /// It changes its sign: what points to the left.
+    Odd,
+    /// A lower limit, which the number that follows limits from above: they change places where positions change their sign.
+    Lower,
+    /// An upper limit, after the lower one.
+    Upper,
 }
 
 impl TermSpec {
     /// A term of typical magnitude 1 that a deployment measures as it is.
     pub const fn new(kind: TermKind, units: &'static str, description: &'static str) -> Self {
-        Self { kind, units, description, source: TermSource::Measured, magnitude: 1.0, blocks: &[] }
+        Self { kind, units, description, source: TermSource::Measured, magnitude: 1.0, blocks: &[], joint_mirror: &[] }
     }
 
     /// A term that is computed from what sensors give.
@@ -155,37 +181,51 @@ impl TermSpec {
         Self { blocks, ..self }
     }
 
-    /// Whether a term of this kind may have `size` numbers.
+    /// A term with several numbers of each joint, which change so in a mirror.
+    pub const fn with_joint_mirror(self, joint_mirror: &'static [JointMirror]) -> Self {
+        Self { joint_mirror, ..self }
+    }
+
+    /// Whether a term of this kind may have `size` numbers in a batch of `joints` slots.
     ///
     /// # Errors
     /// How many numbers it would have.
-    pub(super) fn check_size(&self, size: usize) -> Result<(), String> {
+    pub(super) fn check_size(&self, size: usize, joints: usize) -> Result<(), String> {
         let blocks: usize = self.blocks.iter().map(|block| block.size()).sum();
         match self.kind {
-            TermKind::PerJoint if size != JOINTS => Err(format!("a number for each of {JOINTS} joints")),
+            TermKind::PerJoint if size == 0 || !size.is_multiple_of(joints) => {
+                Err(format!("a number for each of {joints} joints"))
+            }
             TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if !size.is_multiple_of(3) => {
                 Err("three numbers for each vector".into())
             }
+            TermKind::PerFoot if size != FEET => Err(format!("a number for each of {FEET} feet")),
             TermKind::Body if size != blocks => Err(format!("{blocks} numbers in its blocks")),
             _ => Ok(()),
         }
     }
 
-    /// The mirror image of `size` numbers: of each, which number takes its place and with which sign.
+    /// Whether the term describes quadrupeds alone.
+    pub(super) fn is_of_quadrupeds(&self) -> bool {
+        self.kind == TermKind::PerFoot || self.blocks.iter().any(|block| matches!(block.per, Per::Role | Per::Joint))
+    }
+
+    /// The mirror image of `size` numbers in a batch of `joints` slots: of each, which number takes its place and with which sign.
     pub(crate) fn mirror(
         &self,
         size: usize,
+        columns: usize,
         robot: &MorphologyModel,
         scanner: Option<&HeightScannerConfig>,
     ) -> Vec<(usize, f32)> {
         let signs = |signs: [f32; 3]| (0..size).map(|i| (i, signs[i % 3])).collect();
-        let joints = |first: usize| robot.mirrored_slots().into_iter().map(move |(slot, sign)| (first + slot, sign));
         match self.kind {
             TermKind::Scalar => signs([1.0; 3]),
             TermKind::Vector => signs([1.0, -1.0, 1.0]),
             TermKind::Pseudovector => signs([-1.0, 1.0, -1.0]),
             TermKind::PlanarVelocity => signs([1.0, -1.0, -1.0]),
-            TermKind::PerJoint => joints(0).collect(),
+            TermKind::PerJoint => self.mirror_joints(size / columns.max(1), columns, robot),
+            TermKind::PerFoot => (0..size).map(|foot| ((foot + FEET / 2) % FEET, 1.0)).collect(),
             TermKind::Scan => {
                 // rows from right to left, each from back to front
                 let rows = scanner.map_or(1, |scanner| scanner.counts()[1]).max(1);
@@ -197,7 +237,10 @@ impl TermSpec {
                 for block in self.blocks {
                     let first = mirror.len();
                     match block.per {
-                        Per::Joint => (0..block.count).for_each(|k| mirror.extend(joints(first + k * JOINTS))),
+                        Per::Joint => (0..block.count).for_each(|k| {
+                            let image = mirrored_quadruped(robot).into_iter();
+                            mirror.extend(image.map(|(slot, sign)| (first + k * JOINTS + slot, sign)));
+                        }),
                         _ => mirror.extend((first..first + block.size()).map(|i| (i, 1.0))),
                     }
                 }
@@ -205,4 +248,36 @@ impl TermSpec {
             }
         }
     }
+
+    fn mirror_joints(&self, count: usize, columns: usize, robot: &MorphologyModel) -> Vec<(usize, f32)> {
+        let joints = robot.mirrored_columns(columns);
+        let mut mirror = Vec::with_capacity(count * columns);
+        for k in 0..count {
+            let kind = self.joint_mirror.get(k).copied().unwrap_or(JointMirror::Position);
+            mirror.extend(joints.iter().map(|&(column, sign)| match kind {
+                JointMirror::Position => (k * columns + column, sign),
+                JointMirror::Opposite => (k * columns + column, -sign),
+                JointMirror::Even => (k * columns + column, 1.0),
+                JointMirror::Odd => (k * columns + column, -1.0),
+                JointMirror::Lower if sign < 0.0 => ((k + 1) * columns + column, -1.0),
+                JointMirror::Upper if sign < 0.0 => ((k - 1) * columns + column, -1.0),
+                JointMirror::Lower | JointMirror::Upper => (k * columns + column, 1.0),
+            }));
+        }
+        mirror
+    }
+}
+
+/// The mirror of a quadruped's joints in their canonical order.
+fn mirrored_quadruped(robot: &MorphologyModel) -> [(usize, f32); JOINTS] {
+    let mirrored = robot.mirrored_slots();
+    std::array::from_fn(|at| {
+        let place = |slot: Slot| robot.slots.iter().position(|own| own.slot == slot);
+        let own = Slot::parse(CANONICAL_JOINT_NAMES[at]).and_then(place);
+        let Some((other, sign)) = own.map(|own| mirrored[own]) else {
+            return (at, 1.0);
+        };
+        let name = robot.slots[other].slot.to_string();
+        (CANONICAL_JOINT_NAMES.iter().position(|known| *known == name).unwrap_or(at), sign)
+    })
 }

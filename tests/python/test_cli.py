@@ -87,10 +87,11 @@ def test_every_command_has_a_file_of_its_own():
 
 
 def test_list_and_info(main):
-    code, output, _ = main("list")
-    assert code == 0
-    for entry in [*polypod.tasks(), *polypod.robots()]:
-        assert entry["name"] in output
+    for kind, entries in (("tasks", polypod.tasks()), ("robots", polypod.robots())):
+        code, output, _ = main("list", kind)
+        assert code == 0
+        for entry in entries:
+            assert entry["name"] in output
     code, output, _ = main("info")
     assert code == 0
     assert polypod.__version__ in output
@@ -123,7 +124,7 @@ def test_the_list_leaves_out_what_is_broken(main, monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("train", "--task", "Velocity-Flat"), "Velocity-Flat-HeteroQuadruped-v0"),
+        (("train", "--task", "Velocity-Flat"), "did you mean `velocity_flat`"),
         (("train", "--robots", "spott"), "spot"),
         (("train", "--num-envs", "3"), "num_envs"),
         (("train", "--max-iterations", "0"), "--max-iterations"),
@@ -237,15 +238,15 @@ def test_check(main, tmp_path):
     folder = Path(__file__).parents[1] / "data" / "urdf"
     code, output, _ = main("check", str(folder / "mixed.urdf"))
     assert code == 0
-    for words in ("5.900 kg", "slide", "no quadruped", 'joint "float"'):
+    for words in ("5.900 kg", "slide", "no legged robot", 'joint "float"'):
         assert words in output
     text = (folder / "meshed.urdf").read_text().replace('filename="meshes/', 'filename="package://cubes/')
     (tmp_path / "robot.urdf").write_text(text)
     code, output, _ = main("check", "robot.urdf", "--package-dir", f"cubes={folder / 'meshes'}")
     assert code == 0
-    assert "\nquadruped\n" in output
+    assert "\nquadruped (+" in output
     assert "hull of 8 points" in output
-    assert "no quadruped" in main("check", "robot.urdf")[1]
+    assert "no legged robot" in main("check", "robot.urdf")[1]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\x00\x89", b"<robot>" * 100_000, b"<robot name='r'/>"])

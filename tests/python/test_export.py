@@ -30,7 +30,7 @@ from polypod.training import run_dir
 
 EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
 TASK = "Velocity-Flat-Universal-Play-v0"
-ROBOTS = [entry["name"] for entry in polypod.robots()]
+ROBOTS = run_dir.read_manifest(FLAT_POLICY)["robots"]
 
 
 @pytest.fixture(scope="module")

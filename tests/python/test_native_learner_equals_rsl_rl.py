@@ -1,6 +1,7 @@
 """The native learner computes what rsl_rl's PPO computes: values, returns, advantages, losses, gradients, weights."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,11 +37,24 @@ VARIANTS = {
     "one_hidden_layer": {"critic": {"hidden_dims": [7]}},
     "tanh": {"actor": {"activation": "tanh"}, "critic": {"activation": "tanh", "obs_normalization": False}},
     "mirror_images": {"run": {"symmetry": True}},
+    # bodies with different joints in one batch, whose policies have no joints in common but for two of the bodies
+    "masked": {"actor": {"init_std": 1.5}},
+    "masked_adaptive_rate": {"actor": {"init_std": 1.5}, "algorithm": {"desired_kl": 1e-4}},
+    "masked_mirror_images": {"actor": {"init_std": 1.5}, "run": {"symmetry": True}},
+    "masked_entropy": {"actor": {"init_std": 1.5}, "algorithm": {"entropy_coef": 0.5}},
 }
+BODIES = Path(__file__).parents[1] / "data/bodies/configs/robots"
+ROBOTS = {
+    False: ["unitree_a1", "unitree_b2", "unitree_go2"],
+    True: ["unitree_go2", *(str(BODIES / f"small_{kind}.toml") for kind in ("biped", "humanoid", "hexapod"))],
+}
+"""By whether robots lack some of the actions."""
 
 
-def train_config(changes):
+def train_config(changes, masked=False):
     base = config.load("flat_universal").as_dict()
+    if masked:
+        base["run"]["task"] = "velocity_flat"
     base["run"] |= {"num_envs": ENVS, "num_steps_per_env": STEPS, "learner": "native"}
     base["actor"]["init_std"] = 2.0  # robots fall within a second
     # each sample and epoch is a chance that roundings put a ratio on the other side of the clip's edge
@@ -50,7 +64,7 @@ def train_config(changes):
     return config.parse(base, "test")
 
 
-def runners(train_config, tmp_path):
+def runners(train_config, tmp_path, masked):
     """The native learner and rsl_rl with the same networks, each with an env of its own."""
     made = []
     for kind in ("native", "rsl_rl"):
@@ -58,7 +72,7 @@ def runners(train_config, tmp_path):
         env = polypod.make(
             train_config.run.task,
             ENVS,
-            robots=["unitree_a1", "unitree_b2", "unitree_go2"],
+            robots=ROBOTS[masked],
             seed=11,
             overrides=["sim.episode_length_s=0.8"],
         )
@@ -109,7 +123,9 @@ def store(reference, samples, last_observations):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_updates_are_equal(variant, tmp_path, monkeypatch):
-    native, reference = runners(train_config(VARIANTS[variant]), tmp_path)
+    masked = variant.startswith("masked")
+    native, reference = runners(train_config(VARIANTS[variant], masked), tmp_path, masked)
+    assert native.env.unwrapped.sim.action_mask.all() != masked
     sim, ends = native.env.unwrapped.sim, {0: 0, 1: 0, 2: 0}
     for update in range(UPDATES):
         native.current_learning_iteration = update

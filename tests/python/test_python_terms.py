@@ -39,7 +39,7 @@ def fields():
 def test_the_state_is_dense_and_a_copy(make, actions):
     env = make(autoreset="disabled")
     env.reset(seed=3)
-    assert fields() == {*WIDTHS, "valid", "episode_length"}
+    assert fields() == {*WIDTHS, "valid", "episode_length", "action_mask"}
     env.step(actions(env, 0))
     before = {}
     for name, width in WIDTHS.items():
@@ -50,6 +50,7 @@ def test_the_state_is_dense_and_a_copy(make, actions):
         assert np.isfinite(values).all(), name
         before[name] = (values, values.copy())
     assert env.state.valid.all()
+    assert env.state.action_mask.all()
     assert env.state.valid.dtype == np.bool_
     np.testing.assert_array_equal(env.state.episode_length, 1)
     env.step(actions(env, 1))

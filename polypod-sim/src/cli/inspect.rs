@@ -6,7 +6,7 @@ use clap::Args;
 use polypod::Error;
 use polypod::config::Library;
 use polypod::morphology::MorphologyModel;
-use polypod::robot::{CANONICAL_JOINT_NAMES, Geometry};
+use polypod::robot::Geometry;
 
 /// Arguments of `inspect`.
 #[derive(Args)]
@@ -41,15 +41,17 @@ impl Inspect {
         writeln!(out, "\njoints (physical order)")?;
         writeln!(
             out,
-            "  {:<18} {:<8} {:<20} {:>18} {:>8} {:>8} {:>8} {:>9} {:>9}",
+            "  {:<18} {:<18} {:<20} {:>18} {:>8} {:>8} {:>8} {:>9} {:>9}",
             "joint", "slot", "parent", "limits (rad)", "default", "kp", "kd", "armature", "effort"
         )?;
         let description = robot.describe();
         for (j, joint) in model.joints.iter().enumerate() {
-            let slot = robot.joint_of_slot.iter().position(|&k| k == j).map_or("-", |slot| CANONICAL_JOINT_NAMES[slot]);
+            let slot = robot.slots.iter().find(|slot| slot.joint() == j);
+            let slot =
+                slot.map_or("-".to_owned(), |slot| format!("{}{}", if slot.sign < 0.0 { "-" } else { "" }, slot.slot));
             writeln!(
                 out,
-                "  {:<18} {:<8} {:<20} {:>8.3} .. {:>6.3} {:>8.3} {:>8.2} {:>8.2} {:>9.4} {:>9.2}",
+                "  {:<18} {:<18} {:<20} {:>8.3} .. {:>6.3} {:>8.3} {:>8.2} {:>8.2} {:>9.4} {:>9.2}",
                 joint.name,
                 slot,
                 model.links[joint.parent].name,

@@ -65,6 +65,9 @@ struct Worst {
     speed: f64,
 }
 
+/// Its robots are taken where none are named.
+const TASK: &str = "velocity_flat";
+
 impl Soak {
     /// Fails when a state broke, a robot rested in the ground, a joint limit gave way, or energy came from nothing.
     pub(super) fn run(self) -> anyhow::Result<()> {
@@ -72,7 +75,7 @@ impl Soak {
         let library = Library::new(Vec::new());
         let robots = match &self.robots {
             Some(robots) => robots.clone(),
-            None => library.robots().map_err(Error::from)?.into_iter().map(|robot| robot.name).collect(),
+            None => library.task(TASK, &[]).map_err(Error::from)?.config.robots,
         };
         let least = robots.len().max(1);
         if self.minutes == 0 {

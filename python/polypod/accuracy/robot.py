@@ -89,22 +89,30 @@ class Robot:
         return dataclasses.replace(self, actuators=dataclasses.replace(actuators, stiffness=stiffness, damping=damping))
 
 
-def names() -> list[str]:
-    """The robots of the library."""
-    return [entry["name"] for entry in _core.robots()]
+TASK = "velocity_flat_legged_play"
+"""Has a reward set for every robot of the library."""
+
+
+def names(task: str | None = None) -> list[str]:
+    """The robots of the library, or those of a task by an alias."""
+    if task is None:
+        return [entry["name"] for entry in _core.robots()]
+    (robots,) = (entry["robots"] for entry in _core.tasks() if task in entry["aliases"])
+    return robots
 
 
 @functools.cache
 def load(name: str) -> Robot:
     """Reads a robot of the library with its actuators. Raises UnknownNameError."""
-    return of(_core.VecSim("velocity_flat_play", 1, robots=[name], threads=1), name, name)
+    return of(_core.VecSim(TASK, 1, robots=[name], threads=1), name, name)
 
 
 def of(sim: _core.VecSim, name: str, source: str) -> Robot:
     """The robot `name` of a simulation, which was made from `source`: its name, or the path of its config."""
     info = json.loads(sim.robot_info())[name]
     groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"]
-    slots = dict(zip(info["joint_of_slot"], sim.canonical_joint_names, strict=True))
+    slots = dict(zip(info["joint_of_slot"], info["slots"], strict=True))
+    signs = dict(zip(info["joint_of_slot"], info["slot_signs"], strict=True))
     of_joint = [
         next(key for key, group in groups.items() if any(fnmatchcase(slots[joint], p) for p in group["joints"]))
         for joint in range(len(info["joint_names"]))
@@ -116,11 +124,21 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         default_position=np.array(info["default_pose"]),
         joint_range=np.stack([info["lower"], info["upper"]], axis=1),
         base_height=info["base_height"],
-        actuators=_actuators([groups[key] for key in of_joint], tuple(of_joint)),
+        actuators=_actuators(
+            [groups[key] for key in of_joint], tuple(of_joint), [signs[joint] for joint in range(len(of_joint))]
+        ),
     )
 
 
-def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...]) -> Actuators:
+def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[float]) -> Actuators:
+    """`signs` are -1 where a joint turns the other way round than its slot, whose direction configs are in."""
+
+    def table(row: dict[str, Any], sign: float) -> Array | None:
+        if not row.get("effort_table"):
+            return None
+        angles = np.array(row["effort_table"]) * [sign, 1.0]
+        return angles if sign > 0 else angles[::-1]
+
     def column(key: str, default: float) -> Array:
         return np.array([row.get(key, default) for row in rows], dtype=np.float64)
 
@@ -134,7 +152,7 @@ def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...]) -> Actuators
         effort_limit=column("effort_limit", np.inf),
         saturation_effort=np.where(motor, column("saturation_effort", np.inf), np.inf),
         no_load_speed=np.where(motor, column("velocity_limit", np.inf), np.inf),
-        effort_tables=tuple(np.array(row["effort_table"]) if row.get("effort_table") else None for row in rows),
+        effort_tables=tuple(table(row, sign) for row, sign in zip(rows, signs, strict=True)),
         delay=np.array([row.get("delay", [0, 0]) for row in rows], dtype=np.float64),
         groups=groups,
     )

@@ -111,7 +111,7 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
         result["scaling_threads"][threads] = rate(num_envs=options.num_envs, threads=threads)
         threads *= 2
     result["scaling_robots"] = {}
-    names = [entry["name"] for entry in _core.robots()]
+    (names,) = (entry["robots"] for entry in _core.tasks() if "velocity_flat" in entry["aliases"])
     for count in (1, 2, 4, 8):
         progress(f"{count} different robots")
         result["scaling_robots"][count] = rate(num_envs=options.num_envs, threads=step_threads, robots=names[:count])

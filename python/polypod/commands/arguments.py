@@ -28,6 +28,15 @@ def names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",")]
 
 
+def check_names(task: str | None, robots: Sequence[str] | None, overrides: Sequence[str] = ()) -> None:
+    """Reads the configs that these name, before anything slow is imported. Raises UnknownNameError and ConfigError."""
+    from polypod.registration import task_of
+
+    if task is None:
+        overrides = ()
+    _core.check_names(None if task is None else task_of(task), list(robots or ()), list(overrides))
+
+
 def positive(value: int | None, flag: str) -> int | None:
     """The value of a flag that counts something. Raises ConfigError."""
     if value is not None and not 1 <= value < 2**31:
@@ -42,15 +51,20 @@ def checked_threads(value: int | None, flag: str) -> int | None:
     return value
 
 
-def package_dirs(pairs: Sequence[str]) -> dict[str, str]:
+def pairs(texts: Sequence[str], flag: str, metavar: str) -> dict[str, str]:
+    """Values by name, of texts NAME=VALUE. Raises ConfigError."""
+    values = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if not name or not value:
+            raise _core.ConfigError(f"{flag} {text} is not {metavar}")
+        values[name] = value
+    return values
+
+
+def package_dirs(texts: Sequence[str]) -> dict[str, str]:
     """Folders of ROS packages by name, of NAME=DIR pairs. Raises ConfigError."""
-    folders = {}
-    for pair in pairs:
-        name, _, folder = pair.partition("=")
-        if not name or not folder:
-            raise _core.ConfigError(f"--package-dir {pair} is not NAME=DIR")
-        folders[name] = folder
-    return folders
+    return pairs(texts, "--package-dir", "NAME=DIR")
 
 
 def write_json(path: Path | None, content: dict[str, Any]) -> None:

@@ -43,7 +43,7 @@ class Bench:
     largest: int = 65536
     """Number of envs that the scaling goes up to."""
     seed: Count = None
-    """Of every random stream; the first of --walk. Default: 0; of trainings, 42."""
+    """Seed of every random stream; the first of --walk. Default: 0; of trainings, 42."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from polypod.commands.arguments import Name, PackageDirs, arg, package_dirs
+from polypod.commands.arguments import Name, PackageDirs, arg, package_dirs, pairs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,6 +24,8 @@ class Robot:
     """The TOML to write. Default: <name>.toml beside the URDF."""
     package_dir: PackageDirs = ()
     """Where a ROS package of `package://` names lies. May be repeated."""
+    foot: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="LEG=LINK")] = ()
+    """The link that is the foot of a leg, where the URDF does not tell: LF=toe_link. May be repeated."""
     force: bool = False
     """Write over a file that is there."""
 
@@ -31,7 +33,9 @@ class Robot:
         """Runs the command and returns its exit code."""
         from polypod import new_robot
 
-        new = new_robot.new_robot(self.file, self.out, self.name, package_dirs(self.package_dir), force=self.force)
+        feet = pairs(self.foot, "--foot", "LEG=LINK")
+        folders = package_dirs(self.package_dir)
+        new = new_robot.new_robot(self.file, self.out, self.name, folders, feet, force=self.force)
         print(new.path)
         for note in new.notes:
             print(f"  {note}")
@@ -42,6 +46,8 @@ class Robot:
         )
         if new.gain_factor > 1.0:
             print(f"  gains are {new.gain_factor:.2f} times what weight and leg length ask for: softer ones gave way")
+        if standing.carried < new_robot.CARRIED:
+            print(f"  the feet carry {standing.carried:.0%} of the weight: it lies on its belly or its knees")
         if not standing.holds:
             print(
                 f"polypod: warning: {new.name} does not hold its default pose; look at [default_pose] and [actuators] "

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import measures
-from polypod.evaluation.policies import Policy
+from polypod.evaluation.policies import Policy, reset
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.registration import num_robots
 
@@ -44,6 +44,7 @@ def evaluate(
     overrides: Sequence[str] = (),
     grid: Grid | None = None,
     randomized: bool = False,
+    slots: Sequence[str] = (),
 ) -> Evaluation:
     """Runs a policy in a task's Play variant.
 
@@ -60,6 +61,7 @@ def evaluate(
         grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None:
             commands are drawn as the task draws them.
         randomized: with the noise, the pushes and the randomisation of the training.
+        slots: names of the policy's actions, where it knows more robots than are here.
 
     Raises:
         ConfigError: for an unknown task or robot, for counts below one, and for more than `MAX_STEPS` control steps.
@@ -75,7 +77,14 @@ def evaluate(
         num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name))
     changes = [*overrides, *(_disturbances(name, named, overrides) if randomized else ())]
     sim = _core.VecSim(
-        name, num_envs, robots=named, seed=seed, threads=threads, overrides=changes, autoreset="disabled"
+        name,
+        num_envs,
+        robots=named,
+        seed=seed,
+        threads=threads,
+        overrides=changes,
+        autoreset="disabled",
+        slots=list(slots),
     )
     length = min(steps or sim.max_episode_length, sim.max_episode_length)
     if episodes * length > MAX_STEPS:
@@ -121,6 +130,7 @@ def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measur
     """Sums over each env's first episode of what `measures.of_step` gives."""
     sums: dict[str, measures.Array] = {}
     running = np.ones(sim.num_envs, dtype=np.bool_)
+    reset(policy)
     for _ in range(length):
         sim.step(policy(sim.observation))
         for key, value in measures.of_step(sim).items():
@@ -131,6 +141,7 @@ def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measur
             break
         if done.any():
             sim.reset(mask=done)
+            reset(policy, done)
     return sums
 
 

@@ -29,7 +29,7 @@ INPUTS = {
 
 OUTPUTS = {
     "joint_pos_target": "joint position targets in the robot's own order, rad",
-    "actions": "the action in canonical order: the next step's `last_action`",
+    "actions": "the action in canonical order, 0 where the robot has no joint: the next step's `last_action`",
 }
 """Its outputs."""
 
@@ -43,7 +43,13 @@ class RobotInterface:
     """Terms of the policy's observation, in order."""
     joint_names: tuple[str, ...]
     joint_of_slot: npt.NDArray[np.int64]
-    """Index of the joint in each canonical slot."""
+    """Index of the joint in each of the robot's slots."""
+    columns: npt.NDArray[np.int64]
+    """Column of each of these slots in the policy's action."""
+    signs: Array
+    """Of each slot 1, or -1 where the joint's own positive direction is opposite to the slot's."""
+    num_actions: int
+    """Columns of the policy's action."""
     default_pose: Array
     """rad."""
     action_scale: float
@@ -61,7 +67,7 @@ class RobotInterface:
         """Names and sizes of the folded graph's inputs."""
         joints = len(self.joint_names)
         sizes = {term.inputs[0]: term.size for term in self.terms if len(term.inputs) == 1}
-        sizes |= {"joint_pos": joints, "joint_vel": joints}
+        sizes |= {"joint_pos": joints, "joint_vel": joints, "last_action": self.num_actions}
         needed = [name for term in self.terms for name in term.inputs]
         in_order = [name for name in INPUTS if name in needed] + [name for name in needed if name not in INPUTS]
         return {name: sizes.get(name, 3) for name in dict.fromkeys(in_order)}
@@ -77,10 +83,26 @@ class RobotInterface:
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=np.float32)
 
     def spread(self) -> Array:
-        """[slots, joints], `default_pose + action @ spread` are the joint targets."""
-        spread = np.zeros((len(self.joint_of_slot), len(self.joint_names)), dtype=np.float32)
-        spread[np.arange(len(self.joint_of_slot)), self.joint_of_slot] = self.action_scale
+        """[num_actions, joints], `default_pose + action @ spread` are the joint targets."""
+        spread = np.zeros((self.num_actions, len(self.joint_names)), dtype=np.float32)
+        spread[self.columns, self.joint_of_slot] = self.action_scale * self.signs
         return spread
+
+    def is_plain(self) -> bool:
+        """Whether the action has no columns but the robot's, and its joints turn as their slots do."""
+        return len(self.columns) == self.num_actions and bool((self.signs == 1.0).all())
+
+    def gather(self) -> Array:
+        """[joints, num_actions], `joints @ gather` are their numbers in the policy's columns; 0 in those of others."""
+        gather = np.zeros((len(self.joint_names), self.num_actions), dtype=np.float32)
+        gather[self.joint_of_slot, self.columns] = self.signs
+        return gather
+
+    def mask(self) -> Array:
+        """[num_actions], 1 where the robot has a joint, else 0."""
+        mask = np.zeros(self.num_actions, dtype=np.float32)
+        mask[self.columns] = 1.0
+        return mask
 
 
 def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None) -> dict[str, RobotInterface]:
@@ -118,6 +140,9 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             terms=terms,
             joint_names=tuple(infos[robot]["joint_names"]),
             joint_of_slot=np.array(infos[robot]["joint_of_slot"], dtype=np.int64),
+            columns=np.array(infos[robot]["columns"], dtype=np.int64),
+            signs=np.array(infos[robot]["slot_signs"], dtype=np.float32),
+            num_actions=sim.num_actions,
             default_pose=np.array(infos[robot]["default_pose"], dtype=np.float32),
             action_scale=infos[robot]["action_scale"],
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
@@ -144,10 +169,11 @@ def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> t
     """One env per robot of the policy's task without noise and events, and the task."""
     names = list(manifest["robot_sources"] if robots is None else robots)
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
-    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides)
+    slots = manifest["canonical_joint_names"]
+    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides, slots=slots)
     task = tomllib.loads(sim.resolved_config())["task"]
     off = [f"events.{name}.enabled=false" for name in task.get("events", {})]
-    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off])
+    sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off], slots=slots)
     return sim, task
 
 

@@ -8,6 +8,7 @@ from rsl_rl.models import MLPModel
 
 from polypod.export import sources
 from polypod.export.robot import RobotInterface
+from polypod.networks.onnx_network import OnnxNetwork
 from polypod.observation import Treatment
 
 
@@ -18,8 +19,10 @@ class RobotPolicy(torch.nn.Module):
     spread: torch.Tensor
     default_pose: torch.Tensor
     joint_of_slot: torch.Tensor
+    gather: torch.Tensor
+    mask: torch.Tensor
 
-    def __init__(self, network: MLPModel, robot: RobotInterface) -> None:
+    def __init__(self, network: MLPModel | OnnxNetwork, robot: RobotInterface) -> None:
         """Takes over a copy of the network."""
         super().__init__()
         self.network = network.as_jit()
@@ -28,13 +31,22 @@ class RobotPolicy(torch.nn.Module):
         self.register_buffer("lever", torch.from_numpy(robot.lever()))
         self.register_buffer("spread", torch.from_numpy(robot.spread()))
         self.register_buffer("default_pose", torch.from_numpy(robot.default_pose))
-        self.register_buffer("joint_of_slot", torch.from_numpy(robot.joint_of_slot))
+        self.is_plain = robot.is_plain()
+        self.is_whole = len(robot.columns) == robot.num_actions
+        if self.is_plain:
+            self.register_buffer("joint_of_slot", torch.from_numpy(robot.joint_of_slot))
+        else:
+            self.register_buffer("gather", torch.from_numpy(robot.gather()))
+        if not self.is_whole:
+            self.register_buffer("mask", torch.from_numpy(robot.mask()))
         for term, value in robot.constants.items():
             self.register_buffer(f"constant_{term}", torch.from_numpy(value))
 
     def forward(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """`inputs` in the order of `RobotInterface.inputs`, each [batch, size]."""
         actions = self.network(self.observe(*inputs))
+        if not self.is_whole:
+            actions = actions * self.mask
         return self.default_pose + actions @ self.spread, actions
 
     def observe(self, *inputs: torch.Tensor) -> torch.Tensor:
@@ -76,7 +88,9 @@ class _Operations:
         return positions - self.policy.default_pose
 
     def canonical(self, joints: torch.Tensor) -> torch.Tensor:
-        return joints.index_select(-1, self.policy.joint_of_slot)
+        if self.policy.is_plain:
+            return joints.index_select(-1, self.policy.joint_of_slot)
+        return joints @ self.policy.gather
 
 
 def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> bytes:

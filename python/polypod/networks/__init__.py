@@ -4,16 +4,31 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.networks.masked import ACTION_MASK, MaskedGaussian, MaskedMLPModel
 from polypod.networks.urma import JointNetwork, KindNormalization, RoleGaussian, UrmaModel
 
-__all__ = ["NETWORKS", "JointNetwork", "KindNormalization", "RoleGaussian", "UrmaModel", "build_actor"]
+__all__ = [
+    "ACTION_MASK",
+    "NETWORKS",
+    "JointNetwork",
+    "KindNormalization",
+    "MaskedGaussian",
+    "MaskedMLPModel",
+    "RoleGaussian",
+    "UrmaModel",
+    "build_actor",
+]
 
-NETWORKS: dict[str, type[MLPModel]] = {"MLPModel": MLPModel, "polypod.networks:UrmaModel": UrmaModel}
-"""By the class names of train configs and manifests."""
+NETWORKS: dict[str, type[MLPModel]] = {
+    "MLPModel": MLPModel,
+    "RNNModel": RNNModel,
+    "polypod.networks:UrmaModel": UrmaModel,
+}
+"""By the class names of train configs and manifests, in which a masked perceptron is a `MLPModel`."""
 
 
 def build_actor(model: Mapping[str, Any]) -> MLPModel:

@@ -103,7 +103,7 @@ class Twin:
         ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / step_dt - 1e-9))
         self._targets = np.zeros((ages, self.num_envs, robot.num_joints))
         self._fresh = True
-        self.actions = np.zeros((self.num_envs, len(interface.joint_of_slot)), dtype=np.float32)
+        self.actions = np.zeros((self.num_envs, interface.num_actions), dtype=np.float32)
         self.qpos = np.zeros((self.num_envs, 7 + robot.num_joints))
         """In polypod's order of joints; positions about the envs' origins."""
         self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))

@@ -1,11 +1,16 @@
 """What a training run records: rsl_rl's scalars, written once per iteration and never printed."""
 
+import importlib
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
+from rsl_rl.utils.log_writer import LogWriter
 from rsl_rl.utils.logger import Logger
+
+from polypod import _core
 
 
 class ScalarWriter(Protocol):
@@ -32,6 +37,27 @@ class NoWriter:
 
     def close(self) -> None:
         """Does nothing."""
+
+
+_SERVICES = {
+    "wandb": "rsl_rl.utils.wandb_log_writer:WandbLogWriter",
+    "neptune": "rsl_rl.utils.neptune_log_writer:NeptuneLogWriter",
+}
+"""rsl_rl's writers, which write TensorBoard's files as well."""
+
+
+def _service(kind: str, log_dir: str, project: str, env_cfg: Any, train_cfg: dict[str, Any]) -> Any:
+    """A writer of rsl_rl for a service. Raises ConfigError where its package or account is missing."""
+    module, _, name = _SERVICES[kind].partition(":")
+    try:
+        writer = getattr(importlib.import_module(module), name)(log_dir, project)
+    except ModuleNotFoundError as error:
+        raise _core.ConfigError(f"--logger {kind} needs the package {kind}: pip install {kind}") from error
+    except KeyError as error:
+        raise _core.ConfigError(f"--logger {kind}: {error.args[0]}") from error
+    # rsl_rl asks the env's configuration for a dict
+    writer.store_config(types.SimpleNamespace(to_dict=lambda: dict(env_cfg)), train_cfg)
+    return writer
 
 
 class TrainingLogger(Logger):
@@ -73,20 +99,26 @@ class TrainingLogger(Logger):
             self.lenbuffer.append(length)
         self.ended, self._step = [], 0
 
-    def open(self, kind: str, purge_step: int, warn: Callable[[str], None]) -> None:
+    def open(self, kind: str, purge_step: int, warn: Callable[[str], None], project: str = "polypod") -> None:
         """Begins to record.
 
         Args:
-            kind: "tensorboard" or "none".
+            kind: "tensorboard", "wandb", "neptune" or "none".
+            project: of wandb and neptune.
             warn: is told when the disk takes no curves.
             purge_step: records of this and later iterations, left by a run that went on after its last checkpoint, are
                 dropped.
+
+        Raises:
+            ConfigError: where the package or the account of wandb or neptune is missing.
         """
         self.writer: ScalarWriter | None
         if kind == "tensorboard":
             from polypod.training.curves import Curves
 
             self.writer = Curves(Path(self.log_dir), purge_step or None, warn)
+        elif kind in _SERVICES:
+            self.writer = _service(kind, str(self.log_dir), project, self.env_cfg, self.cfg)
         else:
             self.writer = NoWriter()
 
@@ -125,6 +157,8 @@ class TrainingLogger(Logger):
         """Writes what is still buffered."""
         if self.writer is not None:
             self.writer.close()
+            if isinstance(self.writer, LogWriter):
+                self.writer.stop()
 
     def state(self) -> dict[str, Any]:
         """What a resumed run needs to go on with the same curves."""

@@ -34,6 +34,7 @@ from polypod.files import read_bytes, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.training import manifest
 from polypod.training.config import TrainConfig
+from polypod.training.python_terms import PythonTerms
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
@@ -225,18 +226,30 @@ def locked(run: Path) -> Iterator[None]:
 
 
 def write_params(
-    run: Path, sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
+    run: Path,
+    sim: _core.VecSim,
+    config: TrainConfig,
+    robots: list[str] | None,
+    overrides: list[str],
+    command: str,
+    terms: PythonTerms | None = None,
 ) -> None:
     """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
-    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, robots, overrides, command), indent=2) + "\n")
+    manifest = manifest_of(sim, config, robots, overrides, command)
+    if terms is not None:
+        # what was run, and nothing that is run by itself
+        manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}
+        write_bytes(run / "params" / "terms.py", terms.path.read_bytes())
+    write_text(run / MANIFEST, json.dumps(manifest, indent=2) + "\n")
 
 
 def manifest_of(
     sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
 ) -> dict[str, Any]:
     """What a policy of this run needs to be used elsewhere, and what made it."""
+    infos = json.loads(sim.robot_info())
     return {
         "format": 1,
         "command": command,
@@ -252,10 +265,8 @@ def manifest_of(
         "observation_layout": [{"term": term, "size": size} for term, size in sim.observation_layout],
         "policy": {"num_obs": sim.num_obs, "num_actions": sim.num_actions, **config.actor.model_cfg(sim)},
         "robots": sim.robots,
-        "robot_info": json.loads(sim.robot_info()),
-        "joint_maps": {
-            robot: [{"joint": joint, "index": index} for joint, index in sim.joint_map(robot)] for robot in sim.robots
-        },
+        "robot_info": infos,
+        "joint_maps": {robot: _joint_map(infos[robot]) for robot in sim.robots},
         "train_config": config.as_dict(),
         "versions": {
             "polypod": _core.__version__,
@@ -266,6 +277,16 @@ def manifest_of(
         },
         "git": git_state(),
     }
+
+
+def _joint_map(info: dict[str, Any]) -> list[dict[str, Any]]:
+    """Of each of a robot's slots its name, column, joint, the joint's index and whether it turns the other way (-1)."""
+    names, joints = info["joint_names"], info["joint_of_slot"]
+    rows = zip(info["slots"], info["columns"], joints, info["slot_signs"], strict=True)
+    return [
+        {"slot": slot, "column": column, "joint": names[joint], "index": joint, "sign": sign}
+        for slot, column, joint, sign in rows
+    ]
 
 
 def _checkpoints(run: Path) -> list[Path]:

@@ -38,6 +38,22 @@ STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
 
 
+_STUDENT_AND_TEACHER = {"student": True, "teacher": True, "optimizer": True}
+"""What a resumed distillation loads."""
+
+
+def check_groups(env: VecEnv, obs_groups: dict[str, list[str]]) -> None:
+    """Raises ConfigError for an observation group that the task does not have."""
+    known = env.unwrapped.sim.observation_groups
+    for network, groups in obs_groups.items():
+        for group in groups:
+            if group not in known:
+                raise _core.ConfigError(
+                    f"[obs_groups] {network} = {groups}: {env.unwrapped.sim.task_name} has no group {group!r}, but "
+                    f"{', '.join(known)}; add [[observations.{group}]] terms to the task"
+                )
+
+
 class Runner(OnPolicyRunner):
     """Collects, learns, records and saves.
 
@@ -74,6 +90,8 @@ class Runner(OnPolicyRunner):
         """
         self.workers = workers or Workers.alone()
         cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **changes}
+        check_groups(env, cfg["obs_groups"])
+        self._distils = cfg["algorithm"]["class_name"] == "Distillation"
         if cfg["symmetry"]:
             mirror = Mirror(env, device)
             symmetry = {"data_augmentation_func": mirror.augment, "use_data_augmentation": True}
@@ -180,7 +198,7 @@ class Runner(OnPolicyRunner):
         if not self.workers.is_first:
             return observations
         sim = self.env.unwrapped.sim
-        scalars = scalars_of(loss, self.alg.learning_rate, self._action_std()) | sim.log() | figures
+        scalars = scalars_of(loss, self.alg.learning_rate, self._action_std()) | self.env.log() | figures
         steps_per_second = self.logger.record(iteration, collected - started, learned - collected, scalars)
         self.reporter.iteration(
             Iteration(iteration + 1, stop, self.logger.mean_reward, self.logger.mean_episode_length, steps_per_second)
@@ -256,6 +274,9 @@ class Runner(OnPolicyRunner):
         if not self.workers.is_first:
             return
         state = self.alg.save()
+        if self._distils:
+            # what evaluations and exports read
+            state["actor_state_dict"] = state["student_state_dict"]
         state["iter"] = self.current_learning_iteration
         state["infos"] = {
             **(infos or {}),
@@ -277,12 +298,13 @@ class Runner(OnPolicyRunner):
         data = self.workers.from_first(lambda: run_dir.read_checkpoint(Path(path)))
         state = run_dir.checkpoint_of(data, Path(path), map_location or self.device)
         try:
-            self.alg.load(state, load_cfg, strict)
+            self.alg.load(state, load_cfg or (_STUDENT_AND_TEACHER if self._distils else None), strict)
         except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
             raise _core.ConfigError(f"{path} does not fit this run's networks: {_first_line(error)}") from error
         try:
             infos: dict[str, Any] = state["infos"]
             self.env.unwrapped.sim.restore(infos["sim"].cpu().numpy().tobytes())
+            self.env.refresh()
             self._restore_streams(infos, state["iter"])
             self.logger.restore(self._own_rows(infos["logger"], ("reward_sum", "episode_length")))
             if self.reward_scale is not None:
@@ -363,11 +385,25 @@ class Runner(OnPolicyRunner):
         data = self.workers.from_first(lambda: run_dir.read_checkpoint(path))
         state = run_dir.checkpoint_of(data, path, self.device)
         try:
-            self.alg.load(state, {"actor": True, "critic": True}, True)
+            if self._distils:
+                self.alg.get_policy().load_state_dict(state["actor_state_dict"])
+            else:
+                self.alg.load(state, {"actor": True, "critic": True}, True)
         except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
             raise _core.ConfigError(
                 f"--init {path} does not fit this run's networks, {_first_line(error)}: "
                 "use its task and its train config's sizes"
+            ) from error
+
+    def learn_from(self, teacher: Path) -> None:
+        """Takes over the network that a distillation learns from. Raises ConfigError where it does not fit."""
+        state = run_dir.load_checkpoint(teacher, self.device)
+        try:
+            self.alg.load(state, {"teacher": True}, True)
+        except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise _core.ConfigError(
+                f"[distillation] teacher {teacher} does not fit the observation groups that [obs_groups] names for it: "
+                f"{_first_line(error)}; give them the terms of the teacher's task"
             ) from error
 
     @contextlib.contextmanager

@@ -16,14 +16,14 @@ import polypod
 from polypod import _core
 from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
-from polypod.training import config, run_dir
+from polypod.terms import CustomTerms
+from polypod.training import config, python_terms, run_dir
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
-DEFAULT_TRAIN_CONFIG = "flat"
 LONGEST_EVALUATION_S = 60.0
 """Of the episodes after a training, s. Episodes of tasks without time-outs have no end."""
 
@@ -40,8 +40,10 @@ class Options:
     train_config: str | None = None
     learner: str | None = None
     logger: str = "tensorboard"
+    log_project: str = "polypod"
     resume: str | None = None
     init: Path | None = None
+    terms: Path | None = None
     run_name: str | None = None
     log_dir: Path = Path("logs")
     device: str = "auto"
@@ -80,6 +82,7 @@ class Plan:
     overrides: list[str]
     checkpoint: Path | None
     device: str
+    terms: python_terms.PythonTerms | None = None
 
 
 def train(options: Options) -> int:
@@ -136,22 +139,28 @@ def train_with(
         torch.set_num_threads(threads)
     torch.manual_seed(plan.seed)
     run_config = plan.config.run
-    env = polypod.make(
+    terms = plan.terms
+    if terms is not None and workers.count > 1:
+        raise _core.ConfigError("--terms are of trainings in one process; leave them out, or train without workers")
+    env: polypod.VectorEnv | CustomTerms = polypod.make(
         run_config.task,
         run_config.num_envs,
         robots=plan.robots,
         seed=plan.seed,
         threads=threads,
         overrides=plan.overrides,
+        autoreset="same_step" if terms is None else "disabled",
         share=workers.share(run_config.num_envs, run_config.learner),
     )
+    if terms is not None and isinstance(env, polypod.VectorEnv):
+        env = CustomTerms(env, terms.rewards, terms.terminations)
     workers.check_same({"the configuration of task and robots": env.sim.config_hash()}, "use the same files")
     workers.check_same({"the instruction set": env.sim.simd}, "set POLYPOD_SIMD to one that all have")
     reporter = Reporter(quiet=not workers.is_first)
 
     def new_run() -> str:
         run = options.run or run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
-        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command)
+        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command, terms)
         return str(run)
 
     run = Path(workers.from_first(new_run)) if plan.checkpoint is None else plan.checkpoint.parent
@@ -167,13 +176,14 @@ def train_with(
             iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
         among = f", each of {workers.count} workers" if workers.count > 1 else ""
         reporter.message(
-            f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
+            f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
             f"simulator {env.sim.threads} threads{among}, {_learner(run_config.learner, device)}; {run}"
         )
         runner.logger.open(
             options.logger if workers.is_first else "none",
             runner.current_learning_iteration,
             lambda problem: reporter.message(f"polypod: warning: {problem}"),
+            options.log_project,
         )
         try:
             runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
@@ -195,6 +205,8 @@ def next_options(options: Options, run: Path, target: int) -> Options | None:
         max_iterations=left,
         learner=options.learner,
         logger=options.logger,
+        log_project=options.log_project,
+        terms=options.terms,
         log_dir=options.log_dir,
         device=options.device,
         threads=options.threads,
@@ -236,14 +248,17 @@ def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
 
 def new_plan(options: Options) -> Plan:
     """What a new run is to train. Raises ConfigError for options that contradict each other or name nothing."""
-    train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
+    of_task, of_training = config.split_overrides(options.overrides)
+    train_config = config.load(options.train_config or config.DEFAULT, of_training)
     device = _device(options, train_config)
     train_config = train_config.with_run(
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
     ).with_mixed_precision_resolved(device)
-    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
+    train_config = train_config.with_teacher_located()
+    terms = None if options.terms is None else python_terms.load(options.terms)
+    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
@@ -254,7 +269,7 @@ def new_plan(options: Options) -> Plan:
             f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
             "leave out slashes, and use 100 letters at most"
         )
-    return Plan(train_config, options.robots, seed, options.overrides, None, device)
+    return Plan(train_config, options.robots, seed, of_task, None, device, terms)
 
 
 def _resumed_plan(options: Options, workers: Workers) -> Plan:
@@ -283,8 +298,39 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     checkpoint = Path(path)
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
-    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
-    return Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint, device)
+    terms = _terms_again(options, manifest)
+    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
+    robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
+    return Plan(train_config, robots, seed, overrides, checkpoint, device, terms)
+
+
+def _learner_of(options: Options) -> str | None:
+    """The learner that is asked for: terms in Python are rsl_rl's."""
+    if options.terms is None:
+        return options.learner
+    if options.learner == "native":
+        raise _core.ConfigError(
+            "--terms are called between steps, which the native learner takes in Rust; leave out --learner native"
+        )
+    return "rsl_rl"
+
+
+def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.PythonTerms | None:
+    """The terms of a run that goes on. A manifest names no code, so the file is named on the command line once more."""
+    began = manifest.get("terms")
+    if began is None and options.terms is not None:
+        raise _core.ConfigError("--terms: this run was begun without; leave them out, or train anew without --resume")
+    if began is None or options.terms is None:
+        if began is None:
+            return None
+        raise _core.ConfigError(f"this run was begun with --terms {began['file']}; name the file again")
+    terms = python_terms.load(options.terms)
+    if terms.sha256 != began["sha256"]:
+        raise _core.ConfigError(
+            f"--terms {options.terms} is not the file that this run was begun with; take that one, or train anew with "
+            "--init"
+        )
+    return terms
 
 
 def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
@@ -318,7 +364,10 @@ def runner_of(
     """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
         return NativeRunner(env, train_config, run, device, reporter, workers)
-    return Runner(env, train_config, run, device, reporter, workers)
+    runner = Runner(env, train_config, run, device, reporter, workers)
+    if train_config.distillation is not None:
+        runner.learn_from(Path(train_config.distillation.teacher))
+    return runner
 
 
 def _learner(learner: str, device: str) -> str:

@@ -1,4 +1,4 @@
-"""Left and right exchanged: what a quadruped's observations and actions become in a mirror.
+"""Left and right exchanged: what a legged body's observations and actions become in a mirror.
 
 Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies", ICRA 2024: PPO learns faster when
 every sample is also seen mirrored.
@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.networks.masked import ACTION_MASK
 from polypod.rsl_rl import VecEnv
-from polypod.training.config import OBSERVATION_GROUP
 
 
 class Mirror:
@@ -22,14 +22,15 @@ class Mirror:
             ConfigError: when the robots of the run have different mirrors.
         """
         sim = env.unwrapped.sim
-        first, *others = sim.robots
-        actions, observations = sim.action_mirror(first), sim.observation_mirror(first)
-        for name in others:
-            if sim.action_mirror(name) != actions or sim.observation_mirror(name) != observations:
-                raise _core.ConfigError(
-                    f"joints of {first} and {name} change sign differently in a mirror: set symmetry = false in [run]"
-                )
-        self._actions, self._observations = _tensors(actions, device), _tensors(observations, device)
+        mask, robots = sim.action_mask, sim.robots
+        actions = {name: (sim.action_mirror(name), mask[sim.env_ids(name)[0]].tolist()) for name in robots}
+        self._actions = _tensors(_common(actions), device)
+        self._observations = {}
+        for group in sim.observation_groups:
+            mirrors = {
+                name: (sim.observation_mirror(name, group), sim.observation_mask(name, group)) for name in robots
+            }
+            self._observations[group] = _tensors(_common(mirrors), device)
 
     def augment(
         self, env: VecEnv, obs: TensorDict | None, actions: torch.Tensor | None
@@ -38,19 +39,46 @@ class Mirror:
 
         Args:
             env: the env, which is not looked at.
-            obs: group `policy`, [n, num_obs].
+            obs: groups of observations, [n, size] each, and in batches of different bodies `action_mask`.
             actions: [n, num_actions].
 
         Returns:
             Both with 2 n rows.
         """
         if obs is not None:
-            policy = obs[OBSERVATION_GROUP]
-            both = torch.cat([policy, _mirrored(policy, self._observations)])
-            obs = TensorDict({OBSERVATION_GROUP: both}, batch_size=[both.shape[0]], device=obs.device)
+            groups = {
+                group: torch.cat([obs[group], _mirrored(obs[group], mirror)])
+                for group, mirror in self._observations.items()
+            }
+            if ACTION_MASK in obs.keys():  # noqa: SIM118  a TensorDict is no dict
+                # a joint's image is a joint
+                mask = obs[ACTION_MASK]
+                groups[ACTION_MASK] = torch.cat([mask, mask.index_select(1, self._actions[0])])
+            obs = TensorDict(groups, batch_size=[2 * obs.batch_size[0]], device=obs.device)
         if actions is not None:
             actions = torch.cat([actions, _mirrored(actions, self._actions)])
         return obs, actions
+
+
+def _common(mirrors: dict[str, tuple[list[tuple[int, float]], list[bool]]]) -> list[tuple[int, float]]:
+    """The mirror of all robots, of each number that of the robots that have it.
+
+    Raises:
+        ConfigError: when robots that have the same number mirror it differently.
+    """
+    first: dict[int, str] = {}
+    common = [(index, 1.0) for index in range(len(next(iter(mirrors.values()))[0]))]
+    for name, (mirror, present) in mirrors.items():
+        for index, image in enumerate(mirror):
+            if not present[index]:
+                continue
+            other = first.setdefault(index, name)
+            if other != name and common[index] != image:
+                raise _core.ConfigError(
+                    f"joints of {other} and {name} change sign differently in a mirror: set symmetry = false in [run]"
+                )
+            common[index] = image
+    return common
 
 
 def _tensors(mirror: list[tuple[int, float]], device: str) -> tuple[torch.Tensor, torch.Tensor]:

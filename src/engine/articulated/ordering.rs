@@ -17,8 +17,8 @@ impl DemandBits {
     /// limits come after these, and then feet, which are near the ground in nearly all robots.
     pub(super) fn new(groups: &[BodyGroup], blocks: usize) -> Self {
         let rank = |&demand: &usize| match groups.get(demand) {
-            Some(BodyGroup::Other) => 0,
-            Some(BodyGroup::Base) => 1,
+            Some(BodyGroup::Other | BodyGroup::Arm | BodyGroup::Head) => 0,
+            Some(BodyGroup::Base | BodyGroup::Torso) => 1,
             Some(BodyGroup::Hip) => 2,
             Some(BodyGroup::Thigh) => 3,
             Some(BodyGroup::Shank) => 4,

@@ -1,0 +1,469 @@
+"""Bodies that nobody built: quadrupeds, bipeds, humanoids and hexapods of drawn lengths, as a library of robots.
+
+Lengths are drawn, and all else follows from them. A body's mass grows with the cube of its leg's length, and a link's share
+with the link's length. Gains, efforts and speeds grow with weight and leg length as those of the library's robots do. The
+ranges are about those of a thousand published bodies (Velythyl/embodiment-scaling-laws, BSD-3-Clause), whose masses stay.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from polypod import _core
+from polypod.files import write_text
+
+KINDS = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
+"""Four legs of three joints or of two, two legs, two legs with arms, six legs."""
+TASK = "velocity_flat_generated"
+GRAVITY = 9.81
+"""m/s^2."""
+
+Vector = tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Link:
+    """A solid of uniform density with what it touches the world with."""
+
+    name: str
+    mass: float
+    """kg."""
+    shape: str
+    """box, cylinder (along z) or sphere."""
+    size: tuple[float, ...]
+    """Edges; radius and length; radius; m."""
+    at: Vector = (0.0, 0.0, 0.0)
+    """Middle of the shape in the link's frame, m."""
+    along: str = "z"
+    """Axis of a cylinder: x or z."""
+
+    def inertia(self) -> Vector:
+        """Of the solid about its middle, link axes, kg m^2."""
+        if self.shape == "box":
+            x, y, z = (edge * edge for edge in self.size)
+            return self.mass / 12 * (y + z), self.mass / 12 * (z + x), self.mass / 12 * (x + y)
+        if self.shape == "sphere":
+            same = 0.4 * self.mass * self.size[0] ** 2
+            return same, same, same
+        radius, length = self.size
+        across = self.mass * (radius**2 / 4 + length**2 / 12)
+        own = self.mass * radius**2 / 2
+        return (own, across, across) if self.along == "x" else (across, across, own)
+
+
+@dataclasses.dataclass(frozen=True)
+class Joint:
+    """A joint that turns; its canonical name, and its angle in the default pose."""
+
+    name: str
+    parent: str
+    child: str
+    at: Vector
+    axis: str
+    """x, y or z."""
+    lower: float
+    upper: float
+    group: str
+    """Of actuators."""
+    angle: float = 0.0
+    """In the default pose, rad."""
+    yaw: float = 0.0
+    """Of the joint's frame in its parent's, rad."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """A robot that was drawn."""
+
+    name: str
+    kind: str
+    links: list[Link]
+    """The base first."""
+    joints: list[Joint]
+    feet: list[tuple[str, str, Vector, float]]
+    """Massless spheres: name, link, place in its frame, radius, m. Bodies with soles have none."""
+    leg_length: float
+    """m."""
+    reward_set: str
+    stiffness: dict[str, float]
+    """Of each group of actuators over weight times leg length."""
+
+    @property
+    def mass(self) -> float:
+        """kg."""
+        return sum(link.mass for link in self.links)
+
+
+def draw(kind: str, name: str, rng: np.random.Generator) -> Body:
+    """Draws a body of one of `KINDS`. The same generator state gives the same body."""
+    makers = {
+        "quadruped": lambda: _quadruped(name, rng, abduction=True),
+        "quadruped8": lambda: _quadruped(name, rng, abduction=False),
+        "biped": lambda: _biped(name, rng, arms=False),
+        "humanoid": lambda: _biped(name, rng, arms=True),
+        "hexapod": lambda: _hexapod(name, rng),
+    }
+    if kind not in makers:
+        raise _core.ConfigError(f"there is no kind of body `{kind}`; known: {', '.join(KINDS)}")
+    return makers[kind]()
+
+
+def generate(
+    out: Path, count: int, seed: int = 0, kinds: Sequence[str] = KINDS, prefix: str = "body", force: bool = False
+) -> list[Body]:
+    """Writes a library of bodies: a folder to be named in `POLYPOD_PATH`, with tasks of all of them.
+
+    The i-th body depends on `seed`, `kinds` and i alone, so that more bodies change none.
+
+    Args:
+        out: the folder.
+        count: how many bodies; kinds take turns.
+        seed: of the draws.
+        kinds: of `KINDS`.
+        prefix: what names begin with; kind and number follow.
+        force: write over files that are there.
+
+    Raises:
+        ConfigError: for an unknown kind or a bad prefix, or where the folder holds files already or cannot be written.
+    """
+    if seed < 0:
+        raise _core.ConfigError(f"the seed {seed} is negative; pass 0 or more")
+    if not kinds or count < 1:
+        raise _core.ConfigError("no bodies are asked for: pass a count of at least 1 and at least one kind")
+    if not prefix.isidentifier() or not prefix.isascii() or prefix != prefix.lower():
+        raise _core.ConfigError(f"`{prefix}` is no prefix of names: use small letters, digits and underscores")
+    if out.exists() and not out.is_dir():
+        raise _core.ConfigError(f"{out} is no folder; choose another one")
+    if out.is_dir() and any(out.iterdir()) and not force:
+        raise _core.ConfigError(f"{out} holds files already; pass --force to write over them, or choose another folder")
+    digits = len(str(count - 1))
+    bodies = []
+    for index in range(count):
+        kind = kinds[index % len(kinds)]
+        bodies.append(draw(kind, f"{prefix}_{kind}_{index:0{digits}}", np.random.default_rng([seed, index])))
+    try:
+        for body in bodies:
+            folder = out / "assets" / "robots" / body.name
+            folder.mkdir(parents=True, exist_ok=True)
+            write_text(folder / "robot.urdf", urdf(body))
+            configs = out / "configs" / "robots"
+            configs.mkdir(parents=True, exist_ok=True)
+            write_text(configs / f"{body.name}.toml", toml(body, seed))
+        tasks = out / "configs" / "tasks"
+        tasks.mkdir(parents=True, exist_ok=True)
+        for name, text in _tasks([body.name for body in bodies]).items():
+            write_text(tasks / f"{name}.toml", text)
+        facts = {"count": count, "seed": seed, "kinds": list(kinds), "prefix": prefix}
+        write_text(out / "bodies.json", json.dumps(facts) + "\n")
+    except OSError as error:
+        raise _core.ConfigError(f"cannot write {out}: {error.strerror}; choose another folder") from error
+    return bodies
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def _bent(ahead: float, below: float, thigh: float, shank: float) -> tuple[float, float]:
+    """Angles of hip and knee about y that put the end of a leg there from its hip; knees bend by a negative angle."""
+    square = ahead**2 + below**2
+    bend = math.acos(max(-1.0, min(1.0, (square - thigh**2 - shank**2) / (2 * thigh * shank))))
+    inner = math.acos(max(-1.0, min(1.0, (square + thigh**2 - shank**2) / (2 * math.sqrt(square) * thigh))))
+    return math.atan2(-ahead, below) + inner, -bend
+
+
+def _rod(name: str, mass: float, length: float, radius: float) -> Link:
+    """A link that hangs from its frame."""
+    return Link(name, mass, "cylinder", (radius, length), (0.0, 0.0, -length / 2))
+
+
+def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
+    leg = _log_uniform(rng, 0.25, 0.9)
+    thigh = leg * rng.uniform(0.42, 0.58)
+    shank = leg - thigh
+    length, width, height = leg * rng.uniform(0.8, 1.3), leg * rng.uniform(0.25, 0.5), leg * rng.uniform(0.2, 0.35)
+    mass = 15.0 * (leg / 0.426) ** 3 * rng.uniform(0.7, 1.3)
+    hip = leg * rng.uniform(0.12, 0.25)
+    shares = {"hip": 0.045, "thigh": 0.075 * 2 * thigh / leg, "shank": 0.016 * 2 * shank / leg}
+    base = 1.0 - 4 * sum(shares.values())
+    links = [Link("base", base * mass, "box", (length, width, height))]
+    joints: list[Joint] = []
+    feet = []
+    radius = 0.05 * leg
+    for place, x, y in (("LF", 1, 1), ("LH", -1, 1), ("RF", 1, -1), ("RH", -1, -1)):
+        names = [f"{place}_{part}" for part in ("hip", "thigh", "shank", "foot")]
+        # the pose in which policies of the library's quadrupeds are trained
+        flexion, bend = _bent((-0.037 if x > 0 else -0.181) * leg, 0.72 * leg, thigh, shank)
+        corner = (x * length / 2, y * width / 2, 0.0)
+        if abduction:
+            links.append(Link(names[0], shares["hip"] * mass, "sphere", (0.1 * leg,)))
+            joints.append(Joint(f"{place}_HAA", "base", names[0], corner, "x", -0.9, 0.9, "legs", 0.1 * y))
+        # legs that cannot spread stand as far apart as those that can
+        beside = (corner[0], y * (width / 2 + hip + 0.07 * leg), 0.0)
+        parent, at = (names[0], (0.0, y * hip, 0.0)) if abduction else ("base", beside)
+        links.append(_rod(names[1], shares["thigh"] * mass, thigh, 0.07 * leg))
+        links.append(_rod(names[2], shares["shank"] * mass, shank, 0.035 * leg))
+        joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", -1.5, 3.4, "legs", flexion))
+        joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", -2.7, -0.5, "knees", bend))
+        feet.append((names[3], names[2], (0.0, 0.0, -shank), radius))
+    kind = "quadruped" if abduction else "quadruped8"
+    rewards = "unitree" if mass < 30.0 else "unitree_large"
+    return Body(name, kind, links, joints, feet, leg, rewards, {"legs": 0.46, "knees": 0.46})
+
+
+def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
+    leg = _log_uniform(rng, 0.35, 1.0)
+    thigh = leg * rng.uniform(0.44, 0.56)
+    shank = leg - thigh
+    mass = 36.0 * (leg / 0.7) ** 3 * rng.uniform(0.7, 1.3)
+    width = leg * rng.uniform(0.25, 0.4)
+    sole = (leg * rng.uniform(0.28, 0.36), leg * rng.uniform(0.12, 0.16), 0.04 * leg)
+    ankle_roll, torso = bool(rng.random() < 0.7), arms and bool(rng.random() < 0.5)
+    upper_arm, forearm = leg * rng.uniform(0.3, 0.4), leg * rng.uniform(0.3, 0.4)
+    shares = {"hip": 0.03, "thigh": 0.09 * 2 * thigh / leg, "shank": 0.05 * 2 * shank / leg, "ankle": 0.01, "sole": 0.02}
+    arm = {"shoulder": 0.015, "upper": 0.03 * upper_arm / (0.35 * leg), "fore": 0.02 * forearm / (0.35 * leg)}
+    rest = 1.0 - 2 * (sum(shares.values()) + shares["hip"]) - (2 * sum(arm.values()) if arms else 0.0)
+    chest = leg * rng.uniform(0.45, 0.65)
+    pelvis = (0.2 * leg, width, 0.16 * leg)
+    links, joints = [], []
+    if torso:
+        links.append(Link("base", 0.35 * rest * mass, "box", pelvis))
+    else:
+        box = (0.2 * leg, width, chest)
+        links.append(Link("base", rest * mass, "box", box, (0.0, 0.0, chest / 2 - 0.08 * leg)))
+    # hips above the middle of the soles, knees bent forwards
+    flexion, bend = _bent(0.0, 0.95 * leg, thigh, shank)
+    flexion, bend = -flexion, -bend
+    foot = (0.1 * sole[0], 0.0, -0.06 * leg)
+    for place, y in (("L", 1), ("R", -1)):
+        names = [f"{place}_{part}" for part in ("hip_yaw", "hip_roll", "thigh", "shank", "ankle", "sole")]
+        links.append(Link(names[0], shares["hip"] * mass, "sphere", (0.05 * leg,)))
+        links.append(Link(names[1], shares["hip"] * mass, "sphere", (0.05 * leg,)))
+        links.append(_rod(names[2], shares["thigh"] * mass, thigh, 0.07 * leg))
+        links.append(_rod(names[3], shares["shank"] * mass, shank, 0.05 * leg))
+        joints.append(Joint(f"{place}_HIP_YAW", "base", names[0], (0.0, y * width / 2, -0.1 * leg), "z", -0.8, 0.8, "legs"))
+        joints.append(Joint(f"{place}_HIP_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", -0.6, 0.6, "legs"))
+        joints.append(Joint(f"{place}_HIP_PITCH", names[1], names[2], (0.0, 0.0, 0.0), "y", -2.0, 1.0, "legs", flexion))
+        joints.append(Joint(f"{place}_KNEE", names[2], names[3], (0.0, 0.0, -thigh), "y", 0.0, 2.4, "legs", bend))
+        tilt = -flexion - bend
+        end = names[5]
+        if ankle_roll:
+            links.append(Link(names[4], shares["ankle"] * mass, "sphere", (0.03 * leg,)))
+            links.append(Link(names[5], shares["sole"] * mass, "box", sole, foot))
+            joints.append(Joint(f"{place}_ANKLE_PITCH", names[3], names[4], (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt))
+            joints.append(Joint(f"{place}_ANKLE_ROLL", names[4], end, (0.0, 0.0, 0.0), "x", -0.5, 0.5, "ankles"))
+        else:
+            links.append(Link(end, (shares["ankle"] + shares["sole"]) * mass, "box", sole, foot))
+            joints.append(Joint(f"{place}_ANKLE_PITCH", names[3], end, (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt))
+    if arms:
+        shoulders, top = "base", chest - 0.12 * leg
+        if torso:
+            shoulders = "torso"
+            box = (0.2 * leg, width, 0.9 * chest)
+            links.append(Link("torso", 0.65 * rest * mass, "box", box, (0.0, 0.0, 0.5 * chest)))
+            joints.append(Joint("TORSO_YAW", "base", "torso", (0.0, 0.0, 0.08 * leg), "z", -1.5, 1.5, "legs"))
+            top = 0.9 * chest
+        for place, y in (("L", 1), ("R", -1)):
+            names = [f"{place}_{part}" for part in ("shoulder", "upper_arm", "forearm")]
+            beside = width / 2 + 0.09 * leg
+            links.append(Link(names[0], arm["shoulder"] * mass, "sphere", (0.04 * leg,)))
+            links.append(_rod(names[1], arm["upper"] * mass, upper_arm, 0.04 * leg))
+            links.append(_rod(names[2], arm["fore"] * mass, forearm, 0.035 * leg))
+            at = (0.0, y * beside, top)
+            joints.append(Joint(f"{place}_SHOULDER_PITCH", shoulders, names[0], at, "y", -2.5, 2.5, "arms", 0.2))
+            low, high = (-0.3, 1.6) if y > 0 else (-1.6, 0.3)
+            joints.append(Joint(f"{place}_SHOULDER_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", low, high, "arms", 0.1 * y))
+            joints.append(Joint(f"{place}_ELBOW", names[1], names[2], (0.0, 0.0, -upper_arm), "y", -2.2, 0.1, "arms", -0.4))
+    # like machines: too soft at the ankles to stand without a policy
+    stiffness = {"legs": 0.7, "ankles": 0.25} | ({"arms": 0.08} if arms else {})
+    return Body(name, "humanoid" if arms else "biped", links, joints, [], leg, "biped", stiffness)
+
+
+def _hexapod(name: str, rng: np.random.Generator) -> Body:
+    leg = _log_uniform(rng, 0.15, 0.6)
+    femur = leg * rng.uniform(0.38, 0.5)
+    tibia = leg - femur
+    coxa = leg * rng.uniform(0.12, 0.22)
+    length, width, height = leg * rng.uniform(1.2, 1.8), leg * rng.uniform(0.6, 1.0), leg * rng.uniform(0.15, 0.25)
+    mass = 12.0 * (leg / 0.4) ** 3 * rng.uniform(0.7, 1.3)
+    spread = rng.uniform(0.5, 0.9)
+    shares = {"coxa": 0.03 * coxa / (0.17 * leg), "femur": 0.045 * 2 * femur / leg, "tibia": 0.012 * 2 * tibia / leg}
+    base = 1.0 - 6 * sum(shares.values())
+    links = [Link("base", base * mass, "box", (length, width, height))]
+    joints: list[Joint] = []
+    feet = []
+    lift = -0.3
+    places = (("LF", 1, 1), ("LM", 0, 1), ("LH", -1, 1), ("RF", 1, -1), ("RM", 0, -1), ("RH", -1, -1))
+    for place, x, y in places:
+        names = [f"{place}_{part}" for part in ("coxa", "femur", "tibia", "foot")]
+        links.append(Link(names[0], shares["coxa"] * mass, "cylinder", (0.06 * leg, coxa), (coxa / 2, 0.0, 0.0), "x"))
+        links.append(Link(names[1], shares["femur"] * mass, "cylinder", (0.06 * leg, femur), (femur / 2, 0.0, 0.0), "x"))
+        links.append(Link(names[2], shares["tibia"] * mass, "cylinder", (0.04 * leg, tibia), (tibia / 2, 0.0, 0.0), "x"))
+        at = (x * length / 2, y * width / 2, 0.0)
+        # legs point away from the body, those at the ends along it too
+        yaw = y * (math.pi / 2 - x * spread)
+        joints.append(Joint(f"{place}_HIP_YAW", "base", names[0], at, "z", -0.7, 0.7, "legs", 0.0, yaw))
+        joints.append(Joint(f"{place}_HIP_LIFT", names[0], names[1], (coxa, 0.0, 0.0), "y", -1.2, 1.2, "legs", lift))
+        knee = math.pi / 2 - lift - 0.15
+        joints.append(Joint(f"{place}_KNEE", names[1], names[2], (femur, 0.0, 0.0), "y", 0.2, 2.7, "legs", knee))
+        feet.append((names[3], names[2], (tibia, 0.0, 0.0), 0.045 * leg))
+    return Body(name, "hexapod", links, joints, feet, leg, "hexapod", {"legs": 0.35})
+
+
+def _number(x: float) -> str:
+    return f"{x:.6g}" if abs(x) > 1e-12 else "0"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(map(_number, values))
+
+
+def _shape(link: Link) -> str:
+    if link.shape == "box":
+        return f'<box size="{_numbers(link.size)}"/>'
+    if link.shape == "sphere":
+        return f'<sphere radius="{_number(link.size[0])}"/>'
+    return f'<cylinder radius="{_number(link.size[0])}" length="{_number(link.size[1])}"/>'
+
+
+def urdf(body: Body) -> str:
+    """The URDF of a body. Feet are links without mass, fixed to their legs."""
+    limits = _limits(body)
+    out = ['<?xml version="1.0" encoding="utf-8"?>', f"<!-- A {body.kind} that was drawn by `polypod bodies generate`. -->"]
+    out += [f'<robot name="{body.name}">', "  <!-- MuJoCo only: feet have no mass. -->"]
+    out += ['  <mujoco><compiler inertiafromgeom="false"/></mujoco>']
+    by_child = {joint.child: joint for joint in body.joints}
+    for link in body.links:
+        joint = by_child.get(link.name)
+        if joint is not None:
+            effort, velocity = limits[joint.group]
+            axis = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}[joint.axis]
+            out += [
+                f'  <joint name="{joint.name}" type="revolute">',
+                f'    <origin xyz="{_numbers(joint.at)}" rpy="0 0 {_number(joint.yaw)}"/>',
+                f'    <parent link="{joint.parent}"/><child link="{joint.child}"/><axis xyz="{axis}"/>',
+                f'    <limit lower="{_number(joint.lower)}" upper="{_number(joint.upper)}" effort="{_number(effort)}" '
+                f'velocity="{_number(velocity)}"/>',
+                "  </joint>",
+            ]
+        x, y, z = link.inertia()
+        turned = ' rpy="0 1.5707963267948966 0"' if link.along == "x" else ""
+        shape = f'<origin xyz="{_numbers(link.at)}"{turned}/><geometry>{_shape(link)}</geometry>'
+        out += [
+            f'  <link name="{link.name}">',
+            f'    <inertial><origin xyz="{_numbers(link.at)}"/><mass value="{_number(link.mass)}"/>',
+            f'      <inertia ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" ixy="0" ixz="0" iyz="0"/></inertial>',
+            f"    <visual>{shape}</visual>",
+            f"    <collision>{shape}</collision>",
+            "  </link>",
+        ]
+    for name, parent, at, radius in body.feet:
+        sphere = f'<geometry><sphere radius="{_number(radius)}"/></geometry>'
+        out += [
+            f'  <joint name="{name}_fixed" type="fixed">',
+            f'    <origin xyz="{_numbers(at)}"/><parent link="{parent}"/><child link="{name}"/>',
+            "  </joint>",
+            f'  <link name="{name}"><visual>{sphere}</visual><collision>{sphere}</collision></link>',
+        ]
+    return "\n".join([*out, "</robot>", ""])
+
+
+def _limits(body: Body) -> dict[str, tuple[float, float]]:
+    """Effort (N m) and speed (rad/s) of each group: strong enough for gains to hold, speeds of like motion."""
+    load = body.mass * GRAVITY * body.leg_length
+    speed = 20.0 * math.sqrt(0.4 / body.leg_length)
+    return {group: (max(0.4, 0.6 * share) * load, speed) for group, share in body.stiffness.items()}
+
+
+def toml(body: Body, seed: int) -> str:
+    """The config of a body."""
+    load = body.mass * GRAVITY * body.leg_length
+    weight = body.mass * GRAVITY
+    lines = [
+        f"# Drawn by `polypod bodies generate` with seed {seed}. {body.mass:.2f} kg, legs of {body.leg_length:.3f} m.",
+        f'name = "{body.name}"',
+        f'title = "{body.name.replace("_", " ").title()}"',
+        f'urdf = "assets/robots/{body.name}/robot.urdf"',
+        f'reward_set = "{body.reward_set}"',
+        "action_scale = 0.25          # rad per unit of action",
+        "self_collisions = false",
+        "",
+        "[joint_roles]",
+        *(f'{joint.name} = "{joint.name}"' for joint in body.joints),
+        "",
+        "[default_pose]               # rad",
+        *(f"{joint.name} = {_real(joint.angle)}" for joint in body.joints),
+    ]
+    for group, (effort, velocity) in _limits(body).items():
+        joints = ", ".join(f'"{joint.name}"' for joint in body.joints if joint.group == group)
+        stiffness = body.stiffness[group] * load
+        lines += [
+            "",
+            f"[actuators.{group}]",
+            f"joints = [{joints}]",
+            'model = "ideal_pd"',
+            f"stiffness = {_real(stiffness)}             # N m / rad",
+            f"damping = {_real(stiffness / 30.0)}               # N m s / rad",
+            f"effort_limit = {_real(effort)}          # N m",
+            f"velocity_limit = {_real(velocity)}        # rad/s",
+            f"armature = {_real(2e-4 * load)}            # kg m^2",
+        ]
+    tenth = _real(0.1 * body.mass)
+    lever = _real(0.05 * body.leg_length)
+    lines += [
+        "",
+        "[reset]",
+        'joint_position = { mode = "scale", range = [0.95, 1.05] }',
+        "base_velocity = { range = [0.0, 0.0] }",
+        "soft_limit_factor = 0.9",
+        "spawn_margin = 0.01",
+        "",
+        "[randomization]",
+        "static_friction = [0.5, 1.25]",
+        "dynamic_friction = [0.4, 1.0]",
+        f"base_mass_offset = [-{tenth}, {tenth}]             # kg",
+        f"base_com_offset = {{ x = [-{lever}, {lever}], y = [-{lever}, {lever}], z = [-{lever}, {lever}] }}   # m",
+        'stiffness = { operation = "scale", distribution_params = [0.9, 1.1] }',
+        'damping = { operation = "scale", distribution_params = [0.9, 1.1] }',
+        "motor_strength = [0.9, 1.1]",
+        f"external_force = [-{_real(0.1 * weight)}, {_real(0.1 * weight)}]       # N",
+        "action_delay = [0, 2]",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _real(x: float) -> str:
+    """A TOML float of six digits."""
+    text = f"{x:.6g}" if abs(x) > 1e-12 else "0.0"
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _tasks(names: list[str]) -> dict[str, str]:
+    """Tasks of all bodies, by file name."""
+    robots = "\n".join(f'    "{name}",' for name in names)
+    flat = f"""# Velocity tracking on flat ground of all bodies of this library.
+extends = "velocity_flat_legged"
+name = "Velocity-Flat-Generated-v0"
+aliases = ["{TASK}"]
+experiment_name = "generated_flat"
+robots = [
+{robots}
+]
+
+# Bodies of all weights share a set: torques count little.
+[rewards.hexapod.dof_torques_l2]
+weight = -2.0e-5
+[rewards.unitree.dof_torques_l2]
+weight = -2.0e-5
+"""
+    play = f"""# The task for watching and measuring a policy: no noise, no randomisation, no pushes.
+extends = ["{TASK}", "velocity_flat_play"]
+name = "Velocity-Flat-Generated-Play-v0"
+aliases = ["{TASK}_play"]
+"""
+    return {TASK: flat, f"{TASK}_play": play}

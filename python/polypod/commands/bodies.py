@@ -1,0 +1,45 @@
+"""`polypod bodies`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from polypod.commands.arguments import arg, names, positive
+
+
+@dataclasses.dataclass(frozen=True)
+class Bodies:
+    """Draw bodies that nobody built, as a library of robots: `polypod bodies generate FOLDER --count 1000`."""
+
+    action: Annotated[Literal["generate"], tyro.conf.Positional]
+    """generate: draw lengths, let masses, gains and poses follow, write a URDF and a TOML for each body and tasks of all."""
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Where to. Name it in POLYPOD_PATH to use it."""
+    count: Annotated[int, arg(metavar="N")] = 100
+    """Number of bodies; kinds take turns."""
+    seed: int = 0
+    """Of the draws. A body depends on it, on its number and on the kinds alone."""
+    kinds: Annotated[str, arg(metavar="A,B,C")] = "quadruped,quadruped8,biped,humanoid,hexapod"
+    """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
+    prefix: Annotated[str, arg(metavar="NAME")] = "body"
+    """What the robots' names begin with."""
+    force: bool = False
+    """Write over files that are there."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        from polypod import bodies
+
+        positive(self.count, "--count")
+        kinds = names(self.kinds) or []
+        made = bodies.generate(self.folder, self.count, self.seed, kinds, self.prefix, force=self.force)
+        joints = [len(body.joints) for body in made]
+        masses = [body.mass for body in made]
+        print(
+            f"{self.folder}: {len(made)} bodies of {min(joints)} to {max(joints)} joints and {min(masses):.1f} to "
+            f"{max(masses):.0f} kg"
+        )
+        print(f"train them:  POLYPOD_PATH={self.folder} polypod train --task {bodies.TASK}")
+        return 0

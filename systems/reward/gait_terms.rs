@@ -1,0 +1,89 @@
+//! Reward terms on how feet step, for any number of them.
+//!
+//! Formulas: Isaac Lab's locomotion tasks and Hetero-IsaacLab's humanoid task (BSD-3-Clause), names as there.
+
+use serde::Deserialize;
+
+use super::norm;
+use crate::dynamics::elementary::exp;
+use crate::systems::terms::{NoParams, Registry};
+use crate::systems::view::RobotView;
+
+/// Planar speed up to which a robot is told to stand, m/s.
+const STANDING: f32 = 0.1;
+/// Commanded yaw rate at which feet may step unevenly, rad/s: the width of a bell curve.
+const TURNING: f32 = 0.25;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StrideTime {
+    /// Longest stride that is rewarded, s.
+    threshold: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Force {
+    /// Normal force from which a foot stands, N. Isaac Lab's default.
+    #[serde(default = "one")]
+    threshold: f32,
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+pub(super) fn register(registry: &mut Registry) {
+    registry.reward("feet_air_time_positive_biped", feet_air_time_positive_biped);
+    registry.reward("feet_slide", feet_slide);
+    registry.reward("desired_contacts", desired_contacts);
+    registry.reward("gait_symmetry", gait_symmetry);
+}
+
+/// While one foot stands alone: how long it stands and the others swing, the least of these.
+#[inline(always)]
+fn feet_air_time_positive_biped(p: &StrideTime, r: &RobotView) -> f32 {
+    let c = r.contacts;
+    let standing = c.contact_time.iter().filter(|time| **time > 0.0).count();
+    if standing != 1 || norm(&r.command[..2]) <= STANDING {
+        return 0.0;
+    }
+    let phases = c.contact_time.iter().zip(&c.air_time);
+    phases.map(|(&contact, &air)| if contact > 0.0 { contact } else { air }).fold(p.threshold, f32::min)
+}
+
+/// Planar speed of the feet that stand, m/s, added up.
+#[inline(always)]
+fn feet_slide(p: &Force, r: &RobotView) -> f32 {
+    let feet = r.morphology.feet.iter().zip(&r.feet.velocity);
+    feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
+}
+
+/// 1 while no foot stands: a robot that flies.
+#[inline(always)]
+fn desired_contacts(p: &Force, r: &RobotView) -> f32 {
+    let stands = r.morphology.feet.iter().any(|&foot| r.contacts.peak_force[foot] > p.threshold);
+    f32::from(u8::from(!stands))
+}
+
+/// When a foot lands: by how much its last flight differs from that of the foot on the other side, s, added up over pairs.
+#[inline(always)]
+fn gait_symmetry(_: &NoParams, r: &RobotView) -> f32 {
+    if norm(r.command) <= STANDING {
+        return 0.0;
+    }
+    let c = r.contacts;
+    // a contact time within the control step, give or take rounding
+    let landed = |foot: usize| c.contact_time[foot] > 0.0 && c.contact_time[foot] < r.step_dt + 1e-5;
+    // left feet come first, the right ones in the same order
+    let pairs = c.last_air_time.len() / 2;
+    let uneven: f32 = (0..pairs)
+        .map(|left| (left, left + pairs))
+        .filter(|&(left, right)| landed(left) || landed(right))
+        .map(|(left, right)| (c.last_air_time[left], c.last_air_time[right]))
+        .filter(|(left, right)| *left > 0.0 && *right > 0.0)
+        .map(|(left, right)| (left - right).abs())
+        .sum();
+    let turn = r.command[2] / TURNING;
+    uneven * exp(-0.5 * turn * turn)
+}

@@ -1,0 +1,165 @@
+//! Reward terms on joints: all of a robot's, or those that patterns name; their sum, or their mean.
+//!
+//! Formulas: Isaac Lab's velocity-tracking tasks (BSD-3-Clause), names as there. A sum grows with the number of joints; a mean
+//! weighs robots of 6 and of 29 joints alike.
+
+use serde::Deserialize;
+
+use super::{norm, sum_of_squares};
+use crate::config::matches;
+use crate::morphology::MorphologyModel;
+use crate::robot::{Place, Role, Slot};
+use crate::systems::terms::{NoParams, Registry};
+use crate::systems::view::RobotView;
+
+/// Which joints a term is about. The default: the sum over all of them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Joints {
+    /// Patterns on canonical names, such as `*_KNEE`; `*` stands for any run of letters. Default: all joints.
+    joints: Option<Vec<String>>,
+    /// Their mean in place of their sum.
+    #[serde(default)]
+    mean: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Mean {
+    /// The mean over joints in place of their sum.
+    #[serde(default)]
+    mean: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StandStill {
+    /// Planar speed below which the robot is told to stand, m/s. Isaac Lab's default.
+    #[serde(default = "command_threshold")]
+    command_threshold: f32,
+    joints: Option<Vec<String>>,
+    #[serde(default)]
+    mean: bool,
+}
+
+fn command_threshold() -> f32 {
+    0.06
+}
+
+/// The joints of a robot that a term is about.
+struct OnJoints {
+    /// Physical joints; none: all of them, in order.
+    joints: Option<Vec<usize>>,
+    /// 1 for the sum, 1 over their number for the mean.
+    factor: f32,
+}
+
+impl OnJoints {
+    /// Key, problem and remedy of a pattern that no robot could match; one that this robot has nothing for is an empty set.
+    fn new(patterns: Option<&[String]>, mean: bool, robot: &MorphologyModel) -> Result<Self, (String, String, String)> {
+        for (index, pattern) in patterns.iter().copied().flatten().enumerate() {
+            check_pattern(&format!("joints[{index}]"), pattern)?;
+        }
+        let joints = patterns.map(|patterns| {
+            let is_named = |slot: &Slot| patterns.iter().any(|pattern| matches(pattern, &slot.to_string()));
+            let mut joints: Vec<usize> =
+                robot.slots.iter().filter(|own| is_named(&own.slot)).map(|own| own.joint()).collect();
+            joints.sort_unstable();
+            joints
+        });
+        let count = joints.as_ref().map_or(robot.slots.len(), Vec::len);
+        Ok(Self { joints, factor: if mean { 1.0 / count.max(1) as f32 } else { 1.0 } })
+    }
+
+    /// Of `value`, by physical joint.
+    #[inline(always)]
+    fn of(&self, count: usize, value: impl Fn(usize) -> f32) -> f32 {
+        let sum: f32 = match &self.joints {
+            None => (0..count).map(value).sum(),
+            Some(joints) => joints.iter().map(|&joint| value(joint)).sum(),
+        };
+        self.factor * sum
+    }
+
+    /// Of squares.
+    #[inline(always)]
+    fn squares(&self, x: &[f32]) -> f32 {
+        let sum = match &self.joints {
+            None => sum_of_squares(x),
+            Some(joints) => joints.iter().fold(0.0, |sum: f32, &joint| x[joint].mul_add(x[joint], sum)),
+        };
+        self.factor * sum
+    }
+}
+
+/// Key, problem and remedy of a pattern that matches the name of no joint that any robot could have.
+fn check_pattern(element: &str, pattern: &str) -> Result<(), (String, String, String)> {
+    let slots = || {
+        let of = |place: Place| Role::ALL.into_iter().map(move |role| Slot::new(place, role).to_string());
+        Place::ALL.into_iter().flat_map(of).filter(|name| Slot::parse(name).is_some())
+    };
+    let numbered = |name: String| (1..10).map(move |n| if n == 1 { name.clone() } else { format!("{name}_{n}") });
+    if slots().flat_map(numbered).any(|name| matches(pattern, &name)) {
+        return Ok(());
+    }
+    let roles = Role::ALL.map(Role::name).join(", ");
+    let places = Place::ALL.map(Place::name).join(", ");
+    let remedy =
+        format!("joints are named PLACE_ROLE, `*` stands for any run of letters; places: {places}; roles: {roles}");
+    Err((element.to_owned(), format!("`{pattern}` matches the name of no joint"), remedy))
+}
+
+pub(super) fn register(registry: &mut Registry) {
+    registry.reward_for("dof_torques_l2", joints, |on, r| on.squares(&r.effort.applied));
+    registry.reward_for("dof_acc_l2", joints, |on, r| on.squares(&r.effort.acceleration));
+    registry.reward_for("joint_vel_l2", joints, |on, r| on.squares(&r.joints.velocity));
+    registry.reward_for("joint_deviation_l1", joints, joint_deviation_l1);
+    registry.reward_for("joint_pos_limits", joints, joint_pos_limits);
+    registry.reward_for("stand_still_joint_deviation_l1", stand_still, stand_still_joint_deviation_l1);
+    registry.reward_for("action_rate_l2", share, |factor, r| factor * action_change(r));
+    registry.reward("action_smoothness", |_: &NoParams, r| action_change(r).sqrt());
+}
+
+fn joints(p: Joints, robot: &MorphologyModel) -> Result<OnJoints, (String, String, String)> {
+    OnJoints::new(p.joints.as_deref(), p.mean, robot)
+}
+
+fn share(p: Mean, robot: &MorphologyModel) -> Result<f32, (String, String, String)> {
+    Ok(if p.mean { 1.0 / robot.slots.len().max(1) as f32 } else { 1.0 })
+}
+
+fn stand_still(p: StandStill, robot: &MorphologyModel) -> Result<(f32, OnJoints), (String, String, String)> {
+    Ok((p.command_threshold, OnJoints::new(p.joints.as_deref(), p.mean, robot)?))
+}
+
+/// Squared change of the action. Columns of joints that the robot lacks are zero.
+#[inline(always)]
+fn action_change(r: &RobotView) -> f32 {
+    let pairs = r.action.current.iter().zip(&r.action.previous);
+    pairs.fold(0.0, |sum: f32, (a, b)| (a - b).mul_add(a - b, sum))
+}
+
+#[inline(always)]
+fn joint_deviation_l1(on: &OnJoints, r: &RobotView) -> f32 {
+    let (q, default) = (&r.joints.position, &r.stance.default_position);
+    on.of(q.len(), |joint| (q[joint] - default[joint]).abs())
+}
+
+/// How far positions lie beyond the soft limits: `reset.soft_limit_factor` of each joint's range, about its middle.
+#[inline(always)]
+fn joint_pos_limits(on: &OnJoints, r: &RobotView) -> f32 {
+    let (q, lower, upper) = (&r.joints.position, &r.body.lower, &r.body.upper);
+    let soft = r.morphology.config.reset.soft_limit_factor as f32;
+    on.of(q.len(), |joint| {
+        let (lower, upper) = (lower[joint], upper[joint]);
+        let margin = 0.5 * (1.0 - soft) * (upper - lower);
+        let beyond = (lower + margin - q[joint]).max(q[joint] - upper + margin).max(0.0);
+        // a joint without limits has none to be beyond
+        if beyond.is_finite() { beyond } else { 0.0 }
+    })
+}
+
+#[inline(always)]
+fn stand_still_joint_deviation_l1((threshold, on): &(f32, OnJoints), r: &RobotView) -> f32 {
+    if norm(&r.command[..2]) < *threshold { joint_deviation_l1(on, r) } else { 0.0 }
+}

@@ -1,0 +1,121 @@
+"""`polypod bodies generate`: bodies of drawn lengths, the same ones for the same seed, that stand in one batch."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomllib
+
+import polypod
+from common import size
+from polypod import _core, bodies
+from polypod.accuracy import reference
+from polypod.accuracy.statics import relative_error
+
+COUNT = size(20, 200)
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture
+def library(tmp_path, monkeypatch):
+    folder = tmp_path / "drawn"
+    made = bodies.generate(folder, COUNT, seed=3)
+    monkeypatch.setenv("POLYPOD_PATH", str(folder))
+    return made
+
+
+def test_the_seed_decides_them(tmp_path):
+    bodies.generate(tmp_path / "a", 10, seed=1)
+    bodies.generate(tmp_path / "b", 10, seed=1)
+    bodies.generate(tmp_path / "c", 10, seed=2)
+    a, b, c = (files(tmp_path / name) for name in "abc")
+    assert a == b
+    robots = [name for name in a if name.endswith("robot.urdf")]
+    assert len(robots) == 10
+    assert all(a[name] != c[name] for name in robots)
+    assert json.loads(a["bodies.json"])["seed"] == 1
+
+
+def test_more_bodies_change_none(tmp_path):
+    few, more = bodies.generate(tmp_path / "few", 6), bodies.generate(tmp_path / "more", 8)
+    assert few == more[:6]
+
+
+def test_masses_follow_lengths():
+    rng = np.random.default_rng(0)
+    drawn = [bodies.draw("quadruped", "x", rng) for _ in range(200)]
+    lengths = np.log([body.leg_length for body in drawn])
+    slope, _ = np.polyfit(lengths, np.log([body.mass for body in drawn]), 1)
+    assert slope == pytest.approx(3.0, abs=0.2)
+    assert min(np.exp(lengths)) < 0.3
+    assert max(np.exp(lengths)) > 0.8
+
+
+def test_they_are_of_all_kinds_and_stand_in_one_batch(library):
+    """Two legs do not stand without a policy, as those of machines do not: they begin to fall, slowly."""
+    names = [body.name for body in library]
+    env = polypod.make(bodies.TASK + "_play", COUNT, seed=0, autoreset="disabled")
+    assert env.robots == names
+    env.reset()
+    balanced = np.array([body.kind in ("biped", "humanoid") for body in library])
+    actions = np.zeros((COUNT, env.sim.num_actions), dtype=np.float32)
+    for step in range(300):
+        ended = env.step(actions)[2]
+        assert not ended[~balanced].any(), np.array(names)[ended & ~balanced]
+        if ended.any():
+            assert step > 25
+            env.reset(options={"reset_mask": ended})
+    assert env.state.valid.all()
+    joints = {body.kind: {len(other.joints) for other in library if other.kind == body.kind} for body in library}
+    assert set(joints) == set(bodies.KINDS)
+    assert joints["quadruped"] == {12}
+    assert joints["quadruped8"] == {8}
+    assert joints["hexapod"] == {18}
+    assert joints["biped"] <= {10, 12}
+    assert min(joints["humanoid"]) >= 16
+
+
+def test_roles_follow_from_geometry(library, tmp_path):
+    """The names that the configs state are those that geometry finds."""
+    for body in library:
+        path = tmp_path / "drawn" / "configs" / "robots" / f"{body.name}.toml"
+        text = path.read_text()
+        stated = tomllib.loads(text)["joint_roles"]
+        begin, end = text.index("[joint_roles]"), text.index("[default_pose]")
+        path.write_text(text[:begin] + text[end:])
+        (info,) = json.loads(_core.VecSim("velocity_flat_legged_play", 1, robots=[body.name]).robot_info()).values()
+        assert set(info["joint_names"]) == set(stated)
+
+
+@pytest.mark.parametrize("kind", bodies.KINDS)
+def test_mujoco_reads_them_alike(kind, tmp_path):
+    pytest.importorskip("mujoco")
+    body = bodies.draw(kind, "drawn", np.random.default_rng(5))
+    file = tmp_path / "robot.urdf"
+    file.write_text(bodies.urdf(body))
+    sim = polypod.Simulation(str(file), ground=None, self_collision=False, threads=1)
+    mujoco = reference.Reference(file.read_text(), joint_names=tuple(sim.joint_names), dt=sim.dt)
+    assert sim.total_mass == pytest.approx(body.mass, rel=1e-5)
+    rng = np.random.default_rng(0)
+    qpos = np.concatenate([[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0], rng.uniform(-0.5, 0.5, len(body.joints))])
+    sim.set_state(qpos, np.zeros(6 + len(body.joints)))
+    mujoco.set_state(qpos)
+    assert relative_error(sim.mass_matrix()[0], mujoco.mass_matrix()) < 1e-6
+
+
+def test_the_command(cli, tmp_path):
+    done = cli("bodies", "generate", "new", "--count", "6", "--kinds", "hexapod,biped", "--prefix", "walker")
+    assert done.returncode == 0, done.stderr
+    assert "6 bodies" in done.stdout
+    assert sorted(path.name for path in (tmp_path / "new/assets/robots").iterdir())[0] == "walker_biped_1"
+    done = cli("bodies", "generate", "new", "--count", "6")
+    assert done.returncode == 2
+    assert "--force" in done.stderr
+    for line in (["--kinds", "snake"], ["--count", "0"], ["--prefix", "A b"], ["--seed", "-1"]):
+        done = cli("bodies", "generate", "other", *line)
+        assert done.returncode == 2, line
+        assert not (tmp_path / "other").exists()

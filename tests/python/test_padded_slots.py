@@ -1,0 +1,188 @@
+"""One batch of bodies on two, four and six legs: masks, zeros where a robot lacks a joint, training, export."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+import torch
+
+import polypod
+from polypod import _core
+from polypod.evaluation import load_policy
+from polypod.evaluation.checkpoints import evaluate_checkpoint
+from polypod.export import OnnxPolicy, export_checkpoint
+from polypod.networks import ACTION_MASK, MaskedGaussian
+from polypod.networks.masked import MaskedNormalization
+from polypod.rsl_rl import VecEnv
+from polypod.training import config, run_dir
+from polypod.training.session import Options, train
+
+FOLDER = Path(__file__).parents[1] / "data/bodies/configs/robots"
+BODIES = ["unitree_go2", *(str(FOLDER / f"small_{kind}.toml") for kind in ("biped", "hexapod", "quadruped"))]
+"""With 12, 8, 18 and 8 joints."""
+JOINTS = [12, 8, 18, 8]
+
+
+def make(robots=BODIES, num_envs=8, **options):
+    return polypod.make("velocity_flat", num_envs, robots=robots, seed=3, **options)
+
+
+def test_masks_say_which_joints_there_are():
+    env = make()
+    assert env.num_envs == 8
+    assert env.single_action_space.shape == (38,)
+    assert env.canonical_joint_names[:12] == make(["spot"], 1).canonical_joint_names
+    assert env.feet_names == ["LF", "LM", "LH", "RF", "RM", "RH", "L", "R"]
+    mask = env.action_mask
+    assert mask.dtype == np.bool_
+    assert mask.shape == (8, 38)
+    assert mask.sum(axis=1).tolist() == [count for count in JOINTS for _ in range(2)]
+    assert (env.state.action_mask == mask).all()
+    _, infos = env.reset()
+    assert (infos["action_mask"] == mask).all()
+    *_, infos = env.step(np.zeros((8, 38), dtype=np.float32))
+    assert (infos["action_mask"] == mask).all()
+    assert make(["spot", "unitree_go2"]).action_mask.all()
+    assert make(["spot", "unitree_go2"]).reset()[1] == {}
+
+
+def test_what_a_robot_lacks_is_zero_and_does_nothing():
+    one, other = make(), make()
+    mask = one.action_mask
+    observed = np.array([one.sim.observation_mask(robot) for robot in one.robots]).repeat(2, axis=0)
+    assert observed.shape == (8, one.sim.num_obs)
+    assert not observed.all()
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        actions = rng.standard_normal((8, 38), dtype=np.float32)
+        a, b = one.step(actions), other.step(np.where(mask, actions, 50.0 * actions).astype(np.float32))
+        assert a[0].tobytes() == b[0].tobytes()
+        assert a[1].tobytes() == b[1].tobytes()
+        assert (a[0][~observed] == 0.0).all()
+        for field in ("joint_pos", "joint_vel", "joint_effort", "last_action", "default_joint_pos"):
+            assert (getattr(one.state, field)[~mask] == 0.0).all(), field
+    assert one.sim.snapshot() == other.sim.snapshot()
+
+
+def test_a_robot_alone_may_have_the_slots_of_a_policy_that_knows_more():
+    names = make().canonical_joint_names
+    alone = make(BODIES[1:2], 2, slots=names)
+    assert alone.canonical_joint_names == names
+    assert alone.action_mask.sum() == 2 * 8
+    with pytest.raises(_core.ConfigError, match="L_TOOTH"):
+        make(slots=["L_TOOTH"])
+
+
+def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
+    torch.manual_seed(0)
+    mask = torch.tensor([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    masked, whole = MaskedGaussian(3, 0.7), torch.distributions.Normal
+    masked.mask = mask
+    means = torch.randn(2, 3)
+    masked.update(means)
+    actions = masked.sample()
+    assert (actions[mask == 0] == 0).all()
+    assert (masked.mean[mask == 0] == 0).all()
+    for row, real in ((0, [0, 2]), (1, [1])):
+        normal = whole(means[row, real], torch.full((len(real),), 0.7))
+        assert torch.allclose(masked.log_prob(actions)[row], normal.log_prob(actions[row, real]).sum())
+        assert torch.allclose(masked.entropy[row], normal.entropy().sum())
+        new = (masked.mean + 0.1, masked.std * 1.3, mask)
+        other = whole(means[row, real] + 0.1, torch.full((len(real),), 0.7 * 1.3))
+        found = masked.kl_divergence(masked.params, new)[row]
+        assert torch.allclose(found, torch.distributions.kl_divergence(normal, other).sum())
+
+
+def test_normalisation_counts_what_is_there():
+    torch.manual_seed(0)
+    present = torch.tensor([1.0, 1.0, 0.0, 1.0]).repeat(50).unsqueeze(1) * torch.tensor([1.0, 1.0, 0.0])
+    present[:, 0] = 1.0
+    numbers = (torch.randn(200, 3) * 2.0 + 5.0) * present
+    normalizer = MaskedNormalization(3).train()
+    normalizer.update(numbers[:80], present[:80])
+    normalizer.update(numbers[80:], present[80:])
+    for column in (0, 1):
+        real = numbers[present[:, column] == 1, column]
+        assert torch.allclose(normalizer.mean[column], real.mean(), rtol=1e-5)
+        assert torch.allclose(normalizer.std[column], real.std(unbiased=False), rtol=1e-2)
+    assert normalizer.mean[2] == 0.0
+    assert normalizer.std[2] == 1.0
+
+
+def test_the_mask_is_data_of_the_rollout():
+    adapter = VecEnv(make(), log_extras=False)
+    observations = adapter.get_observations()
+    assert (observations[ACTION_MASK].numpy() == adapter.unwrapped.action_mask).all()
+    assert set(VecEnv(make(["spot"])).get_observations().keys()) == {"policy"}
+
+
+def assert_folded_graph_is_the_policy(checkpoint, source, folder):
+    """On states of the simulator, also where joints turn the other way round than their slots."""
+    manifest = run_dir.read_manifest(checkpoint)
+    policy = load_policy(run_dir.load_checkpoint(checkpoint), manifest["policy"])
+    names = manifest["canonical_joint_names"]
+    env = make([source], 4, slots=names, overrides=["observations.enable_noise=false"])
+    (robot,), sim = env.robots, env.sim
+    info = json.loads(sim.robot_info())[robot]
+    assert min(info["slot_signs"]) < 0.0
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        action = np.where(env.action_mask, rng.standard_normal((4, len(names))), 0.0).astype(np.float32)
+        sim.step(action)
+    running = sim.episode_length == 3
+    assert running.any()
+    qpos, qvel = sim.qpos(robot), sim.qvel(robot)
+    observation = sim.observation.copy()
+    given = {
+        # those of the base have tests of their own
+        "base_ang_vel": qvel[:, 3:6],
+        "projected_gravity": observation[:, 6:9],
+        "velocity_commands": sim.command,
+        "joint_pos": qpos[:, 7:],
+        "joint_vel": qvel[:, 6:],
+        "last_action": action,
+    }
+    com = np.array(json.loads(sim.robot_shapes())[robot]["base_com"])
+    given["base_lin_vel"] = observation[:, :3] - np.cross(qvel[:, 3:6], com)
+    graph = OnnxPolicy(folder / f"policy_{robot}.onnx")
+    found = graph(**{name: np.asarray(given[name], dtype=np.float32) for name in graph.inputs})
+    wanted = np.where(env.action_mask, policy(observation), 0.0)
+    np.testing.assert_allclose(found["actions"][running], wanted[running], atol=2e-4)
+    targets = np.tile(np.array(info["default_pose"]), (4, 1))
+    for column, joint, sign in zip(info["columns"], info["joint_of_slot"], info["slot_signs"], strict=True):
+        targets[:, joint] += info["action_scale"] * sign * found["actions"][:, column]
+    np.testing.assert_allclose(found["joint_pos_target"], targets, atol=1e-5)
+    script = torch.jit.load(str(folder / f"policy_{robot}.pt"))
+    target, actions = script(*(torch.from_numpy(np.asarray(given[name], dtype=np.float32)) for name in graph.inputs))
+    np.testing.assert_allclose(actions.detach().numpy(), found["actions"], atol=1e-5)
+    np.testing.assert_allclose(target.detach().numpy(), found["joint_pos_target"], atol=1e-5)
+
+
+@pytest.mark.parametrize("learner", ["native", "rsl_rl"])
+def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path):
+    options = {"num_envs": 32, "num_steps_per_env": 4, "learner": learner, "task": "velocity_flat"}
+    base = config.load("flat").as_dict()
+    base["run"] |= options | {"max_iterations": 2}
+    base["actor"] |= {"hidden_dims": [16], "obs_normalization": True}
+    file = tmp_path / "small.toml"
+    file.write_text(tomli_w.dumps(base))
+    assert train(Options(train_config=str(file), robots=BODIES, log_dir=tmp_path, seed=1, device="cpu")) == 0
+    (checkpoint,) = tmp_path.rglob("model_2.pt")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["class_name"] == "MLPModel"
+    assert manifest["policy"]["num_actions"] == 38
+    assert [len(manifest["joint_maps"][robot]) for robot in manifest["robots"]] == JOINTS
+    # one robot alone
+    evaluation = evaluate_checkpoint(checkpoint, robots=BODIES[1:2], num_envs=2, steps=5)
+    assert list(evaluation.robots) == ["small_biped"]
+    exported = export_checkpoint(checkpoint, fold=True)
+    graphs = {path.name for path in exported.files}
+    assert {"policy.onnx", "policy_small_biped.onnx", "policy_small_hexapod.pt"} <= graphs
+    folder = exported.files[0].parent
+    biped = json.loads((folder / "policy_small_biped.json").read_text())
+    sizes = {tensor["name"]: tensor["shape"][1] for tensor in biped["inputs"] + biped["outputs"]}
+    for index in (1, 3):
+        assert_folded_graph_is_the_policy(checkpoint, BODIES[index], folder)
+    assert (sizes["joint_pos"], sizes["joint_pos_target"], sizes["actions"], sizes["last_action"]) == (8, 8, 38, 38)
