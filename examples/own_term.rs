@@ -16,18 +16,18 @@ struct BaseHeight {
 }
 
 /// Squared deviation of the base's height, m^2.
-fn base_height_l2(p: &BaseHeight, robot: &RobotView) -> f32 {
+fn base_height_squared(p: &BaseHeight, robot: &RobotView) -> f32 {
     let error = robot.pose.position[2] - p.target_height;
     error * error
 }
 
 fn main() -> Result<(), Error> {
     let mut registry = Registry::builtin();
-    registry.reward("base_height_l2", base_height_l2);
+    registry.reward("base_height_squared", base_height_squared);
 
     let options = SimOptions {
         robots: Some(vec!["unitree_a1".into(), "unitree_go2".into()]),
-        overrides: vec!["rewards.unitree.base_height_l2={weight=-10.0, target_height=0.3}".into()],
+        overrides: vec!["rewards.unitree.base_height_squared={weight=-10.0, target_height=0.3}".into()],
         ..SimOptions::new("velocity_flat_play", 64)
     };
     let mut sim = Sim::with_registry(&options, registry)?;
@@ -37,7 +37,7 @@ fn main() -> Result<(), Error> {
     }
 
     for robot in 0..sim.morphologies().len() {
-        let Some(term) = sim.task().rewards[robot].iter().position(|term| term.name == "base_height_l2") else {
+        let Some(term) = sim.task().rewards[robot].iter().position(|term| term.name == "base_height_squared") else {
             continue;
         };
         let envs = sim.env_ids(robot);
@@ -46,7 +46,7 @@ fn main() -> Result<(), Error> {
         let of_robot = query.iter(world).filter(|(env, _)| envs.contains(&(env.0 as usize)));
         let sum: f32 = of_robot.map(|(_, sums)| sums.terms[term]).sum();
         let mean = sum / envs.len() as f32;
-        println!("{:<12} base_height_l2 {mean:.5} in this episode so far", sim.morphologies()[robot].name());
+        println!("{:<12} base_height_squared {mean:.5} in this episode so far", sim.morphologies()[robot].name());
     }
     Ok(())
 }
