@@ -91,9 +91,8 @@ pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
 pub(crate) use terms::ACTION_DELAY;
 pub use terms::{
-    Block, CompiledTask, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm, TermKind, TermSource,
-    TermSpec,
-    TerminationTerm,
+    Block, CompiledTask, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm, TermKind,
+    TermSource, TermSpec, TerminationTerm,
 };
 pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
 

@@ -1,8 +1,9 @@
 """Bodies that nobody built: quadrupeds, bipeds, humanoids and hexapods of drawn lengths, as a library of robots.
 
-Lengths are drawn, and all else follows from them. A body's mass grows with the cube of its leg's length, and a link's share
-with the link's length. Gains, efforts and speeds grow with weight and leg length as those of the library's robots do. The
-ranges are about those of a thousand published bodies (Velythyl/embodiment-scaling-laws, BSD-3-Clause), whose masses stay.
+Lengths are drawn, and all else follows from them. A body's mass grows with the cube of its leg's length, and a link's
+share with the link's length. Gains, efforts and speeds grow with weight and leg length as those of the library's robots
+do. The ranges are about those of a thousand published bodies (Velythyl/embodiment-scaling-laws, BSD-3-Clause), whose
+masses stay.
 """
 
 import dataclasses
@@ -94,7 +95,7 @@ class Body:
 
     @property
     def mass(self) -> float:
-        """kg."""
+        """Kg."""
         return sum(link.mass for link in self.links)
 
 
@@ -379,7 +380,8 @@ def urdf(body: Body) -> str:
         out += [
             f'  <link name="{link.name}">',
             f'    <inertial><origin xyz="{_numbers(link.at)}"/><mass value="{_number(link.mass)}"/>',
-            f'      <inertia ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" ixy="0" ixz="0" iyz="0"/></inertial>',
+            f'      <inertia ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" '
+            'ixy="0" ixz="0" iyz="0"/></inertial>',
             f"    <visual>{shape}</visual>",
             f"    <collision>{shape}</collision>",
             "  </link>",

@@ -290,7 +290,8 @@ impl VecSim {
         let index = self.robot_index(py, robot)?;
         let mask = self.sim.look(py, |sim| {
             let task = sim.task();
-            task.group(group).map(|group| task.observation_mask(&sim.morphologies()[index])[group.columns.clone()].to_vec())
+            task.group(group)
+                .map(|group| task.observation_mask(&sim.morphologies()[index])[group.columns.clone()].to_vec())
         })?;
         mask.map_err(|error| to_python(py, error.into()))
     }

@@ -155,8 +155,11 @@ impl CompiledTask {
                 })?;
                 let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none());
                 if let Some(other) = other.filter(|_| registered.spec.is_of_quadrupeds()) {
-                    let problem =
-                        format!("the term `{}` describes quadrupeds of twelve joints; {} is none", term.term, other.name());
+                    let problem = format!(
+                        "the term `{}` describes quadrupeds of twelve joints; {} is none",
+                        term.term,
+                        other.name()
+                    );
                     let remedy = "use the term `joint_descriptors`, or other robots";
                     return Err(ConfigError::invalid(file, element, problem, remedy));
                 }
