@@ -135,7 +135,7 @@ impl PolicyManifest {
         }
         let slots: Option<Vec<Slot>> = manifest.canonical_joint_names.iter().map(|name| Slot::parse(name)).collect();
         let is_in_order = slots.is_some_and(|slots| slots.is_sorted_by(|a, b| a < b));
-        if !is_in_order || manifest.canonical_joint_names.len() != manifest.num_actions {
+        if !is_in_order {
             let problem = "are in another order than this version's".to_string();
             return Err(failure("canonical_joint_names", problem, "export the policy again with this version"));
         }
@@ -223,7 +223,7 @@ impl Policy {
             return Err(failure("observation_layout", problem));
         }
         let slots = sim.slots().joint_names();
-        if slots != self.manifest.canonical_joint_names {
+        if slots != self.manifest.canonical_joint_names || slots.len() != self.manifest.num_actions {
             let problem = format!(
                 "are {}, and the robots have {}",
                 self.manifest.canonical_joint_names.join(", "),
