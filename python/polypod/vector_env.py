@@ -75,8 +75,8 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
         task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
         num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
             robot.
-        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir and slots; `EnvOptions`
-            documents them.
+        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir and slots;
+            `EnvOptions` documents them.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
