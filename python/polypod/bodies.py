@@ -224,13 +224,7 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
     sole = (leg * rng.uniform(0.28, 0.36), leg * rng.uniform(0.12, 0.16), 0.04 * leg)
     ankle_roll, torso = bool(rng.random() < 0.7), arms and bool(rng.random() < 0.5)
     upper_arm, forearm = leg * rng.uniform(0.3, 0.4), leg * rng.uniform(0.3, 0.4)
-    shares = {
-        "hip": 0.03,
-        "thigh": 0.09 * 2 * thigh / leg,
-        "shank": 0.05 * 2 * shank / leg,
-        "ankle": 0.01,
-        "sole": 0.02,
-    }
+    shares = {"hip": 0.03, "thigh": 0.09 * 2 * thigh / leg, "shank": 0.05 * 2 * shank / leg, "ankle": 0.01, "sole": 0.02}
     arm = {"shoulder": 0.015, "upper": 0.03 * upper_arm / (0.35 * leg), "fore": 0.02 * forearm / (0.35 * leg)}
     rest = 1.0 - 2 * (sum(shares.values()) + shares["hip"]) - (2 * sum(arm.values()) if arms else 0.0)
     chest = leg * rng.uniform(0.45, 0.65)
@@ -251,9 +245,7 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
         links.append(Link(names[1], shares["hip"] * mass, "sphere", (0.05 * leg,)))
         links.append(_rod(names[2], shares["thigh"] * mass, thigh, 0.07 * leg))
         links.append(_rod(names[3], shares["shank"] * mass, shank, 0.05 * leg))
-        joints.append(
-            Joint(f"{place}_HIP_YAW", "base", names[0], (0.0, y * width / 2, -0.1 * leg), "z", -0.8, 0.8, "legs")
-        )
+        joints.append(Joint(f"{place}_HIP_YAW", "base", names[0], (0.0, y * width / 2, -0.1 * leg), "z", -0.8, 0.8, "legs"))
         joints.append(Joint(f"{place}_HIP_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", -0.6, 0.6, "legs"))
         joints.append(Joint(f"{place}_HIP_PITCH", names[1], names[2], (0.0, 0.0, 0.0), "y", -2.0, 1.0, "legs", flexion))
         joints.append(Joint(f"{place}_KNEE", names[2], names[3], (0.0, 0.0, -thigh), "y", 0.0, 2.4, "legs", bend))
@@ -262,15 +254,11 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
         if ankle_roll:
             links.append(Link(names[4], shares["ankle"] * mass, "sphere", (0.03 * leg,)))
             links.append(Link(names[5], shares["sole"] * mass, "box", sole, foot))
-            joints.append(
-                Joint(f"{place}_ANKLE_PITCH", names[3], names[4], (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt)
-            )
+            joints.append(Joint(f"{place}_ANKLE_PITCH", names[3], names[4], (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt))
             joints.append(Joint(f"{place}_ANKLE_ROLL", names[4], end, (0.0, 0.0, 0.0), "x", -0.5, 0.5, "ankles"))
         else:
             links.append(Link(end, (shares["ankle"] + shares["sole"]) * mass, "box", sole, foot))
-            joints.append(
-                Joint(f"{place}_ANKLE_PITCH", names[3], end, (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt)
-            )
+            joints.append(Joint(f"{place}_ANKLE_PITCH", names[3], end, (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt))
     if arms:
         shoulders, top = "base", chest - 0.12 * leg
         if torso:
@@ -288,12 +276,8 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
             at = (0.0, y * beside, top)
             joints.append(Joint(f"{place}_SHOULDER_PITCH", shoulders, names[0], at, "y", -2.5, 2.5, "arms", 0.2))
             low, high = (-0.3, 1.6) if y > 0 else (-1.6, 0.3)
-            joints.append(
-                Joint(f"{place}_SHOULDER_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", low, high, "arms", 0.1 * y)
-            )
-            joints.append(
-                Joint(f"{place}_ELBOW", names[1], names[2], (0.0, 0.0, -upper_arm), "y", -2.2, 0.1, "arms", -0.4)
-            )
+            joints.append(Joint(f"{place}_SHOULDER_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", low, high, "arms", 0.1 * y))
+            joints.append(Joint(f"{place}_ELBOW", names[1], names[2], (0.0, 0.0, -upper_arm), "y", -2.2, 0.1, "arms", -0.4))
     # like machines: too soft at the ankles to stand without a policy
     stiffness = {"legs": 0.7, "ankles": 0.25} | ({"arms": 0.08} if arms else {})
     return Body(name, "humanoid" if arms else "biped", links, joints, [], leg, "biped", stiffness)
@@ -317,12 +301,8 @@ def _hexapod(name: str, rng: np.random.Generator) -> Body:
     for place, x, y in places:
         names = [f"{place}_{part}" for part in ("coxa", "femur", "tibia", "foot")]
         links.append(Link(names[0], shares["coxa"] * mass, "cylinder", (0.06 * leg, coxa), (coxa / 2, 0.0, 0.0), "x"))
-        links.append(
-            Link(names[1], shares["femur"] * mass, "cylinder", (0.06 * leg, femur), (femur / 2, 0.0, 0.0), "x")
-        )
-        links.append(
-            Link(names[2], shares["tibia"] * mass, "cylinder", (0.04 * leg, tibia), (tibia / 2, 0.0, 0.0), "x")
-        )
+        links.append(Link(names[1], shares["femur"] * mass, "cylinder", (0.06 * leg, femur), (femur / 2, 0.0, 0.0), "x"))
+        links.append(Link(names[2], shares["tibia"] * mass, "cylinder", (0.04 * leg, tibia), (tibia / 2, 0.0, 0.0), "x"))
         at = (x * length / 2, y * width / 2, 0.0)
         # legs point away from the body, those at the ends along it too
         yaw = y * (math.pi / 2 - x * spread)
@@ -353,10 +333,7 @@ def _shape(link: Link) -> str:
 def urdf(body: Body) -> str:
     """The URDF of a body. Feet are links without mass, fixed to their legs."""
     limits = _limits(body)
-    out = [
-        '<?xml version="1.0" encoding="utf-8"?>',
-        f"<!-- A {body.kind} that was drawn by `polypod bodies generate`. -->",
-    ]
+    out = ['<?xml version="1.0" encoding="utf-8"?>', f"<!-- A {body.kind} that was drawn by `polypod bodies generate`. -->"]
     out += [f'<robot name="{body.name}">', "  <!-- MuJoCo only: feet have no mass. -->"]
     out += ['  <mujoco><compiler inertiafromgeom="false"/></mujoco>']
     by_child = {joint.child: joint for joint in body.joints}

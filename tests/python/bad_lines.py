@@ -88,13 +88,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (
         ("new", str(URDF), "--out", "/nothing/spot.toml"),
-        {
-            "": FILES,
-            "--name": NAMES,
-            "--out": OUTPUTS,
-            "--package-dir": _PACKAGES,
-            "--foot": [*_PACKAGES, "LF=nothing", "XX=base"],
-        },
+        {"": FILES, "--name": NAMES, "--out": OUTPUTS, "--package-dir": _PACKAGES, "--foot": [*_PACKAGES, "LF=nothing", "XX=base"]},
     ),
     "bodies": (
         ("generate", "new", "--count", "1"),

@@ -155,9 +155,7 @@ def test_drafts_stand_in_a_pose_that_the_bundled_policy_knows(tmp_path):
     policy = load_policy(run_dir.load_checkpoint(FLAT_POLICY), run_dir.read_manifest(FLAT_POLICY)["policy"])
     grid = (5, 5, 3)
     count = len(made) * math.prod(grid)
-    result = evaluate(
-        policy, "velocity_flat_universal", robots=[str(new.path) for new in made], num_envs=count, grid=grid
-    )
+    result = evaluate(policy, "velocity_flat_universal", robots=[str(new.path) for new in made], num_envs=count, grid=grid)
     for name, figures in result.robots.items():
         assert figures.error_vel_xy <= 0.15, name
         assert figures.fall_rate <= 0.02, name
@@ -185,10 +183,7 @@ def test_a_missing_mesh_is_named_where_it_is_the_cause(cli, tmp_path):
     done = cli("robot", "new", str(file))
     assert done.returncode == 2
     assert "leg LF has no collision shape" in done.stderr
-    assert (
-        '5 collision meshes were left out: link "c0", <collision>: mesh "package://fox/pad.stl" is not found'
-        in done.stderr
-    )
+    assert '5 collision meshes were left out: link "c0", <collision>: mesh "package://fox/pad.stl" is not found' in done.stderr
     assert 'name the directory of "fox" in package_dirs' in done.stderr
 
 
