@@ -86,7 +86,7 @@ def table(result: Mapping[str, Any]) -> str:
         )
     most = max(rows, key=int)
     if int(most) > 1:
-        work = first["iteration_s"] * first["threads"]
+        work = first["cpu_s"]
         lines += ["", "Workers that halve the speed of each, by the model of docs/cluster.md, for these samples:", ""]
         lines += ["| network | bytes take, s | threads of one worker | workers |", "|---|---|---|---|"]
         for name, rate in NETWORKS.items():
