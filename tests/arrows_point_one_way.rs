@@ -54,6 +54,7 @@ const SYSTEMS: [&str; 25] = [
     "physics",
     "mirror",
     "sense",
+    "groups",
     "terminate",
     "logs",
     "gather",
