@@ -41,7 +41,7 @@ ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc package format lock clean
+.PHONY: help build train eval demo film film-rough test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -111,6 +111,13 @@ fuzz: ## Feed mutated files to the readers: make fuzz SECONDS=600 ARGS="urdf_loa
 test-python: build wheel
 	$(BIN)/pytest
 
+# An environment of its own in target/learners: these packages are large and pin others.
+test-learners: $(VENV)/.extension ## Run the tests of other learners: Stable-Baselines3, skrl, TorchRL, RLlib
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/learners
+	$(BIN)/uv pip install --quiet --python target/learners/bin/python --constraint $(VENV)/requirements.txt \
+		-r pyproject.toml --extra train --extra bench --extra export --extra play --extra learners --group dev
+	PYTHONPATH=python target/learners/bin/python -m pytest -n 0 tests/python/test_learners.py tests/python/test_policies.py tests/python/test_docs_run.py
+
 wheel: $(VENV)/.extension ## Build the wheel: dist/*.whl
 	rm -rf dist
 	$(BIN)/maturin build --release --locked --out dist
@@ -136,13 +143,19 @@ lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	cargo fmt --all --check --manifest-path tests/loom/Cargo.toml
 	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
-	$(BIN)/ruff check python tests/python
-	$(BIN)/ruff format --check python tests/python
+	$(BIN)/ruff check python tests/python examples
+	$(BIN)/ruff format --check python tests/python examples
 	$(BIN)/mypy
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 
 doc: ## Build the documentation of the Rust crates: target/doc/polypod/index.html
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
+
+# In an environment of its own: MkDocs reads the sources and needs nothing of polypod's.
+docs: $(VENV)/.venv ## Build the documentation as a site: target/site/index.html
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/docs
+	$(BIN)/uv pip install --quiet --python target/docs/bin/python --group docs
+	target/docs/bin/mkdocs build --quiet --strict
 
 package: ## Pack the crates as `cargo publish` would: target/package
 	cargo package --locked --no-verify --allow-dirty --package polypod-dynamics --package polypod-learner --package polypod

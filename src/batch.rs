@@ -1,5 +1,7 @@
 //! The dense arrays between the simulator and a learner: all that Python sees.
 
+use std::ops::Range;
+
 use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -44,6 +46,45 @@ impl Batch {
             has_final: vec![false; num_envs],
         }
     }
+
+    /// Adds the rows of another batch.
+    pub(crate) fn append(&mut self, other: Self) {
+        self.num_envs += other.num_envs;
+        self.actions.extend(other.actions);
+        self.observations.extend(other.observations);
+        self.rewards.extend(other.rewards);
+        self.terminated.extend(other.terminated);
+        self.truncated.extend(other.truncated);
+        self.final_observations.extend(other.final_observations);
+        self.has_final.extend(other.has_final);
+    }
+
+    /// Some of its rows, if it has them and its arrays have as many rows as it says.
+    pub(crate) fn rows(&self, rows: Range<usize>) -> Option<Self> {
+        let wide = |data: &[f32], width: usize| {
+            let is_whole = self.num_envs.checked_mul(width) == Some(data.len());
+            is_whole.then(|| data.get(rows.start * width..rows.end * width)).flatten().map(<[f32]>::to_vec)
+        };
+        let flags = |data: &[bool]| {
+            (data.len() == self.num_envs).then(|| data.get(rows.clone())).flatten().map(<[bool]>::to_vec)
+        };
+        if rows.start > rows.end || rows.end > self.num_envs {
+            return None;
+        }
+        Some(Self {
+            num_envs: rows.len(),
+            num_obs: self.num_obs,
+            num_actions: self.num_actions,
+            actions: wide(&self.actions, self.num_actions)?,
+            observations: wide(&self.observations, self.num_obs)?,
+            rewards: wide(&self.rewards, 1)?,
+            terminated: flags(&self.terminated)?,
+            truncated: flags(&self.truncated)?,
+            final_observations: wide(&self.final_observations, self.num_obs)?,
+            has_final: flags(&self.has_final)?,
+        })
+    }
+
     /// Whether all arrays are as long as those of `other`.
     pub(crate) fn has_sizes_of(&self, other: &Self) -> bool {
         let sizes = |batch: &Self| {

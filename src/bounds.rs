@@ -15,6 +15,8 @@ pub const MIN_DT: f64 = 1e-6;
 pub const MAX_DECIMATION: u32 = 1000;
 /// Longest delay of a joint's target, physics steps; usual are 0 to 10. Every env keeps as many targets.
 pub const MAX_DELAY: u32 = 1000;
+/// Most control steps that an observation term remembers; usual are 1 to 20.
+pub const MAX_HISTORY: u32 = 100;
 /// Most sweeps of the articulated engine's solver; contacts no longer change after some hundred.
 pub const MAX_SWEEPS: u32 = 10_000;
 /// Most substeps of Avian's engine; usual are 1 to 20.

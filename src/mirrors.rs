@@ -7,6 +7,8 @@
 //! obstacles. What carries an [`EnvId`] touches nothing of another env, wherever it is; what carries none, such as the
 //! ground, touches all.
 
+use std::ops::Range;
+
 use avian3d::prelude::{
     AngularInertia, AngularVelocity, CenterOfMass, CoefficientCombine, Collider, CollisionLayers, Friction, LayerMask,
     LinearVelocity, Mass, NoAutoAngularInertia, NoAutoCenterOfMass, NoAutoMass, Position, Restitution, RigidBody,
@@ -71,12 +73,19 @@ pub struct LinkMirrors {
 }
 
 impl LinkMirrors {
-    /// Spawns the mirrors of all robots, `counts[m]` of kind `m`, and every env's obstacles. Where they are is still to be set.
-    pub(crate) fn spawn(world: &mut World, config: &TaskConfig, morphologies: &Morphologies, counts: &[usize]) {
-        let num_envs = counts.iter().sum();
+    /// Spawns the mirrors of all robots, `counts[m]` of kind `m`, and every env's obstacles. Where they are is still to be set. The envs
+    /// lie where `envs` of `of` lie on the grid.
+    pub(crate) fn spawn(
+        world: &mut World,
+        config: &TaskConfig,
+        morphologies: &Morphologies,
+        counts: &[usize],
+        (envs, of): (Range<usize>, usize),
+    ) {
+        let num_envs = envs.len();
         // on ground that all share, envs have origins of their own
         let shared = config.scene.terrain.is_some() || config.scene.placement == Placement::Global;
-        let places = grid(num_envs, if shared { 0.0 } else { config.sim.env_spacing as f32 });
+        let places = grid(envs, of, if shared { 0.0 } else { config.sim.env_spacing as f32 });
         hide_links_from_scene(world);
         copy_obstacles(world, &places);
         let surface = surface(&config.robot_material);
@@ -111,10 +120,10 @@ impl LinkMirrors {
     }
 }
 
-/// Origins of envs, row by row on a square grid that begins at the world's origin.
-fn grid(num_envs: usize, spacing: f32) -> Vec<[f32; 2]> {
-    let side = (num_envs as f64).sqrt().ceil().max(1.0) as usize;
-    (0..num_envs).map(|env| [(env % side) as f32 * spacing, (env / side) as f32 * spacing]).collect()
+/// Origins of `envs` among `of`, row by row on a square grid that begins at the world's origin.
+fn grid(envs: Range<usize>, of: usize, spacing: f32) -> Vec<[f32; 2]> {
+    let side = (of as f64).sqrt().ceil().max(1.0) as usize;
+    envs.map(|env| [(env % side) as f32 * spacing, (env / side) as f32 * spacing]).collect()
 }
 
 /// The engine itself takes care of robots on the ground: no pair of a mirror with something static is looked at.

@@ -1,5 +1,6 @@
 //! What a caller asks for.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use bevy_ecs::prelude::Resource;
@@ -18,6 +19,8 @@ pub struct SimOptions {
     pub slots: Vec<String>,
     /// Number of envs, shared out among the robots.
     pub num_envs: usize,
+    /// Which of them are simulated here, in the order of the robots' blocks; the others are another process's. All when absent.
+    pub share: Option<Range<usize>>,
     /// Seed of all random streams.
     pub seed: u64,
     /// Threads; all cores when absent. Only as many are made as there are packs of envs.
@@ -42,6 +45,7 @@ impl SimOptions {
             robots: None,
             slots: Vec::new(),
             num_envs,
+            share: None,
             seed: 0,
             threads: None,
             overrides: Vec::new(),

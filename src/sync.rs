@@ -16,16 +16,32 @@ pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
 pub(crate) const LOOKS: usize = 2000;
 
 /// Threads that sleep until they are given something to do.
-pub(crate) struct Pool(TaskPool);
+pub(crate) struct Pool {
+    pool: Option<TaskPool>,
+    /// The process that its threads live in.
+    process: u32,
+}
 
 impl Pool {
     /// So many threads.
     pub(crate) fn new(threads: usize) -> Self {
-        Self(TaskPoolBuilder::new().num_threads(threads).thread_name("polypod".to_string()).build())
+        let pool = TaskPoolBuilder::new().num_threads(threads).thread_name("polypod".to_string()).build();
+        Self { pool: Some(pool), process: std::process::id() }
     }
 
     /// Has one of them call `f`.
     pub(crate) fn spawn(&self, f: impl FnOnce() + Send + 'static) {
-        self.0.spawn(async move { f() }).detach();
+        if let Some(pool) = &self.pool {
+            pool.spawn(async move { f() }).detach();
+        }
+    }
+}
+
+impl Drop for Pool {
+    /// Ends the threads. A forked process has none of its parent's: there is nothing to wait for.
+    fn drop(&mut self) {
+        if std::process::id() != self.process {
+            std::mem::forget(self.pool.take());
+        }
     }
 }

@@ -3,9 +3,9 @@
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::BlockSizes;
 use super::terms::{CompiledTask, Registry};
 use super::view::EpisodeEnd;
+use super::{BlockSizes, Share};
 use crate::components::{Env, EnvOrigin, EnvRng};
 use crate::config::{Columns, Placement, values};
 use crate::rows::Rows;
@@ -26,13 +26,14 @@ pub fn place_envs(
     ground: Res<Ground>,
     task: Res<CompiledTask>,
     blocks: Res<BlockSizes>,
+    share: Res<Share>,
     mut envs: Rows<(&'static mut EnvOrigin, &'static mut EnvRng), Env>,
 ) -> Result {
     let scene = &task.config.scene;
-    let total: usize = blocks.0.iter().sum();
-    let places = blocks.0.iter().flat_map(|&count| 0..count);
+    let total = share.num_envs;
     let (origins, rngs) = envs.write()?;
-    for (env, ((origin, rng), index)) in origins.iter_mut().zip(rngs).zip(places).enumerate() {
+    let rows = origins.iter_mut().zip(rngs).zip(share.places(&blocks));
+    for (env, ((origin, rng), index)) in share.envs.clone().zip(rows) {
         *origin = EnvOrigin::default();
         if let Some(layout) = &ground.layout {
             let contiguous = scene.terrain.as_ref().is_some_and(|terrain| terrain.columns == Columns::Contiguous);

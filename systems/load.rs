@@ -1,5 +1,7 @@
 //! Reads the task and its robots.
 
+use std::ops::Range;
+
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
@@ -37,9 +39,40 @@ pub(crate) struct Loaded {
 #[derive(Resource, Clone, Copy)]
 pub(crate) struct InstructionSet(pub(crate) Simd);
 
-/// How many envs each robot has, in the order of their blocks.
+/// How many envs each robot has here, in the order of their blocks.
 #[derive(Resource, Clone, Debug)]
 pub struct BlockSizes(pub Vec<usize>);
+
+/// Which envs of the whole batch are here.
+#[derive(Resource, Clone, Debug, PartialEq, Eq)]
+pub struct Share {
+    /// Their numbers in the whole batch. Row `i` is env `envs.start + i` there.
+    pub envs: Range<usize>,
+    /// Envs of the whole batch.
+    pub num_envs: usize,
+    /// Of each robot, the place in its block in the whole batch that its first env here has.
+    pub first_places: Vec<usize>,
+}
+
+impl Share {
+    /// Of envs that are shared out among so many robots; and how many envs of each robot it has.
+    fn new(envs: Range<usize>, num_envs: usize, robots: usize) -> (Self, Vec<usize>) {
+        let (mut first_places, mut counts, mut start) = (Vec::new(), Vec::new(), 0);
+        for count in distribute(num_envs, robots) {
+            let end = start + count;
+            let first = envs.start.clamp(start, end);
+            first_places.push(first - start);
+            counts.push(envs.end.clamp(first, end) - first);
+            start = end;
+        }
+        (Self { envs, num_envs, first_places }, counts)
+    }
+
+    /// Places of the rows in their robots' blocks in the whole batch; `blocks` are the rows of each robot.
+    pub fn places<'a>(&'a self, blocks: &'a BlockSizes) -> impl Iterator<Item = usize> + 'a {
+        self.first_places.iter().zip(&blocks.0).flat_map(|(&first, &count)| first..first + count)
+    }
+}
 
 /// Reads what the options name, unless it is there already.
 fn load(world: &mut World) -> Result {
@@ -62,19 +95,22 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     for morphology in &mut morphologies.0 {
         morphology.allow_action_delay(compiled.max_action_delay(morphology));
     }
-    let counts = distribute(options.num_envs, robots.len());
+    let own = options.share.clone().unwrap_or(0..options.num_envs);
+    let (share, counts) = Share::new(own, options.num_envs, robots.len());
+    let num_envs = share.envs.len();
     let simd = Simd::choose(options.simd)?;
     // a robot at a time, or a pack of one kind
     let pieces = match task.config.physics.engine {
-        EngineKind::Avian => options.num_envs,
+        EngineKind::Avian => num_envs,
         EngineKind::Articulated => counts.iter().map(|&count| packs_of(count)).sum(),
     };
     world.insert_resource(Workers::for_pieces(options.threads, pieces, simd));
-    world.insert_resource(Batch::new(options.num_envs, compiled.num_obs(), compiled.num_joints));
+    world.insert_resource(Batch::new(num_envs, compiled.num_obs(), compiled.num_joints));
     world.insert_resource(options.autoreset);
     world.insert_resource(InstructionSet(simd));
-    world.insert_resource(NumEnvs(options.num_envs));
+    world.insert_resource(NumEnvs(num_envs));
     world.insert_resource(BlockSizes(counts));
+    world.insert_resource(share);
     world.insert_resource(morphologies);
     world.insert_resource(compiled);
     Ok(())
@@ -95,7 +131,7 @@ fn read(options: &SimOptions) -> Result<Loaded, Error> {
     let library = Library::new(options.roots.clone());
     let task = library.task(&options.task, &options.overrides)?;
     let names = options.robots.clone().unwrap_or_else(|| task.config.robots.clone());
-    check_arguments(&names, options.num_envs, options.threads)?;
+    check_arguments(&names, options)?;
     let robots = library.robots_in(&names, &task.config)?;
     check_distinct(&robots)?;
     Ok(Loaded { task, robots })
@@ -106,7 +142,8 @@ pub fn distribute(num_envs: usize, robots: usize) -> Vec<usize> {
     (0..robots).map(|r| num_envs / robots + usize::from(r < num_envs % robots)).collect()
 }
 
-fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -> Result<(), Error> {
+fn check_arguments(robots: &[String], options: &SimOptions) -> Result<(), Error> {
+    let SimOptions { num_envs, threads, .. } = *options;
     if robots.is_empty() {
         return Err(Error::argument("robots", "the list is empty", "name at least one robot"));
     }
@@ -116,6 +153,12 @@ fn check_arguments(robots: &[String], num_envs: usize, threads: Option<usize>) -
             format!("{num_envs} envs for {} robots", robots.len()),
             format!("ask for at least {} envs, or for fewer robots", robots.len()),
         ));
+    }
+    if let Some(Range { start, end }) = options.share
+        && !(start < end && end <= num_envs)
+    {
+        let problem = format!("envs {start} to {end} of {num_envs}");
+        return Err(Error::argument("share", problem, format!("ask for some envs between 0 and {num_envs}")));
     }
     check_num_envs(num_envs, BYTES_PER_ENV)
         .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;

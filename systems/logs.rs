@@ -68,50 +68,89 @@ pub struct EpisodeStats {
 /// Largest count of a log that is restored: counting on from there does not overflow.
 const MAX_LOGGED: u64 = u64::MAX / 2;
 
+/// A sum of single-precision numbers in steps of 2^-64. It does not depend on the order of its terms, nor on who adds which.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct ExactSum(i128);
+
+impl ExactSum {
+    const STEPS: f64 = (1u128 << 64) as f64;
+
+    /// Adds a number; one that is none counts as 0.
+    fn add(&mut self, x: f32) {
+        self.0 = self.0.saturating_add((f64::from(x) * Self::STEPS) as i128);
+    }
+
+    fn append(&mut self, other: Self) {
+        self.0 = self.0.saturating_add(other.0);
+    }
+
+    fn value(self) -> f64 {
+        self.0 as f64 / Self::STEPS
+    }
+}
+
 /// Sums over the finished episodes of one robot.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RobotLog {
     episodes: u64,
     falls: u64,
     steps: u64,
-    reward: f64,
-    error_vel_xy: f64,
-    error_vel_yaw: f64,
-    command_xy: f64,
-    command_yaw: f64,
-    speed_xy: f64,
+    reward: ExactSum,
+    error_vel_xy: ExactSum,
+    error_vel_yaw: ExactSum,
+    command_xy: ExactSum,
+    command_yaw: ExactSum,
+    speed_xy: ExactSum,
     /// Sum of the terrain levels, of those episodes that had one.
     levels: Option<f64>,
     /// Episode sums of each reward term.
-    terms: Vec<f64>,
+    terms: Vec<ExactSum>,
     /// Episodes ended by each cause.
     causes: Vec<u64>,
 }
 
 impl RobotLog {
     fn new(terms: usize, causes: usize) -> Self {
-        Self { terms: vec![0.0; terms], causes: vec![0; causes], ..Self::default() }
+        Self { terms: vec![ExactSum::default(); terms], causes: vec![0; causes], ..Self::default() }
     }
 
     fn add(&mut self, episode: &Episode, sums: &EpisodeSums, level: Option<u32>) {
         self.episodes += 1;
         self.falls += u64::from(episode.terminated);
         self.steps += u64::from(sums.steps);
-        self.reward += f64::from(sums.reward);
-        self.error_vel_xy += f64::from(sums.error_vel_xy);
-        self.error_vel_yaw += f64::from(sums.error_vel_yaw);
-        self.command_xy += f64::from(sums.command_xy);
-        self.command_yaw += f64::from(sums.command_yaw);
-        self.speed_xy += f64::from(sums.speed_xy);
+        self.reward.add(sums.reward);
+        self.error_vel_xy.add(sums.error_vel_xy);
+        self.error_vel_yaw.add(sums.error_vel_yaw);
+        self.command_xy.add(sums.command_xy);
+        self.command_yaw.add(sums.command_yaw);
+        self.speed_xy.add(sums.speed_xy);
         if let Some(level) = level {
             self.levels = Some(self.levels.unwrap_or_default() + f64::from(level));
         }
         for (sum, &term) in self.terms.iter_mut().zip(&sums.terms) {
-            *sum += f64::from(term);
+            sum.add(term);
         }
         for (bit, count) in self.causes.iter_mut().enumerate() {
             *count += u64::from(episode.causes >> bit & 1);
         }
+    }
+
+    /// Adds another's episodes.
+    fn append(&mut self, other: &Self) {
+        self.episodes = self.episodes.saturating_add(other.episodes);
+        self.falls = self.falls.saturating_add(other.falls);
+        self.steps = self.steps.saturating_add(other.steps);
+        self.reward.append(other.reward);
+        self.error_vel_xy.append(other.error_vel_xy);
+        self.error_vel_yaw.append(other.error_vel_yaw);
+        self.command_xy.append(other.command_xy);
+        self.command_yaw.append(other.command_yaw);
+        self.speed_xy.append(other.speed_xy);
+        if let Some(levels) = other.levels {
+            self.levels = Some(self.levels.unwrap_or_default() + levels);
+        }
+        self.terms.iter_mut().zip(&other.terms).for_each(|(sum, term)| sum.append(*term));
+        self.causes.iter_mut().zip(&other.causes).for_each(|(sum, count)| *sum = sum.saturating_add(*count));
     }
 
     /// Whether it may take the place of `present`.
@@ -129,12 +168,12 @@ impl RobotLog {
             episodes: self.episodes,
             falls: self.falls,
             episode_length_s: self.steps as f64 * step_dt / self.episodes.max(1) as f64,
-            error_vel_xy: self.error_vel_xy / steps,
-            error_vel_yaw: self.error_vel_yaw / steps,
-            command_xy: self.command_xy / steps,
-            command_yaw: self.command_yaw / steps,
-            reward_per_s: self.reward / (steps * step_dt),
-            distance: self.speed_xy * step_dt / self.episodes.max(1) as f64,
+            error_vel_xy: self.error_vel_xy.value() / steps,
+            error_vel_yaw: self.error_vel_yaw.value() / steps,
+            command_xy: self.command_xy.value() / steps,
+            command_yaw: self.command_yaw.value() / steps,
+            reward_per_s: self.reward.value() / (steps * step_dt),
+            distance: self.speed_xy.value() * step_dt / self.episodes.max(1) as f64,
             terrain_level: self.levels.map(|sum| sum / self.episodes.max(1) as f64),
         }
     }
@@ -154,6 +193,12 @@ impl Logs {
             ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(a, b)| a.fits(b))
         };
         same(&self.recent, &present.recent) && same(&self.all, &present.all)
+    }
+
+    /// Adds the episodes of others that [fit](Self::fits).
+    pub(crate) fn append(&mut self, other: &Self) {
+        self.recent.iter_mut().zip(&other.recent).for_each(|(log, other)| log.append(other));
+        self.all.iter_mut().zip(&other.all).for_each(|(log, other)| log.append(other));
     }
 
     /// Empty, for a task and its robots.
@@ -181,7 +226,7 @@ impl Logs {
             let robot = morphology.name();
             let episodes = log.episodes as f64;
             for (term, sum) in terms.iter().zip(&log.terms) {
-                out.insert(format!("Episode_Reward/{robot}/{}", term.name), sum / episodes / full);
+                out.insert(format!("Episode_Reward/{robot}/{}", term.name), sum.value() / episodes / full);
             }
             for (name, count) in task.cause_names().zip(&log.causes) {
                 out.insert(format!("Episode_Termination/{robot}/{name}"), *count as f64);

@@ -17,7 +17,7 @@ use bevy_transform::components::Transform;
 
 use super::faults;
 use super::terms::CompiledTask;
-use super::{BlockSizes, ControlStep, PipelineSet, ResetSet, Setup, SetupSet, for_both};
+use super::{BlockSizes, ControlStep, PipelineSet, ResetSet, Setup, SetupSet, Share, for_both};
 use crate::components::{BasePose, BaseVelocity, Body, Env, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
 use crate::dynamics::Parameters;
 use crate::error::Error;
@@ -51,8 +51,9 @@ fn spawn_mirrors(world: &mut World) {
     if config.physics.mirror_links {
         let config = config.clone();
         let counts = world.resource::<BlockSizes>().0.clone();
+        let Share { envs, num_envs, .. } = world.resource::<Share>().clone();
         world.resource_scope(|world, morphologies: Mut<Morphologies>| {
-            LinkMirrors::spawn(world, &config, &morphologies, &counts);
+            LinkMirrors::spawn(world, &config, &morphologies, &counts, (envs, num_envs));
         });
     }
 }

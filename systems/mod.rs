@@ -42,6 +42,7 @@ mod logs;
 mod mirror;
 mod observe;
 mod physics;
+mod privileged;
 mod reset;
 mod reward;
 mod sampling;
@@ -72,7 +73,7 @@ pub(crate) use faults::{outcome, run};
 pub use finite::{FinitePlugin, NonFinite, NonFiniteNumber};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;
-pub use load::{BlockSizes, LoadPlugin, distribute};
+pub use load::{BlockSizes, LoadPlugin, Share, distribute};
 pub(crate) use load::{InstructionSet, Loaded};
 pub use logs::{EpisodeStats, Logs, LogsPlugin, RobotLog};
 pub use mirror::MirrorPlugin;
@@ -82,8 +83,8 @@ pub use physics::{PhysicsEngine, PhysicsPlugin};
 pub(crate) use physics::{check_engine, load_engine, run_physics, save_engine};
 pub use reset::ResetPlugin;
 pub use reward::RewardPlugin;
+pub(crate) use saved::{HeldRows, SavedColumn, SavedComponents};
 pub use saved::{Place, Saved, save_component};
-pub(crate) use saved::{SavedColumn, SavedComponents};
 pub use scene::WorldPlugin;
 pub use sense::{ScanRays, SensePlugin, SensedRobot, Sensor, SensorSettings, add_sensor};
 pub use spawn::SpawnPlugin;
@@ -91,8 +92,8 @@ pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
 pub(crate) use terms::ACTION_DELAY;
 pub use terms::{
-    Block, CompiledTask, JointMirror, ObservationTerm, Per, Registry, RewardTerm, TermKind, TermSource, TermSpec,
-    TerminationTerm,
+    Block, CompiledTask, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm, TermKind,
+    TermSource, TermSpec, TerminationTerm,
 };
 pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
 

@@ -1,4 +1,4 @@
-//! Observations: the terms of the policy's observation, side by side, with their noise.
+//! Observations: the terms of all groups, side by side, with their noise and what they remember.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -72,11 +72,15 @@ pub(super) fn observe_final(
     let width = batch.num_obs;
     let batch = &mut *batch;
     let out = MatrixRows { data: &mut batch.final_observations[..], width };
-    let rows = (episodes, rngs, out, &mut batch.has_final[..]);
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, has_final)| {
+    let before = MatrixRows { data: &mut batch.observations[..], width };
+    let (remembers, rows) = (task.has_history(), (episodes, rngs, out, before, &mut batch.has_final[..]));
+    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, mut before, has_final)| {
         for i in 0..n {
             has_final[i] = wanted && episodes[i].done();
             if has_final[i] {
+                if remembers {
+                    out.row(i).copy_from_slice(before.row(i));
+                }
                 let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
                 let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
                 workers.dispatch().vectorize(observation);
@@ -110,12 +114,8 @@ impl Kernel<f32> for Observation<'_> {
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
             if let Some(write) = &term.write {
-                let own = term.own_numbers(view.morphology, self.task.num_joints);
-                write(&view, &mut mine[..own]);
-                term.treat(&mut mine[..own], self.rng);
-                if own != term.size {
-                    spread(&view.morphology.slots, self.task.num_joints, mine);
-                }
+                let (robot, columns) = (view.morphology, self.task.num_joints);
+                term.observe(mine, self.episode.fresh, (robot, columns), self.rng, |newest| write(&view, newest));
             }
             rest = more;
         }
@@ -139,12 +139,43 @@ fn spread(slots: &[SlotJoint], columns: usize, numbers: &mut [f32]) {
 }
 
 impl ObservationTerm {
-    /// How many numbers a robot has of it, in a batch of so many columns of joints.
+    /// Observes an env's numbers: `write` is handed those of its robot, in a batch of so many columns of joints.
     #[inline(always)]
-    fn own_numbers(&self, robot: &MorphologyModel, columns: usize) -> usize {
-        match self.spec.kind {
-            TermKind::PerJoint => self.size / columns * robot.slots.len(),
-            _ => self.size,
+    fn observe(
+        &self,
+        row: &mut [f32],
+        is_new: bool,
+        (robot, columns): (&MorphologyModel, usize),
+        rng: &mut EnvRng,
+        write: impl FnOnce(&mut [f32]),
+    ) {
+        self.remember(row, is_new, |newest| {
+            let own = match self.spec.kind {
+                TermKind::PerJoint => newest.len() / columns * robot.slots.len(),
+                _ => newest.len(),
+            };
+            write(&mut newest[..own]);
+            self.treat(&mut newest[..own], rng);
+            if own != newest.len() {
+                spread(&robot.slots, columns, newest);
+            }
+        });
+    }
+
+    /// Moves what the term remembers on by a step and has `write` fill in the newest numbers. `row` holds the term's numbers as they
+    /// were observed in the step before. What a new episode remembers is its first numbers.
+    #[inline(always)]
+    fn remember(&self, row: &mut [f32], is_new: bool, write: impl FnOnce(&mut [f32])) {
+        if self.history == 1 {
+            write(row);
+            return;
+        }
+        let size = self.size / self.history;
+        row.copy_within(size.., 0);
+        let (older, newest) = row.split_at_mut(self.size - size);
+        write(newest);
+        if is_new {
+            older.chunks_exact_mut(size).for_each(|numbers| numbers.copy_from_slice(newest));
         }
     }
 
@@ -206,13 +237,9 @@ pub fn add_observation<C: Component, K: RowKind>(
                         if episodes[env].invalid {
                             out.fill(0.0);
                         } else {
-                            let robot = morphologies.get(tags[env]);
-                            let own = term.own_numbers(robot, task.num_joints);
-                            f(&values[env], &mut out[..own]);
-                            term.treat(&mut out[..own], &mut rngs[env]);
-                            if own != term.size {
-                                spread(&robot.slots, task.num_joints, out);
-                            }
+                            let body = (morphologies.get(tags[env]), task.num_joints);
+                            let fresh = episodes[env].fresh;
+                            term.observe(out, fresh, body, &mut rngs[env], |newest| f(&values[env], newest));
                         }
                     }
                 }

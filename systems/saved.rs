@@ -1,5 +1,7 @@
 //! What snapshots hold of entities: components, one line each.
 
+use std::ops::Range;
+
 use bevy_app::App;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::*;
@@ -13,7 +15,6 @@ use crate::components::{
 };
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::NumEnvs;
 use crate::world::Ground;
 
 /// Where a saved component is to go.
@@ -30,13 +31,22 @@ pub trait Saved: Component<Mutability = Mutable> + Clone + Serialize + Deseriali
     fn fits(&self, present: &Self, place: &Place) -> bool;
 }
 
+/// The rows of this simulation among those that a snapshot holds.
+#[derive(Clone, Debug)]
+pub(crate) struct HeldRows {
+    /// The rows of this simulation.
+    pub(crate) own: Range<usize>,
+    /// Rows of the snapshot.
+    pub(crate) count: usize,
+}
+
 /// Puts what was read into the world.
 type Write = Box<dyn FnOnce(&mut World)>;
 
 struct SavedComponent {
     name: &'static str,
     save: fn(&mut World) -> postcard::Result<Vec<u8>>,
-    load: fn(&mut World, &[u8]) -> Result<Write, String>,
+    load: fn(&mut World, &[u8], &HeldRows) -> Result<Write, String>,
 }
 
 /// The components that snapshots hold, and what is measured anew after one is restored.
@@ -68,13 +78,32 @@ impl SavedComponents {
     }
 
     /// Reads all of them; nothing is changed before what this returns is called.
-    pub(crate) fn load(world: &mut World, columns: &[SavedColumn]) -> Result<Vec<Write>, String> {
+    pub(crate) fn load(world: &mut World, columns: &[SavedColumn], rows: &HeldRows) -> Result<Vec<Write>, String> {
         let all: Vec<_> =
             world.resource::<Self>().all.iter().map(|component| (component.name, component.load)).collect();
         if !all.iter().map(|(name, _)| *name).eq(columns.iter().map(|(name, _)| name.as_str())) {
             return Err("it holds other components than this simulation".into());
         }
-        all.into_iter().zip(columns).map(|((_, load), (_, bytes))| load(world, bytes)).collect()
+        all.into_iter().zip(columns).map(|((_, load), (_, bytes))| load(world, bytes, rows)).collect()
+    }
+
+    /// Adds the rows of other columns to those of the same components.
+    pub(crate) fn append(columns: &mut [SavedColumn], other: &[SavedColumn]) -> Result<(), String> {
+        let names = |columns: &[SavedColumn]| columns.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+        if names(columns) != names(other) {
+            return Err("they hold different components".into());
+        }
+        for ((name, bytes), (_, other)) in columns.iter_mut().zip(other) {
+            // a list is its length, then its elements
+            let list = |bytes| postcard::take_from_bytes::<u64>(bytes).map_err(|error| format!("{name}: {error}"));
+            let ((count, rows), (more, others)) = (list(bytes)?, list(other)?);
+            let mut joined =
+                postcard::to_stdvec(&count.saturating_add(more)).map_err(|error| format!("{name}: {error}"))?;
+            joined.extend_from_slice(rows);
+            joined.extend_from_slice(others);
+            *bytes = joined;
+        }
+        Ok(())
     }
 
     /// Measures what snapshots do not hold.
@@ -92,12 +121,14 @@ fn save<C: Saved>(world: &mut World) -> postcard::Result<Vec<u8>> {
     postcard::to_stdvec(&rows.into_iter().map(|(_, component)| component).collect::<Vec<_>>())
 }
 
-fn load<C: Saved>(world: &mut World, bytes: &[u8]) -> Result<Write, String> {
+fn load<C: Saved>(world: &mut World, bytes: &[u8], rows: &HeldRows) -> Result<Write, String> {
     let name = std::any::type_name::<C>();
-    let values: Vec<C> = postcard::from_bytes(bytes).map_err(|error| format!("{name} cannot be read: {error}"))?;
-    if values.len() != world.resource::<NumEnvs>().0 {
+    let mut values: Vec<C> = postcard::from_bytes(bytes).map_err(|error| format!("{name} cannot be read: {error}"))?;
+    if values.len() != rows.count || rows.own.end > rows.count {
         return Err(format!("{name}: there are {}, which is another number of envs", values.len()));
     }
+    values.truncate(rows.own.end);
+    values.drain(..rows.own.start);
     let mut query = world.query::<(&EnvId, &Morphology, &C)>();
     let (morphologies, ground) = (world.resource::<Morphologies>(), world.resource::<Ground>());
     for (env, tag, present) in query.iter(world) {

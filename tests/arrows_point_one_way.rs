@@ -37,7 +37,7 @@ const ROOMS: [&str; 30] = [
 ];
 
 /// The files of `systems/` from the ground up; `mod` holds what they share, the schedules and sets.
-const SYSTEMS: [&str; 25] = [
+const SYSTEMS: [&str; 27] = [
     "view",
     "terms",
     "faults",
@@ -62,6 +62,7 @@ const SYSTEMS: [&str; 25] = [
     "startup",
     "reset",
     "observe",
+    "privileged",
     "finite",
     "builtin",
 ];

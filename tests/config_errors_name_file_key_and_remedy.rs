@@ -293,13 +293,19 @@ fn overrides_that_lead_nowhere_are_refused() {
 }
 
 #[test]
-fn unknown_names_come_with_near_and_known_ones() {
+fn unknown_names_come_with_near_ones_or_with_all() {
     let library = Library::new(Vec::new());
     let error = library.task("velocity_flt", &[]).unwrap_err();
     assert_eq!(error.kind, ConfigErrorKind::UnknownName);
     let remedy = "did you mean `velocity_flat`";
     assert_error(&error, "configs/tasks", "task `velocity_flt`", "no task", remedy);
+    assert!(!error.remedy.contains("velocity_obstacles"), "{error}");
+    let error = library.task("zzzz", &[]).unwrap_err();
     assert!(error.remedy.contains("Velocity-Flat-HeteroQuadruped-v0"), "{error}");
+    // Isaac Lab's prefix is left out where nothing else has the name
+    assert_eq!(library.task("Isaac-Velocity-Flat-Spot-v0", &[]).unwrap().config.name, "Velocity-Flat-Spot-v0");
+    let error = library.task("Isaac-Velocity-Flat-Spott-v0", &[]).unwrap_err();
+    assert_error(&error, "configs/tasks", "task `Isaac-Velocity-Flat-Spott-v0`", "no task", "did you mean");
     let error = library.robot("unitree_g02").unwrap_err();
     assert_error(&error, "configs/robots", "robot `unitree_g02`", "no robot", "`unitree_go2`");
     let error = library.train("flatt", &[]).unwrap_err();

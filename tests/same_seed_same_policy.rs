@@ -1,7 +1,11 @@
-//! A training gives the same policy, to the bit, for any number of threads and on every instruction set.
+//! A training gives the same policy, to the bit, for any number of threads and workers and on every instruction set.
+
+use std::sync::{Arc, Barrier, Mutex};
 
 use polypod::dynamics::lanes::Simd;
-use polypod::learner::{Activation, Algorithm, Learner, Network, Options, Symmetry, Which};
+use polypod::learner::{
+    Activation, Algorithm, Learner, LearnerError, Network, Options, Peers, Symmetry, Which, Worker,
+};
 use polypod::{Sim, SimOptions};
 
 use crate::common::{busy, noise, size};
@@ -51,15 +55,20 @@ fn fill(learner: &mut Learner) {
 /// A hash of all that a training has learnt.
 fn trained(simd: Simd, threads: usize, symmetry: Symmetry) -> u64 {
     let envs = busy(&["unitree_a1", "anymal_c"], size(72, 520));
-    let mut sim = Sim::new(&SimOptions { simd: Some(simd), threads: Some(threads), ..envs }).unwrap();
-    let mut learner = sim.learner(options(symmetry)).unwrap();
+    let sim = Sim::new(&SimOptions { simd: Some(simd), threads: Some(threads), ..envs }).unwrap();
+    let learner = sim.learner(options(symmetry)).unwrap();
+    learnt(sim, learner, 1)
+}
+
+/// What a learner has learnt after some iterations. Of several workers, each has only seen its share of the episodes.
+fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     fill(&mut learner);
     let (mut rate, mut episodes) = (1e-3, 0);
     for iteration in 0..ITERATIONS {
         episodes += sim.collect(&mut learner, iteration).unwrap().len();
         rate = sim.learn(&mut learner, rate).unwrap().learning_rate;
     }
-    assert!(episodes > 0, "resets must have been part of it");
+    assert!(episodes >= least_episodes, "resets must have been part of it");
     let mut numbers = Vec::new();
     for which in [Which::Actor, Which::Critic] {
         let state = learner.network(which);
@@ -81,6 +90,86 @@ fn threads_and_instruction_sets_do_not_change_the_policy() {
     }
 }
 
+/// Workers that are threads of this test.
+struct Threads {
+    index: usize,
+    barrier: Arc<Barrier>,
+    sent: Arc<Mutex<Vec<Vec<u8>>>>,
+}
+
+impl Threads {
+    fn send(&self, mine: &[u8]) -> Vec<Vec<u8>> {
+        self.sent.lock().unwrap()[self.index] = mine.to_vec();
+        self.barrier.wait();
+        let all = self.sent.lock().unwrap().clone();
+        self.barrier.wait();
+        all
+    }
+}
+
+impl Peers for Threads {
+    fn gather(&self, mine: &[u8]) -> Result<Vec<u8>, LearnerError> {
+        Ok(self.send(mine).concat())
+    }
+    fn exchange(&self, mine: &[u8]) -> Result<Vec<u8>, LearnerError> {
+        let all = self.send(mine);
+        let piece = mine.len() / all.len();
+        Ok(all.iter().flat_map(|of| of[self.index * piece..(self.index + 1) * piece].to_vec()).collect())
+    }
+}
+
+/// What each of several workers has learnt.
+fn trained_by(count: usize, options: &Options) -> Vec<u64> {
+    let (barrier, sent) = (Arc::new(Barrier::new(count)), Arc::new(Mutex::new(vec![Vec::new(); count])));
+    let worker = |index: usize| {
+        let (worker, envs) = (Worker { index, count }, busy(&["unitree_a1", "anymal_c"], ENVS_OF_WORKERS));
+        let peers = Threads { index, barrier: barrier.clone(), sent: sent.clone() };
+        let share = Some(worker.envs(ENVS_OF_WORKERS).unwrap());
+        let sim = Sim::new(&SimOptions { share, ..envs }).unwrap();
+        let learner = sim.learner_of_worker(options.clone(), worker, Box::new(peers)).unwrap();
+        learnt(sim, learner, 0)
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..count).map(|index| scope.spawn(move || worker(index))).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    })
+}
+
+/// Twelve parts of the learner: no power of two.
+const ENVS_OF_WORKERS: usize = 197;
+
+#[test]
+fn workers_do_not_change_the_policy() {
+    let one = |symmetry| Options { normalize_reward_per_robot: false, ..options(symmetry) };
+    let mut per_mini_batch = one(Symmetry::None);
+    per_mini_batch.algorithm.normalize_advantage_per_mini_batch = true;
+    per_mini_batch.normalize_advantage_per_robot = false;
+    for options in [options(Symmetry::Both), per_mini_batch] {
+        let sim = Sim::new(&busy(&["unitree_a1", "anymal_c"], ENVS_OF_WORKERS)).unwrap();
+        let learner = sim.learner(options.clone()).unwrap();
+        let expected = learnt(sim, learner, 1);
+        for count in [2, 3, 4] {
+            assert_eq!(trained_by(count, &options), vec![expected; count], "{count} workers");
+        }
+    }
+}
+
+#[test]
+fn workers_that_do_not_fit_the_envs_are_refused() {
+    let whole = Sim::new(&busy(&["spot"], 48)).unwrap();
+    let refused = |sim: &Sim, worker: Worker| {
+        let peers = Threads { index: 0, barrier: Arc::new(Barrier::new(1)), sent: Arc::default() };
+        match sim.learner_of_worker(options(Symmetry::None), worker, Box::new(peers)) {
+            Ok(_) => panic!("{worker:?} is accepted"),
+            Err(error) => error.to_string(),
+        }
+    };
+    assert!(refused(&whole, Worker { index: 0, count: 4 }).contains("use at most 3"));
+    assert!(refused(&whole, Worker { index: 0, count: 2 }).contains("envs 0 to 16"));
+    let half = Sim::new(&SimOptions { share: Some(16..48), ..busy(&["spot"], 48) }).unwrap();
+    assert!(half.learner(options(Symmetry::None)).is_err_and(|error| error.to_string().contains("share")));
+}
+
 #[test]
 fn mirror_images_change_the_policy() {
     let [none, both, alternate] = [Symmetry::None, Symmetry::Both, Symmetry::Alternate]
@@ -92,6 +181,6 @@ fn mirror_images_change_the_policy() {
 #[test]
 fn the_policy_is_the_one_that_it_was() {
     if size(true, false) {
-        assert_eq!(format!("{:016x}", trained(Simd::available()[0], 1, Symmetry::None)), "1e97d95e16668405");
+        assert_eq!(format!("{:016x}", trained(Simd::available()[0], 1, Symmetry::None)), "41922696e19c0c77");
     }
 }

@@ -206,8 +206,10 @@ impl Policy {
             remedy: format!("run it in its own task, {}", self.manifest.task),
         };
         let task = sim.task();
+        // the policy's group is the first one
+        let terms = task.groups.first().map_or(&[][..], |group| task.terms_of(group));
         let layout: Vec<TermLayout> =
-            task.observations.iter().map(|term| TermLayout { term: term.name.clone(), size: term.size }).collect();
+            terms.iter().map(|term| TermLayout { term: term.name.clone(), size: term.size }).collect();
         if layout != self.manifest.observation_layout {
             let names = |layout: &[TermLayout]| {
                 layout.iter().map(|t| format!("{} ({})", t.term, t.size)).collect::<Vec<_>>().join(", ")

@@ -6,7 +6,7 @@ into them; what is handed out is the array itself and never a copy, unless a doc
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -77,6 +77,18 @@ class CoreInfo(TypedDict):
     simd: str
     threads: int
 
+class Peers(Protocol):
+    """Connects the workers of a training, which all call the same in the same order."""
+
+    def gather(self, mine: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Returns `mine` of all workers, in their order. All have one length."""
+
+    def exchange(self, mine: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Sends each worker its piece of `mine`; returns the pieces from all workers, in their order.
+
+        `mine` has a piece of one length for each worker, in their order.
+        """
+
 class Learner:
     """Proximal policy optimisation of two perceptrons on the threads of a `VecSim`, in float32.
 
@@ -85,19 +97,29 @@ class Learner:
     begin with zeros: see `set_network`.
     """
 
-    def __init__(self, sim: VecSim, options: str) -> None:
+    def __init__(
+        self, sim: VecSim, options: str, peers: Peers | None = None, worker: int = 0, workers: int = 1
+    ) -> None:
         """Makes a learner for the envs, robots and observations of `sim`.
+
+        With `peers` it is one of several workers that learn together, each with the envs of its `share_of_worker`. All
+        of them come to the same networks, bit for bit those of one learner with all envs. Arrays [num_envs] have a row
+        for each env of `sim`.
 
         Args:
             sim: the simulation.
             options: JSON, see `polypod.training.config.TrainConfig.native_options`.
+            peers: connects the workers; what it raises is raised by `collect` and `update`.
+            worker: number of this worker.
+            workers: how many there are.
 
         Raises:
             ValueError: for options that cannot be read.
-            ConfigError: for options that are out of range.
+            ConfigError: for options that are out of range, more workers than blocks of envs, and the simulation of
+                another share.
         """
 
-    def collect(self, sim: VecSim, iteration: int) -> list[tuple[float, float]]:
+    def collect(self, sim: VecSim, iteration: int) -> list[tuple[int, int, float, float]]:
         """Simulates the steps of an iteration with the policy, noise added, and estimates the advantages.
 
         The interpreter's lock is free meanwhile.
@@ -107,7 +129,8 @@ class Learner:
             iteration: its number, which the noise depends on.
 
         Returns:
-            Return and length, in control steps, of each episode that ended, by steps and envs.
+            Step of the iteration, number of the env among those of all workers, return, and length in control steps of
+                each episode that ended, by steps and envs.
 
         Raises:
             ConfigError: for another simulation, and for actions that a diverged policy gives.
@@ -213,6 +236,7 @@ class VecSim:
         overrides: Sequence[str] = (),
         autoreset: str = "same_step",
         dump_dir: str | os.PathLike[str] | None = None,
+        share: tuple[int, int] | None = None,
         slots: Sequence[str] = (),
     ) -> None:
         """Builds the envs and resets them, so that `observation` is valid at once.
@@ -226,6 +250,8 @@ class VecSim:
             overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML syntax.
             autoreset: "same_step", "next_step" or "disabled".
             dump_dir: see `set_dump_dir`.
+            share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit for bit, these rows
+                of the whole batch.
             slots: names of actions that the batch has on top of its robots' own.
 
         Raises:
@@ -234,8 +260,15 @@ class VecSim:
         """
 
     num_envs: int
+    """Number of envs that are simulated here."""
+    total_num_envs: int
+    """Number of envs of all shares."""
+    share: tuple[int, int]
+    """Which of them are simulated here."""
+    simd: str
+    """Instruction set of the physics."""
     num_obs: int
-    """Width of an observation."""
+    """Width of the policy's observation."""
     num_actions: int
     """Width of an action: the number of slots that any of the robots has."""
     max_episode_length: int
@@ -255,13 +288,20 @@ class VecSim:
     threads: int
     seed: int
     observation_layout: list[tuple[str, int]]
-    """(term, size) of the observation, in order."""
+    """(term, size) of the policy's observation, in order."""
+    observation_groups: dict[str, tuple[int, int]]
+    """By name of the observation group, the half-open range of its columns in a row of all groups.
 
-    def observation_terms(self) -> str:
-        """Terms of the observation, in order, as JSON: a list of objects.
+    The group `policy` comes first; a task names the others in its `[observations]`.
+    """
 
-        `term`, `size`: name and number of numbers.
-        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, scan or body: how the numbers are mirrored.
+    def observation_terms(self, group: str = "policy") -> str:
+        """Terms of an observation group, in order, as JSON: a list of objects.
+
+        `term`, `size`: name and number of numbers, those that the term remembers included.
+        `history_length`: control steps that it remembers, the present one included; the oldest numbers come first.
+        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body: how the numbers are
+        mirrored.
         `units`, `description`: what they say.
         `source`: what the term is computed from on a robot: measured (given as it is), robot_constant (known of the
         robot), center_of_mass_velocity, base_angular_velocity, projected_gravity, velocity_command, joint_position,
@@ -272,13 +312,16 @@ class VecSim:
         (a distance between front and hind legs), width (between left and right legs), role (all numbers of the first
         role, then those of the next) or joint (the first number of all joints, then the next number of all joints).
         `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the result, and its factor.
-        """
-
-    def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an observation, left and right exchanged: (index, sign) of each of its [num_obs] numbers.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have.
+            UnknownNameError: for a group that the task does not have.
+        """
+
+    def observation_mirror(self, robot: str, group: str = "policy") -> list[tuple[int, float]]:
+        """Mirror image of an observation group, left and right exchanged: (index, sign) of each of its numbers.
+
+        Raises:
+            UnknownNameError: for a robot that the run does not have, and for a group that the task does not have.
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
@@ -288,11 +331,11 @@ class VecSim:
             UnknownNameError: for a robot that the run does not have.
         """
 
-    def observation_mask(self, robot: str) -> list[bool]:
-        """[num_obs], True where the robot has the number; those of joints that it lacks are 0.
+    def observation_mask(self, robot: str, group: str = "policy") -> list[bool]:
+        """[size of the group], True where the robot has the number; those of joints that it lacks are 0.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have.
+            UnknownNameError: for a robot that the run does not have, or an unknown observation group.
         """
 
     def env_ids(self, robot: str) -> tuple[int, int]:
@@ -359,6 +402,13 @@ class VecSim:
     def observation(self) -> npt.NDArray[np.float32]:
         """[num_envs, num_obs]. Two buffers alternate: this one stays as it is until the step after the next one."""
 
+    def observation_of(self, group: str) -> npt.NDArray[np.float32]:
+        """[num_envs, n], an observation group, a view that stays as it is as long as `observation` does.
+
+        Raises:
+            UnknownNameError: for a group that the task does not have.
+        """
+
     @property
     def reward(self) -> npt.NDArray[np.float32]:
         """[num_envs], of the last step, already multiplied by `step_dt`."""
@@ -374,6 +424,9 @@ class VecSim:
     @property
     def final_obs(self) -> npt.NDArray[np.float32]:
         """[num_envs, num_obs], the last observation of the episodes that ended in this step: rows of `final_mask`."""
+
+    def final_obs_of(self, group: str) -> npt.NDArray[np.float32]:
+        """[num_envs, n], as `final_obs`, of an observation group. Raises UnknownNameError."""
 
     @property
     def final_mask(self) -> npt.NDArray[np.bool_]:
@@ -435,6 +488,15 @@ class VecSim:
         (m/s), command_yaw (rad/s), reward_per_s. The command's means are the errors of standing still.
         """
 
+    def take_logs(self) -> bytes:
+        """Takes what `log` and `episode_stats` are made of, for `add_logs` of another share's simulation."""
+
+    def add_logs(self, data: bytes) -> None:
+        """Adds what `take_logs` gave: `log` and `episode_stats` are of the episodes of both.
+
+        Raises ConfigError for any other bytes.
+        """
+
     def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:
         """From now on dumps the first state of each robot that breaks to a file in this directory, or with None none.
 
@@ -446,7 +508,10 @@ class VecSim:
         """The whole state, random streams and current observations included."""
 
     def restore(self, data: bytes) -> None:
-        """Returns to a `snapshot` of an equal configuration. Raises ConfigError for any other bytes."""
+        """Returns to a `snapshot` of an equal configuration, this share's or that of a larger one.
+
+        Raises ConfigError for any other bytes.
+        """
 
 class Simulation:
     """Physics without a task: robots of one kind, any tree of links that a URDF describes, one per env.
@@ -751,6 +816,28 @@ def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> Tr
         ConfigError: for a file that cannot be read, and for a name that only files `above` have.
     """
 
+def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides: Sequence[str] = ...) -> None:
+    """Reads the configs of a task and of robots, and the overrides of the task, without simulating anything.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a config or an override that cannot be used.
+    """
+
+def with_overrides(config: str, overrides: Sequence[str]) -> str:
+    """Writes overrides into a config, by the rules of `VecSim`'s.
+
+    Args:
+        config: tables as JSON, with every key that may be overridden.
+        overrides: `key=value` pairs, the key dotted, the value in TOML syntax or a bare word.
+
+    Returns:
+        The changed tables as JSON.
+
+    Raises:
+        ConfigError: for a table or element that does not exist, and for a value that cannot be read.
+    """
+
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""
 
@@ -778,6 +865,18 @@ def draft_robot(
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
     """The ground of a task. Raises ConfigError where it is a plane, UnknownNameError for an unknown task."""
+
+def share_of_worker(num_envs: int, worker: int, workers: int) -> tuple[int, int]:
+    """The envs [start, end) that a worker simulates, of `num_envs`: whole blocks of 16 envs or more.
+
+    Raises ConfigError where there are fewer blocks than workers.
+    """
+
+def join_snapshots(parts: Sequence[bytes]) -> bytes:
+    """The snapshot of the shares that `parts` are of, in order: byte for byte that of one simulation of all of them.
+
+    Raises ConfigError for bytes that are none, and for shares that do not follow one another.
+    """
 
 def info() -> CoreInfo:
     """The version, the instruction set in use and the number of threads."""

@@ -1,8 +1,10 @@
 """The command line; `polypod --help` lists what there is."""
 
+import difflib
 import os
 import sys
 import traceback
+import typing
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -21,11 +23,13 @@ from polypod.commands.play import Play
 from polypod.commands.results import ResultsOf
 from polypod.commands.robot import Robot
 from polypod.commands.sim2sim import Sim2sim
+from polypod.commands.sweep import SweepOf
 from polypod.commands.terrain import Terrain
 from polypod.commands.train import Train
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[SweepOf, tyro.conf.subcommand("sweep")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
@@ -41,6 +45,9 @@ Command = (
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
 
+COMMANDS: tuple[str, ...] = tuple(typing.get_args(command)[1].name for command in typing.get_args(Command))
+"""Names of the commands."""
+
 
 def main(arguments: Sequence[str]) -> int:
     """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
@@ -48,12 +55,16 @@ def main(arguments: Sequence[str]) -> int:
     `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo. `train` returns 143 after SIGTERM and 129
     after SIGHUP.
     """
+    if list(arguments) in (["--version"], ["-V"]):
+        print(f"polypod {_core.__version__}")
+        return 0
     try:
         for argument in arguments:
             if not _is_text(argument):
                 raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
+        _check_command(arguments)
         command = tyro.cli(
-            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_resume(arguments) or ["--help"]
+            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_flags(arguments) or ["--help"]
         )
         _check_seed(command)
         code = _run(command)
@@ -79,6 +90,17 @@ def main(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         print("polypod: this is a bug; please report the lines above and the command", file=sys.stderr)
         return 1
+
+
+def _check_command(arguments: Sequence[str]) -> None:
+    """Raises UnknownNameError for a first word that is no command."""
+    if not arguments or arguments[0].startswith("-") or arguments[0] in COMMANDS:
+        return
+    near = difflib.get_close_matches(arguments[0], COMMANDS, n=1)
+    guess = f"did you mean {near[0]!r}? " if near else ""
+    raise _core.UnknownNameError(
+        f"there is no command {arguments[0][:80]!r}; {guess}Commands: {', '.join(COMMANDS)}; see polypod --help"
+    )
 
 
 def _is_text(argument: str) -> bool:
@@ -108,13 +130,17 @@ def _run(command: Any) -> int:
     return code
 
 
-def _with_bare_resume(arguments: Sequence[str]) -> list[str]:
-    """`--resume` without a value stands for `--resume latest`."""
+_BARE = {"--resume": "latest", "--ray": "auto"}
+"""What flags mean without a value."""
+
+
+def _with_bare_flags(arguments: Sequence[str]) -> list[str]:
+    """`--resume` without a value stands for `--resume latest`, and `--ray` for `--ray auto`."""
     completed = []
     for argument, following in zip(arguments, [*arguments, "--"][1:], strict=True):
         completed.append(argument)
-        if argument == "--resume" and following.startswith("-"):
-            completed.append("latest")
+        if argument in _BARE and following.startswith("-"):
+            completed.append(_BARE[argument])
     return completed
 
 

@@ -45,6 +45,9 @@ class Term:
     term: str
     """Its name."""
     size: int
+    """Of its numbers, those that it remembers included."""
+    history_length: int = 1
+    """Control steps that it remembers, the present one included; the oldest come first."""
     kind: str = "scalar"
     units: str = ""
     description: str = ""
@@ -75,14 +78,23 @@ class Term:
         )
 
 
+def check_memory(terms: Sequence[Term], what: str) -> None:
+    """Raises ConfigError for terms with a history; `what` begins the message: who cannot take them."""
+    if remembers := [term.term for term in terms if term.history_length > 1]:
+        raise _core.ConfigError(
+            f"{what} no history, and {', '.join(remembers)} remember; leave history_length out of the task, or export "
+            "the policy alone and keep the last observations on the robot"
+        )
+
+
 Layout = Sequence[Mapping[str, Any] | tuple[str, int]]
 """Terms of an observation in order, as manifests of networks of joints hold them: `layout_of` writes them. Manifests of
 earlier versions hold (term, size) alone."""
 
 
-def terms_of(sim: _core.VecSim) -> tuple[Term, ...]:
-    """Terms of the observation of `sim`, in order."""
-    return tuple(Term.read(entry) for entry in json.loads(sim.observation_terms()))
+def terms_of(sim: _core.VecSim, group: str = "policy") -> tuple[Term, ...]:
+    """Terms of an observation group of `sim`, in order."""
+    return tuple(Term.read(entry) for entry in json.loads(sim.observation_terms(group)))
 
 
 def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:

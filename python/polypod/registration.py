@@ -13,7 +13,7 @@ PATH = "POLYPOD_PATH"
 
 
 def register_tasks() -> None:
-    """Registers each task for `gymnasium.make_vec`; there is no single env to be had from `gymnasium.make`.
+    """Registers each task for `gymnasium.make_vec`, which gives the batch, and `gymnasium.make`, which gives one robot.
 
     A broken config in `POLYPOD_PATH` is a warning here and an error when it is used; all others are registered. Where a
     folder is not there, only the built-in tasks are registered, with a warning.
@@ -30,6 +30,7 @@ def register_tasks() -> None:
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 env_id,
+                entry_point="polypod.single_env:Env",
                 vector_entry_point="polypod.vector_env:make_for_gymnasium",
                 kwargs={"task_id": task["name"]},
             )

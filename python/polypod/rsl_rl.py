@@ -62,6 +62,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         self._pinned: dict[str, torch.Tensor] = {}
         mask = self._sim.action_mask
         self._mask = None if mask.all() else torch.from_numpy(mask.astype(np.float32)).to(self.device)
+        self._other_groups = [group for group in self._sim.observation_groups if group != "policy"]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -78,12 +79,14 @@ class VecEnv(rsl_rl.env.VecEnv):
         self._sim.set_episode_length(value.to(device="cpu", dtype=torch.int64).contiguous().numpy())
 
     def get_observations(self) -> TensorDict:
-        """The current observations: `policy`, float32 [num_envs, num_obs].
+        """The current observations by group, float32 [num_envs, n] each: `policy`, and those that the task adds.
 
         Where some robots lack some of the actions also `action_mask`, float32 [num_envs, num_actions]: 1 where an env's
         robot has a joint, else 0. The rollout stores it, and `polypod.networks.MaskedMLPModel` reads it.
         """
         groups = {"policy": self._tensor("policy", self._source.observation)}
+        for group in self._other_groups:
+            groups[group] = self._tensor(group, self._sim.observation_of(group))
         if self._mask is not None:
             groups["action_mask"] = self._mask
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
@@ -114,13 +117,22 @@ class VecEnv(rsl_rl.env.VecEnv):
         time_outs = sim.truncated & ~sim.terminated
         extras: dict[str, Any] = {"time_outs": self._tensor("time_outs", time_outs.astype(np.float32))}
         if self._log_extras and sim.final_mask.any():
-            extras["log"] = sim.log()
+            extras["log"] = self.log()
         return (
             self.get_observations(),
             self._tensor("reward", sim.reward),
             self._tensor("done", (sim.terminated | sim.truncated).astype(np.int64)),
             extras,
         )
+
+    def log(self) -> dict[str, float]:
+        """Means over the episodes that ended since the last call, see `VecSim.log`; with those of terms in Python."""
+        return self._source.log()
+
+    def refresh(self) -> None:
+        """Observes anew what a restored snapshot has brought back."""
+        if isinstance(self._source, CustomTerms):
+            self._source.refresh()
 
     def close(self) -> None:
         """Closes the wrapped env."""

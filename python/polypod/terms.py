@@ -146,6 +146,10 @@ class CustomTerms(VectorWrapper[FloatArray, FloatArray, FloatArray, FloatArray, 
         self.observation[done] = fresh[done]
         return self.observation, self.reward, self.terminated, self.truncated, infos
 
+    def refresh(self) -> None:
+        """Observes the present state: after `sim.restore`, which changes it without a step."""
+        self.observation = self._extended(self.sim.observation, self._observe_terms())
+
     def log(self) -> dict[str, float]:
         """The task's log with that of one's own rewards, over the episodes that ended since the last call.
 

@@ -1,10 +1,12 @@
 """The batch as a `gymnasium.vector.VectorEnv`."""
 
+import copy
 import difflib
 import functools
+import json
 import operator
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -16,15 +18,21 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from polypod import _core
-from polypod.registration import num_robots, task_of
+from polypod.registration import NAMESPACE, num_robots, task_of
 from polypod.state import State
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from polypod.play.pictures import Pictures
+
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
+Overrides = Mapping[str, Any] | Sequence[str]
+"""Changes to a task's configuration, see `EnvOptions`."""
+
+RENDER_MODES = ("rgb_array",)
 _AUTORESET_MODES = {
     "same_step": AutoresetMode.SAME_STEP,
     "next_step": AutoresetMode.NEXT_STEP,
@@ -44,9 +52,15 @@ class EnvOptions(TypedDict, total=False):
     threads: int | None
     """Worker threads. None, the default: one per core."""
     copy: bool
-    """Hands out fresh arrays rather than the simulator's own, see `VectorEnv`. False by default."""
-    overrides: Sequence[str]
-    """`key=value` pairs for the task's configuration, e.g. `"sim.episode_length_s=10.0"`."""
+    """Hands out fresh arrays rather than the simulator's own, see `VectorEnv`. True by default."""
+    overrides: Overrides
+    """Changes to the task's configuration: a mapping, e.g. `{"sim.episode_length_s": 10.0}`, nested or with dotted
+    keys, or `key=value` texts, e.g. `["sim.episode_length_s=10.0"]`."""
+    render_mode: str | None
+    """"rgb_array": `render` gives pictures, which needs the extra play. None, the default: it gives None."""
+    share: tuple[int, int] | None
+    """Envs [start, end) of `num_envs` that are simulated here; another process has the others. They are, bit for bit,
+    these rows of the whole batch. None, the default: all."""
     dump_dir: str | os.PathLike[str] | None
     """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps it again.
     None, the default: no dump."""
@@ -61,7 +75,8 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
         task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
         num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
             robot.
-        **options: robots, seed, autoreset, threads, copy, overrides, dump_dir and slots; `EnvOptions` documents them.
+        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir and slots;
+            `EnvOptions` documents them.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
@@ -78,13 +93,18 @@ def make_for_gymnasium(task_id: str, num_envs: int, **options: "Unpack[EnvOption
 class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[Any]]):
     """Many legged robots that track velocity commands.
 
-    Without `copy` the arrays are the simulator's own and cost nothing: an observation stays valid until the step after
-    the next one (two buffers alternate), rewards and flags until the next step. With `copy` they are yours to keep.
+    Arrays that are handed out are yours to keep. With `copy=False` they are the simulator's own and cost nothing: an
+    observation stays valid until the step after the next one (two buffers alternate), rewards and flags until the next
+    step. `polypod.rsl_rl.VecEnv` reads the simulator's own arrays either way.
 
-    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action float32 [num_envs, num_actions],
-    one number per canonical joint: the target is `default_pose + action_scale * action`. Quadrupeds have twelve; a
-    batch of different bodies has the joints of all of them, and `action_mask` says which an env's robot has. What it
-    lacks is 0 in observations, and an action for it does nothing. Such a batch has `action_mask` in its infos.
+    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action is [num_envs, num_actions], one
+    number per canonical joint: the target is `default_pose + action_scale * action`. The action space ends where
+    targets would leave the limits of every robot's joint; actions beyond it are accepted, and the joint then stops at
+    its limit.
+
+    Quadrupeds have twelve joints; a batch of different bodies has the joints of all of them, and `action_mask` says
+    which an env's robot has. What it lacks is 0 in observations, and an action for it does nothing. Such a batch has
+    `action_mask` in its infos.
     """
 
     def __init__(self, task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> None:
@@ -104,19 +124,26 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             robots=None if robots is None else list(robots),
             seed=_fresh_seed() if seed is None else _index(seed, "seed"),
             threads=options.get("threads"),
-            overrides=list(options.get("overrides", ())),
+            overrides=override_texts(options.get("overrides", ())),
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
             dump_dir=options.get("dump_dir"),
+            share=options.get("share"),
             slots=list(options.get("slots", ())),
         )
         self._sim: _core.VecSim | None
         self._sim = _one_env_per_robot(build, task, robots) if num_envs is None else build(_index(num_envs, "num_envs"))
-        self.copy = options.get("copy", False)
+        self.copy = options.get("copy", True)
         self.autoreset_mode = mode
-        self.metadata = {"autoreset_mode": mode, "render_modes": []}
+        self.render_mode = _render_mode(options.get("render_mode"))
+        self.metadata = {
+            "autoreset_mode": mode,
+            "render_modes": list(RENDER_MODES),
+            "render_fps": round(1.0 / self._sim.step_dt),
+        }
+        self.spec = _spec(task, self._sim.num_envs, options)
         self.num_envs = self._sim.num_envs
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._sim.num_obs,), np.float32)
-        self.single_action_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._sim.num_actions,), np.float32)
+        self.single_action_space = gymnasium.spaces.Box(*action_bounds(self._sim), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._action_mask = self._sim.action_mask
@@ -124,6 +151,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         self._needs_reset = np.zeros(self.num_envs, dtype=np.bool_)
         self._thread: ThreadPoolExecutor | None = None
         self._pending: Future[None] | None = None
+        self._pictures: Pictures | None = None
 
     @property
     def sim(self) -> _core.VecSim:
@@ -216,19 +244,20 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         """Advances every env by one control step of `step_dt`.
 
         Args:
-            actions: float32 [num_envs, num_actions], in the order of `canonical_joint_names`.
+            actions: [num_envs, num_actions], in the order of `canonical_joint_names`: an array of any float or int
+                type, a tensor on the CPU, or nested lists. float32 in C order is not copied.
 
         Returns:
             Observations, rewards, terminated, truncated and infos. In same-step mode the infos hold `final_obs`, an
             object array with the last observation of each episode that ended, its mask `_final_obs`, and `final_info`.
 
         Raises:
-            TypeError: for actions that are not float32.
+            TypeError: for actions that are not numbers.
             ValueError: for another shape, and for a NaN or an infinity.
             ResetNeeded: with autoreset disabled, when an env whose episode has ended was not reset.
         """
         sim = self._ready("step")
-        sim.step(np.ascontiguousarray(actions))
+        sim.step(_float32(actions))
         return self._stepped(sim)
 
     def send(self, actions: FloatArray) -> None:
@@ -242,12 +271,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
         Raises:
             AlreadyPendingCallError: when a step is on its way.
+            TypeError: for actions that are not numbers.
             ResetNeeded: as `step`; whatever else is wrong with the actions is raised by `recv`.
         """
         sim = self._ready("send")
         if self._thread is None:
             self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="polypod-send")
-        self._pending = self._thread.submit(sim.step, np.array(actions, order="C"))
+        self._pending = self._thread.submit(sim.step, np.array(_float32(actions)))
 
     def recv(self) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Waits for the step that `send` began.
@@ -257,7 +287,6 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
         Raises:
             NoAsyncCallError: when no step is on its way.
-            TypeError: for actions that are not float32.
             ValueError: for another shape of the actions, and for a NaN or an infinity.
         """
         if self._pending is None:
@@ -300,11 +329,55 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         """
         return self.sim.episode_stats(clear)
 
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """Pictures of the present state.
+
+        Returns:
+            For `render_mode="rgb_array"` one picture per env, each uint8 [360, 640, 3]; None without a render mode.
+
+        Raises:
+            ConfigError: where a package of the extra play is missing.
+        """
+        if self.render_mode is None:
+            return None
+        if self._pictures is None:
+            # drawing has dependencies of its own
+            from polypod.play.pictures import Pictures
+
+            self._pictures = Pictures(self.sim)
+        return self._pictures.draw()
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Calls a method, or reads an attribute, of all envs at once.
+
+        Returns:
+            The one result, once per env: the envs share a simulator.
+        """
+        value = getattr(self, name)
+        return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Reads an attribute, see `call`."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets an attribute that all envs share.
+
+        Raises:
+            ConfigError: for a list of values that differ from env to env.
+        """
+        if isinstance(values, list | tuple):
+            first, *others = values
+            if any(other != first for other in others):
+                raise _core.ConfigError(f"set_attr({name!r}): all envs share one simulator; pass one value for all")
+            values = first
+        setattr(self, name, values)
+
     def close_extras(self, **kwargs: Any) -> None:
         """Lets go of the simulator, after a step that is on its way; arrays that were handed out stay readable."""
         if self._thread is not None:
             self._thread.shutdown()
-        self._sim = self._thread = self._pending = None
+        self._sim = self._thread = self._pending = self._pictures = None
 
     def _handed_out(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return array.copy() if self.copy else array
@@ -329,6 +402,86 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             raise _core.ConfigError(f"options['reset_mask'] has shape {mask.shape}; it must be ({self.num_envs},)")
         if not mask.any():
             raise _core.ConfigError("options['reset_mask'] selects no env; leave the call out or set at least one True")
+
+
+def override_texts(overrides: Overrides) -> list[str]:
+    """`key=value` texts of overrides that may be a mapping, nested or with dotted keys.
+
+    Raises:
+        ConfigError: for a value that TOML does not have.
+    """
+    if isinstance(overrides, str):
+        raise _core.ConfigError(f"overrides={overrides!r} is one string; pass a list of them, or a dict")
+    if not isinstance(overrides, Mapping):
+        return list(overrides)
+    texts = []
+    for key, value in overrides.items():
+        if isinstance(value, Mapping):
+            texts += [f"{key}.{inner}" for inner in override_texts(value)]
+        else:
+            texts.append(f"{key}={'null' if value is None else _toml(value, str(key))}")
+    return texts
+
+
+def _toml(value: Any, key: str) -> str:
+    """A value as TOML writes it; NumPy's numbers and arrays count as numbers and lists."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bool | str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item, key) for item in value)}]"
+    if isinstance(value, Mapping):
+        inner = (f"{json.dumps(name)} = {_toml(item, key)}" for name, item in value.items())
+        return f"{{ {', '.join(inner)} }}"
+    raise _core.ConfigError(
+        f"overrides[{key!r}] is a {type(value).__name__}; pass a number, a string, a bool, a list or a dict"
+    )
+
+
+def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest actions, [num_actions] each: where targets reach the limits of a joint.
+
+    Of several robots the wider limits count. A joint without limits turns half a turn to either side.
+    """
+    low, high = np.zeros(sim.num_actions), np.zeros(sim.num_actions)
+    for robot, numbers in json.loads(sim.robot_info()).items():
+        scale = numbers["action_scale"]
+        for slot, (_, joint) in enumerate(sim.joint_map(robot)):
+            pose = numbers["default_pose"][joint]
+            for bounds, limit, choose in ((low, numbers["lower"][joint], min), (high, numbers["upper"][joint], max)):
+                turn = np.pi if choose is max else -np.pi
+                reach = limit - pose if limit is not None and np.isfinite(limit) else turn
+                bounds[slot] = choose(bounds[slot], reach / scale)
+    return low.astype(np.float32), high.astype(np.float32)
+
+
+def _float32(actions: Any) -> FloatArray:
+    """Actions as the simulator takes them; what float32 does not hold becomes an infinity, which it refuses."""
+    array = np.asarray(actions)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"actions of type {array.dtype} are no numbers; pass an array of floats")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _render_mode(mode: str | None) -> str | None:
+    if mode is not None and mode not in RENDER_MODES:
+        raise _core.ConfigError(f"render_mode={mode!r} is not one of {', '.join(RENDER_MODES)}; leave it out for none")
+    return mode
+
+
+def _spec(task: str, num_envs: int, options: "EnvOptions") -> gymnasium.envs.registration.EnvSpec | None:
+    """What Gymnasium's `make_vec` builds the same env from; None for a task that is not registered, such as a path."""
+    known = {name: entry["name"] for entry in _core.tasks() for name in (entry["name"], *entry["aliases"])}
+    registered = gymnasium.registry.get(NAMESPACE + known.get(task, task))
+    if registered is None:
+        return None
+    spec = copy.deepcopy(registered)
+    spec.kwargs |= {"num_envs": num_envs, **options}
+    return spec
 
 
 def _one_env_per_robot(build: Callable[[int], _core.VecSim], task: str, robots: Sequence[str] | None) -> _core.VecSim:

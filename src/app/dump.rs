@@ -154,6 +154,7 @@ impl Dump {
         config.sim.decimation = 1;
         // physics knows no terms; those of the task may not even be registered here
         config.observations.policy.clear();
+        config.observations.groups.clear();
         config.terminations.clear();
         // but for the one that makes room for late targets
         config.events.retain(|name, _| name == ACTION_DELAY);
@@ -238,7 +239,9 @@ impl Sim {
         let Some(dir) = self.dump_dir() else {
             return;
         };
-        for (morphology, state) in found {
+        let first_env = self.share().envs.start as u32;
+        for (morphology, mut state) in found {
+            state.env.0 += first_env;
             let robot = &self.loaded_robots()[morphology];
             let dump = Dump {
                 version: env!("CARGO_PKG_VERSION").into(),

@@ -1,9 +1,14 @@
 //! Training without Python in the loop: the policy, the simulator and the update take turns on one team of threads.
 
-use polypod_learner::{Episode, Learner, LearnerError, Losses, Options, Robot, Settings, Symmetry, Team};
+use std::ops::Range;
+
+use polypod_learner::{
+    Episode, Learner, LearnerError, Losses, Options, Peers, Robot, Settings, Symmetry, Team, Worker,
+};
 
 use super::Sim;
 use crate::error::Error;
+use crate::systems::distribute;
 use crate::workers::Workers;
 
 impl Team for Workers {
@@ -22,11 +27,49 @@ impl Sim {
     /// A learner for this simulation's envs, robots and observations, with the simulation's seed. Its networks' numbers are zero.
     ///
     /// # Errors
-    /// Options that are out of range.
+    /// Options that are out of range; a task of several observation groups; a simulation of a share of the envs.
     pub fn learner(&self, options: Options) -> Result<Learner, Error> {
+        self.check_share(Worker::ALONE)?;
+        self.check_groups()?;
+        Ok(Learner::new(self.learner_settings(options), self.simd())?)
+    }
+
+    /// The same of a worker that simulates its [`Worker::envs`] here and learns with its peers.
+    ///
+    /// # Errors
+    /// As [`Sim::learner`]; more workers than blocks of envs; a simulation of another share.
+    pub fn learner_of_worker(&self, options: Options, worker: Worker, peers: Box<dyn Peers>) -> Result<Learner, Error> {
+        self.check_share(worker)?;
+        self.check_groups()?;
+        Ok(Learner::with_peers(self.learner_settings(options), self.simd(), worker, peers)?)
+    }
+
+    fn check_share(&self, worker: Worker) -> Result<(), Error> {
+        let (share, wanted) = (self.share(), worker.envs(self.share().num_envs)?);
+        if share.envs != wanted {
+            let (Range { start, end }, Worker { index, count }) = (&share.envs, worker);
+            let problem = format!("envs {start} to {end} of {} for worker {index} of {count}", share.num_envs);
+            let remedy = format!("make the simulation with envs {} to {}", wanted.start, wanted.end);
+            return Err(Error::argument("share", problem, remedy));
+        }
+        Ok(())
+    }
+
+    fn check_groups(&self) -> Result<(), Error> {
+        if let [_, other, ..] = &self.task().groups[..] {
+            let problem = format!("the task has the observation group `{}` beside the policy's", other.name);
+            return Err(Error::argument("observations", problem, "learn with rsl_rl, or from a task of one group"));
+        }
+        Ok(())
+    }
+
+    fn learner_settings(&self, options: Options) -> Settings {
         let has_mirrors = options.symmetry != Symmetry::None;
-        let robots = self.morphologies().iter().enumerate().map(|(index, robot)| {
-            let envs = self.env_ids(index);
+        let counts = distribute(self.share().num_envs, self.morphologies().len());
+        let mut next = 0;
+        let robots = self.morphologies().iter().zip(counts).map(|(robot, count)| {
+            let envs = next..next + count;
+            next += count;
             let (observation_mirror, action_mirror) = if has_mirrors {
                 (self.task().mirrored_observation(robot), robot.mirrored_columns(self.batch().num_actions))
             } else {
@@ -41,21 +84,20 @@ impl Sim {
             Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror, observation_mask, action_mask }
         });
         let batch = self.batch();
-        let settings = Settings {
-            num_envs: batch.num_envs,
+        Settings {
+            num_envs: self.share().num_envs,
             num_obs: batch.num_obs,
             num_actions: batch.num_actions,
             seed: self.seed(),
             robots: robots.collect(),
             options,
-        };
-        Ok(Learner::new(settings, self.simd())?)
+        }
     }
 
     /// Collects the samples of an iteration with the learner's policy; returns the episodes that ended, by steps and envs.
     ///
     /// # Errors
-    /// A learner of another simulation, or a step that fails.
+    /// A learner of another simulation, a step that fails, or another worker that is gone.
     pub fn collect(&mut self, learner: &mut Learner, iteration: u64) -> Result<Vec<Episode>, Error> {
         self.check_learner(learner)?;
         let mut actions = vec![0.0; self.batch().actions.len()];
@@ -67,17 +109,17 @@ impl Sim {
             let batch = self.batch();
             learner.record(&batch.rewards, &batch.terminated, &batch.truncated, &mut episodes);
         }
-        learner.finish_rollout(self.world().resource::<Workers>(), &self.batch().observations);
+        learner.finish_rollout(self.world().resource::<Workers>(), &self.batch().observations)?;
         Ok(episodes)
     }
 
     /// Learns from the samples of the iteration, with this simulation's threads.
     ///
     /// # Errors
-    /// A learner of another simulation, or losses that are not finite.
+    /// A learner of another simulation, losses that are not finite, or another worker that is gone.
     pub fn learn(&self, learner: &mut Learner, learning_rate: f64) -> Result<Losses, Error> {
         self.check_learner(learner)?;
-        let losses = learner.update(self.world().resource::<Workers>(), learning_rate);
+        let losses = learner.update(self.world().resource::<Workers>(), learning_rate)?;
         if [losses.value, losses.surrogate, losses.entropy].iter().all(|loss| loss.is_finite()) {
             return Ok(losses);
         }
@@ -87,8 +129,8 @@ impl Sim {
 
     fn check_learner(&self, learner: &Learner) -> Result<(), Error> {
         let (batch, settings) = (self.batch(), learner.settings());
-        let of = [settings.num_envs, settings.num_obs, settings.num_actions];
-        if of != [batch.num_envs, batch.num_obs, batch.num_actions] {
+        let of = [learner.num_own_envs(), settings.num_obs, settings.num_actions];
+        if of != [batch.num_envs, batch.num_obs, batch.num_actions] || settings.num_envs != self.share().num_envs {
             let problem = format!("it is for {} envs with {} observations and {} actions", of[0], of[1], of[2]);
             return Err(Error::argument("learner", problem, "make a learner with this simulation"));
         }

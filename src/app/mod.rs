@@ -22,7 +22,7 @@ use crate::options::SimOptions;
 use crate::rows::NumEnvs;
 use crate::systems::{
     BlockSizes, BrokenStates, CompiledTask, ControlStep, InstructionSet, Loaded, PolypodPlugins, Registry, ResetEnvs,
-    ResetRequest, Setup, outcome, place_envs, randomise_at_startup, run,
+    ResetRequest, Setup, Share, outcome, place_envs, randomise_at_startup, run,
 };
 use crate::workers::Workers;
 
@@ -185,10 +185,9 @@ impl Sim {
     fn start_anew(&mut self) -> Result<(), Error> {
         let names: Vec<String> = self.morphologies().iter().map(|m| m.name().to_string()).collect();
         let mut query = self.world.query::<(&EnvId, &Morphology, &mut EnvRng)>();
-        let firsts: Vec<usize> = (0..names.len()).map(|index| self.env_ids(index).start).collect();
+        let places: Vec<usize> = self.share().places(self.world.resource::<BlockSizes>()).collect();
         for (env, tag, mut rng) in query.iter_mut(&mut self.world) {
-            let robot = usize::from(tag.0);
-            *rng = EnvRng::of_env(self.seed, &names[robot], env.0 as usize - firsts[robot]);
+            *rng = EnvRng::of_env(self.seed, &names[usize::from(tag.0)], places[env.0 as usize]);
         }
         let nominal: Vec<_> = self.world.resource::<Morphologies>().0.iter().map(|m| m.nominal.clone()).collect();
         for (tag, mut body) in self.world.query::<(&Morphology, &mut Body)>().iter_mut(&mut self.world) {
@@ -259,19 +258,24 @@ impl Sim {
         &mut self.world
     }
 
-    /// Number of envs.
+    /// Number of envs that are simulated here.
     pub fn num_envs(&self) -> usize {
         self.world.resource::<NumEnvs>().0
     }
 
-    /// The envs of the robot at place `index`, `start..end`.
+    /// Which envs of the whole batch they are.
+    pub fn share(&self) -> &Share {
+        self.world.resource::<Share>()
+    }
+
+    /// The rows of the robot at place `index`, `start..end`.
     pub fn env_ids(&self, index: usize) -> std::ops::Range<usize> {
         let counts = &self.world.resource::<BlockSizes>().0;
         let start = counts.iter().take(index).sum();
         start..start + counts.get(index).copied().unwrap_or(0)
     }
 
-    /// Place of an env in its robot's block.
+    /// Place of a row in its robot's rows.
     pub fn index_in_block(&self, env: usize) -> usize {
         let mut start = 0;
         for &count in &self.world.resource::<BlockSizes>().0 {

@@ -1,5 +1,7 @@
 //! Exact snapshots: everything that decides what happens next, as bytes.
 
+use std::ops::Range;
+
 use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +12,9 @@ use crate::error::Error;
 use crate::morphology::Morphologies;
 use crate::robot::Slot;
 use crate::sealed::{self, Header};
-use crate::systems::{Logs, SavedColumn, SavedComponents, check_engine, load_engine, mirror_all, save_engine};
+use crate::systems::{
+    CompiledTask, HeldRows, Logs, SavedColumn, SavedComponents, check_engine, load_engine, mirror_all, save_engine,
+};
 
 const KIND: &str = "polypod snapshot of a task";
 /// Changes whenever the layout of a snapshot does.
@@ -19,6 +23,8 @@ const FORMAT: u32 = 9;
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
     seed: u64,
+    /// Number of its first env in the whole batch.
+    first_env: u64,
     batch: Batch,
     /// None without [`LogsPlugin`](crate::systems::LogsPlugin).
     logs: Option<Logs>,
@@ -47,7 +53,7 @@ impl Sim {
         let slots = self.slots().joints.iter();
         let is_absent = |slot: &&Slot| !self.morphologies().iter().any(|robot| robot.roles.slots.contains(slot));
         slots.filter(is_absent).for_each(|slot| robots += &format!(", {slot}"));
-        Header::new(KIND, FORMAT, robots, self.config_hash(), self.num_envs())
+        Header::new(KIND, FORMAT, robots, self.config_hash(), self.share().num_envs)
     }
 
     /// Everything that decides what happens next, as bytes: restoring them and stepping gives, bit for bit, what going on
@@ -59,6 +65,7 @@ impl Sim {
         let unwritable = |error: postcard::Error| Error::Snapshot(error.to_string());
         let snapshot = Snapshot {
             seed: self.seed,
+            first_env: self.share().envs.start as u64,
             batch: self.batch().clone(),
             logs: self.world.get_resource::<Logs>().cloned(),
             engine: save_engine(&self.world).map_err(unwritable)?,
@@ -67,7 +74,8 @@ impl Sim {
         sealed::seal(&self.header(), &snapshot).map_err(unwritable)
     }
 
-    /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs.
+    /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs. One of a larger share of the envs will
+    /// do: this simulation takes its own, and the statistics of the episodes where it has the first env.
     ///
     /// # Errors
     /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
@@ -75,25 +83,110 @@ impl Sim {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // nothing is written before all is checked
         let sizes = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
+        let own = &self.share().envs;
+        let rows = HeldRows {
+            own: self.rows_in(snapshot.first_env, snapshot.batch.num_envs).ok_or_else(|| {
+                let first = snapshot.first_env;
+                let problem = format!("it holds {} envs from env {first} on", snapshot.batch.num_envs);
+                Error::Snapshot(format!("{problem}, and this simulation is of envs {} to {}", own.start, own.end))
+            })?,
+            count: snapshot.batch.num_envs,
+        };
         let logs_fit = match (&snapshot.logs, self.world.get_resource::<Logs>()) {
             (Some(theirs), Some(ours)) => theirs.fits(ours),
             (theirs, ours) => theirs.is_none() && ours.is_none(),
         };
-        if !logs_fit || !snapshot.batch.has_sizes_of(self.batch()) {
+        let batch = snapshot.batch.rows(rows.own.clone()).filter(|batch| batch.has_sizes_of(self.batch()));
+        let engine = match snapshot.engine.len() {
+            0 => Some(Vec::new()),
+            count if count == rows.count => snapshot.engine.get(rows.own.clone()).map(<[_]>::to_vec),
+            _ => None,
+        };
+        let (true, Some(batch), Some(engine)) = (logs_fit, batch, engine) else {
             return Err(Error::Snapshot(sizes.into()));
-        }
-        check_engine(&self.world, &snapshot.engine)?;
-        let writes = SavedComponents::load(&mut self.world, &snapshot.components)
+        };
+        check_engine(&self.world, &engine)?;
+        let writes = SavedComponents::load(&mut self.world, &snapshot.components, &rows)
             .map_err(|problem| Error::Snapshot(format!("{problem}; pass what snapshot() gave")))?;
         writes.into_iter().for_each(|write| write(&mut self.world));
         share_bodies(&mut self.world);
-        self.world.insert_resource(snapshot.batch);
+        self.world.insert_resource(batch);
         if let Some(logs) = snapshot.logs {
+            let logs = if rows.own.start == 0 { logs } else { Logs::new(self.world.resource::<CompiledTask>()) };
             self.world.insert_resource(logs);
         }
         self.seed = snapshot.seed;
-        load_engine(&mut self.world, &snapshot.engine)?;
+        load_engine(&mut self.world, &engine)?;
         mirror_all(&mut self.world)?;
         SavedComponents::measure(&mut self.world)
     }
+    /// Where this simulation's envs are among those of a snapshot that begins with `first_env` and has so many.
+    fn rows_in(&self, first_env: u64, count: usize) -> Option<Range<usize>> {
+        let (first, own) = (usize::try_from(first_env).ok()?, &self.share().envs);
+        let rows = own.start.checked_sub(first)?..own.end.checked_sub(first)?;
+        (rows.end <= count).then_some(rows)
+    }
+
+    /// Statistics of the episodes since they were last taken, as bytes for [`Sim::add_logs`] of the simulation of another share.
+    ///
+    /// # Errors
+    /// When they cannot be encoded.
+    pub fn take_logs(&mut self) -> Result<Vec<u8>, Error> {
+        let empty = Logs::new(self.world.resource::<CompiledTask>());
+        let logs = self.world.get_resource_mut::<Logs>().map(|mut logs| std::mem::replace(&mut *logs, empty));
+        postcard::to_stdvec(&logs).map_err(|error| Error::Snapshot(error.to_string()))
+    }
+
+    /// Adds what [`Sim::take_logs`] gave.
+    ///
+    /// # Errors
+    /// Bytes that are none, or of other robots or terms.
+    pub fn add_logs(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        let logs: Option<Option<Logs>> = postcard::from_bytes(bytes).ok();
+        let ours = self.world.get_resource_mut::<Logs>();
+        match (logs, ours) {
+            (Some(None), None) => Ok(()),
+            (Some(Some(logs)), Some(mut ours)) if logs.fits(&ours) => {
+                ours.append(&logs);
+                Ok(())
+            }
+            _ => Err(Error::Snapshot(
+                "these are no statistics of this task's episodes; pass what take_logs() gave".into(),
+            )),
+        }
+    }
+}
+
+/// The snapshot of the shares that these snapshots are of, in the order of their envs: byte for byte the one of a simulation that has
+/// all of their envs.
+///
+/// # Errors
+/// Bytes that are no snapshots, or shares that do not follow one another.
+pub fn join(parts: &[impl AsRef<[u8]>]) -> Result<Vec<u8>, Error> {
+    let failed = |problem: String| Error::Snapshot(format!("{problem}; pass one snapshot of each share, in order"));
+    let Some(header) = parts.first().and_then(|part| sealed::header(part.as_ref(), KIND)) else {
+        return Err(failed("there are none to join".into()));
+    };
+    let mut joined: Option<Snapshot> = None;
+    for part in parts {
+        let next: Snapshot = sealed::open_as(part.as_ref(), &header).map_err(Error::Snapshot)?;
+        let Some(joined) = &mut joined else {
+            joined = Some(next);
+            continue;
+        };
+        let end = joined.first_env.saturating_add(joined.batch.num_envs as u64);
+        if (next.first_env, next.seed) != (end, joined.seed) {
+            return Err(failed(format!("after env {end} comes one that begins with env {}", next.first_env)));
+        }
+        match (&mut joined.logs, &next.logs) {
+            (Some(ours), Some(theirs)) if theirs.fits(ours) => ours.append(theirs),
+            (None, None) => {}
+            _ => return Err(failed("their statistics are of different robots".into())),
+        }
+        joined.batch.append(next.batch);
+        joined.engine.extend(next.engine);
+        SavedComponents::append(&mut joined.components, &next.components).map_err(failed)?;
+    }
+    let joined = joined.ok_or_else(|| failed("there are none to join".into()))?;
+    sealed::seal(&header, &joined).map_err(|error| Error::Snapshot(error.to_string()))
 }

@@ -20,6 +20,9 @@ use crate::robot::CANONICAL_JOINT_NAMES;
 /// Environment variable with further roots, separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
 
+/// How names of Isaac Lab's tasks begin.
+const ISAAC_LAB: &str = "Isaac-";
+
 static ROBOT_ASSETS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/assets/robots");
 
 /// All configs that can be named.
@@ -151,14 +154,16 @@ impl Library {
     }
 
     /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`, in order.
+    /// Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out.
     ///
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config or in an override.
     pub fn task(&self, name: &str, overrides: &[String]) -> Result<LoadedTask, ConfigError> {
-        let mut layers = match self.find(Kind::Task, name, None, &[]) {
-            Ok(top) => self.layers(Kind::Task, top)?,
-            Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error)?,
-            Err(error) => return Err(error),
+        let mut layers = match (self.task_layers(name), name.strip_prefix(ISAAC_LAB)) {
+            (Err(error), Some(own)) if error.kind == ConfigErrorKind::UnknownName => {
+                self.task_layers(own).map_err(|_| error)?
+            }
+            (layers, _) => layers?,
         };
         for layer in &mut layers.0 {
             let dir = layer.document.dir.clone().unwrap_or_default();
@@ -247,6 +252,15 @@ impl Library {
         let robots = merged.get("robots").and_then(Value::as_array).into_iter().flatten();
         let robots = robots.filter_map(Value::as_str).map(str::to_owned).collect();
         Ok(TaskEntry { name, aliases, file, robots })
+    }
+
+    /// The layers of a task by one of its names.
+    fn task_layers(&self, name: &str) -> Result<Layers, ConfigError> {
+        match self.find(Kind::Task, name, None, &[]) {
+            Ok(top) => self.layers(Kind::Task, top),
+            Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error),
+            Err(error) => Err(error),
+        }
     }
 
     /// The layers of the task `name`, if it is one made for one robot.

@@ -18,6 +18,7 @@ pub mod values;
 pub use error::{ConfigError, ConfigErrorKind};
 pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry};
+pub use overrides::apply as apply_override;
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
 pub(crate) use robot::matches;
@@ -29,8 +30,8 @@ pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneC
 pub(crate) use suggest::did_you_mean;
 pub use task::{
     AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig,
-    MaterialConfig, ObservationTerm, ObservationsConfig, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig,
-    TaskConfig, VelocityCommandConfig,
+    MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig,
+    SimConfig, TaskConfig, VelocityCommandConfig,
 };
 pub use terrain::{
     BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,

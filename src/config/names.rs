@@ -85,9 +85,9 @@ pub(super) fn unknown_name(
     let noun = kind.noun();
     let made = made.iter().filter(|name| !known.contains(name));
     let near = nearest(name, known.iter().chain(made).map(String::as_str));
-    let guess = match near[..] {
-        [] => String::new(),
-        _ => format!("did you mean `{}`? ", near.join("`, `")),
+    let remedy = match near[..] {
+        [] => format!("known: {}", known.join(", ")),
+        _ => format!("did you mean `{}`? The command `list` shows all names", near.join("`, `")),
     };
     let mut problem = format!("there is no {noun} `{name}`");
     for error in broken {
@@ -96,13 +96,8 @@ pub(super) fn unknown_name(
     }
     let folder = format!("configs/{}", kind.folder());
     let own = format!("one of your own: the path of its .toml, or {folder} in a folder that {PATH_VARIABLE} names");
-    ConfigError::invalid(
-        folder,
-        format!("{noun} `{name}`"),
-        problem,
-        format!("{guess}known: {}; {own}", known.join(", ")),
-    )
-    .of_kind(ConfigErrorKind::UnknownName)
+    ConfigError::invalid(folder, format!("{noun} `{name}`"), problem, format!("{remedy}; {own}"))
+        .of_kind(ConfigErrorKind::UnknownName)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ const OPEN: &str = "robot_overrides";
 ///
 /// # Errors
 /// No `=`, an unknown key, a value that is not TOML.
-pub(super) fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigError> {
+pub fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigError> {
     let Some((path, value)) = text.split_once('=') else {
         return Err(ConfigError::invalid(
             OVERRIDE,

@@ -2,16 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
+use std::fmt;
 
+use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use toml::Table;
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::parse::params_beside;
 use super::scene::SceneConfig;
-use super::suggest::did_you_mean;
+use super::suggest::{did_you_mean, is_slip};
 use super::values;
-use crate::bounds::{MAX_DECIMATION, MAX_SUBSTEPS, MAX_SWEEPS};
+use crate::bounds::{MAX_DECIMATION, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
 use crate::dynamics::SWEEPS;
 
 /// What the robots are to do, where, and how they are rewarded. SI units; world z up, base x forward, y left.
@@ -224,6 +226,14 @@ fn yes() -> bool {
     true
 }
 
+fn one_step() -> u32 {
+    1
+}
+
+fn is_one_step(steps: &u32) -> bool {
+    *steps == 1
+}
+
 /// Sensors that a task gives to every robot.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
@@ -262,16 +272,64 @@ impl HeightScannerConfig {
     }
 }
 
-/// What the policy sees.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
+/// What the policy sees, and further groups of terms, such as what a critic sees in training.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ObservationsConfig {
     /// Whether the terms' noise is added. Default: yes.
-    #[serde(default = "yes")]
     pub enable_noise: bool,
     /// Terms of the policy's observation, in order.
     pub policy: Vec<ObservationTerm>,
+    /// Terms of the other groups, by the group's name.
+    #[serde(flatten)]
+    pub groups: BTreeMap<String, Vec<ObservationTerm>>,
 }
+
+impl<'de> Deserialize<'de> for ObservationsConfig {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(Groups)
+    }
+}
+
+/// Reads observation groups. By hand, since a flattened map would lose the place of an error.
+struct Groups;
+
+impl<'de> Visitor<'de> for Groups {
+    type Value = ObservationsConfig;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a table of observation groups")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ObservationsConfig, A::Error> {
+        const KEYS: &[&str] = &["enable_noise", POLICY_GROUP];
+        let (mut enable_noise, mut policy, mut groups) = (true, None, BTreeMap::new());
+        while let Some(key) = map.next_key::<String>()? {
+            match key.as_str() {
+                "enable_noise" => enable_noise = map.next_value()?,
+                POLICY_GROUP => policy = Some(map.next_value()?),
+                _ if KEYS.iter().any(|known| is_slip(&key, known)) => {
+                    return Err(serde::de::Error::unknown_field(&key, KEYS));
+                }
+                _ => {
+                    groups.insert(key, map.next_value()?);
+                }
+            }
+        }
+        let policy = policy.ok_or_else(|| serde::de::Error::missing_field(POLICY_GROUP))?;
+        Ok(ObservationsConfig { enable_noise, policy, groups })
+    }
+}
+
+impl ObservationsConfig {
+    /// Names and terms of all groups: the policy's first, then the others by name.
+    pub fn groups(&self) -> impl Iterator<Item = (&str, &[ObservationTerm])> {
+        let others = self.groups.iter().map(|(name, terms)| (name.as_str(), terms.as_slice()));
+        std::iter::once((POLICY_GROUP, self.policy.as_slice())).chain(others)
+    }
+}
+
+/// Name of the observation group that policies see.
+pub const POLICY_GROUP: &str = "policy";
 
 /// One term of an observation.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -287,13 +345,16 @@ pub struct ObservationTerm {
     /// Factor of the limited numbers. Default: 1.
     #[serde(default = "one")]
     pub scale: f64,
+    /// How many control steps it remembers: the term's last numbers, the oldest first. Default: 1, the present one alone.
+    #[serde(default = "one_step", skip_serializing_if = "is_one_step")]
+    pub history_length: u32,
     /// The remaining keys, for [`parse_params`](super::parse_params).
     #[serde(flatten, deserialize_with = "observation_params")]
     pub params: Table,
 }
 
 fn observation_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
-    params_beside(deserializer, &["term", "noise", "clip", "scale"])
+    params_beside(deserializer, &["term", "noise", "clip", "scale", "history_length"])
 }
 
 /// One randomisation or disturbance.
@@ -397,6 +458,17 @@ impl TaskConfig {
         if self.observations.policy.is_empty() {
             let element = "observations.policy".to_owned();
             return invalid(element, "the policy sees nothing", "add [[observations.policy]] terms");
+        }
+        for (group, terms) in self.observations.groups() {
+            if let Some(i) = terms.iter().position(|term| !(1..=MAX_HISTORY).contains(&term.history_length)) {
+                let element = format!("observations.{group}[{i}].history_length");
+                let problem = format!("{} control steps are remembered", terms[i].history_length);
+                return invalid(element, &problem, &format!("choose from 1 to {MAX_HISTORY}"));
+            }
+            if terms.is_empty() {
+                let remedy = format!("add [[observations.{group}]] terms, or leave the group out");
+                return invalid(format!("observations.{group}"), "the group has no terms", &remedy);
+            }
         }
         const MOST_RAYS: usize = 10_000;
         if let Some(scanner) = &self.sensors.height_scanner

@@ -54,33 +54,3 @@ impl Kernel<f32> for Step<'_> {
         }
     }
 }
-
-/// Sums gradients in order, and their squares.
-pub(crate) struct Sum<'a> {
-    pub(crate) parts: Vec<&'a [Line]>,
-    pub(crate) total: &'a mut [Line],
-}
-
-impl Kernel<f32> for Sum<'_> {
-    /// Sum of the squares.
-    type Output = f64;
-    #[inline(always)]
-    fn run(self) -> f64 {
-        let mut squares = [0.0f64; WIDTH];
-        for (k, total) in self.total.iter_mut().enumerate() {
-            let mut sum = Line::ZERO;
-            for part in &self.parts {
-                let line = &part[k].0;
-                for i in 0..WIDTH {
-                    sum.0[i] += line[i];
-                }
-            }
-            for i in 0..WIDTH {
-                let x = f64::from(sum.0[i]);
-                squares[i] += x * x;
-            }
-            *total = sum;
-        }
-        squares.iter().sum()
-    }
-}

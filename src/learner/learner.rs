@@ -1,6 +1,7 @@
 //! A learner: two networks, and the envs' samples of an iteration.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use polypod_dynamics::lanes::{Simd, SimdDispatch};
 
@@ -10,6 +11,7 @@ use crate::matrix::Matrix;
 use crate::moments::Moments;
 use crate::network::{Mirror, Net, NetworkState, Which};
 use crate::normalizer::Normalizer;
+use crate::peers::{Alone, Peers, Shares, Worker};
 use crate::perceptron::Tile;
 use crate::random::Use;
 use crate::reward_scale::RewardScale;
@@ -33,11 +35,16 @@ pub struct Learner {
     pub(crate) actor: Net,
     pub(crate) critic: Net,
     pub(crate) mirrors: Vec<Mirror>,
+    /// Those of this worker.
     pub(crate) parts: Vec<Part>,
+    pub(crate) shares: Shares,
+    pub(crate) peers: Box<dyn Peers>,
     /// The policy's distributions while the samples are collected.
     pub(crate) old: Distributions,
     /// What brings advantages to one scale: their mean and one over their deviation, of each robot.
     pub(crate) advantage_scale: Vec<(f32, f32)>,
+    /// The same of all robots, of each mini-batch; empty where the scale is that of all samples.
+    pub(crate) mini_batch_scale: Vec<(f32, f32)>,
     pub(crate) reward_scale: Option<RewardScale>,
     iteration: u64,
     step: usize,
@@ -79,15 +86,33 @@ pub(crate) fn with_tile<R>(f: impl FnOnce(&mut Tile) -> R) -> R {
 }
 
 impl Learner {
-    /// A learner whose networks' numbers are all zero.
+    /// A learner whose networks' numbers are all zero, with all envs.
     ///
     /// # Errors
     /// Settings that contradict each other.
     pub fn new(settings: Settings, simd: Simd) -> Result<Self, LearnerError> {
+        Self::with_peers(settings, simd, Worker::ALONE, Box::new(Alone))
+    }
+
+    /// A learner that has [`Worker::envs`] and learns with others that have the rest: all come to the same networks, bit for bit those
+    /// of a learner with all envs. Arrays `[envs, ..]` have rows for its own envs alone.
+    ///
+    /// # Errors
+    /// Settings that contradict each other, or more workers than blocks of envs.
+    pub fn with_peers(
+        settings: Settings,
+        simd: Simd,
+        worker: Worker,
+        peers: Box<dyn Peers>,
+    ) -> Result<Self, LearnerError> {
         settings.check()?;
+        let own = worker.envs(settings.num_envs)?;
+        let all: Vec<_> = parts_of(settings.num_envs).collect();
+        let shares = Shares::new(worker, all.len());
         let actor = Net::new(settings.num_obs, &settings.options.actor, settings.num_actions, settings.num_actions);
         let critic = Net::new(settings.num_obs, &settings.options.critic, 1, 0);
-        let parts = parts_of(settings.num_envs).map(|envs| Part::new(envs, &settings)).collect();
+        let is_own = |envs: &Range<usize>| own.start <= envs.start && envs.end <= own.end;
+        let parts = all.into_iter().filter(is_own).map(|envs| Part::new(envs, own.start, &settings)).collect();
         let of = |robot: &crate::settings::Robot| Mirror {
             observation: robot.observation_mirror.clone(),
             action: robot.action_mirror.clone(),
@@ -98,12 +123,15 @@ impl Learner {
             mirrors: settings.robots.iter().map(of).collect(),
             old: Distributions::new(actor.perceptron.extra(), &settings),
             advantage_scale: vec![(0.0, 1.0); settings.robots.len()],
+            mini_batch_scale: Vec::new(),
             reward_scale: settings.options.normalize_reward_per_robot.then(|| RewardScale::new(settings.robots.len())),
             iteration: 0,
             step: 0,
             actor,
             critic,
             parts,
+            shares,
+            peers,
             settings,
         })
     }
@@ -111,6 +139,11 @@ impl Learner {
     /// What it was made from.
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// Number of its own envs.
+    pub fn num_own_envs(&self) -> usize {
+        self.parts.iter().map(Part::len).sum()
     }
 
     /// Changes what the coming updates aim at: the weight of the entropy, and the divergence that the learning rate is adapted to.
@@ -178,14 +211,14 @@ impl Learner {
     pub fn set_reward_scale(&mut self, scale: RewardScale, discounted: &[f32]) -> Result<(), LearnerError> {
         let robots = self.settings.robots.len();
         let lengths = [scale.count.len(), scale.mean.len(), scale.variance.len()];
-        if lengths != [robots; 3] || discounted.len() != self.settings.num_envs {
+        if lengths != [robots; 3] || discounted.len() != self.num_own_envs() {
             return Err(LearnerError::new("reward_scale", format!("it is not of {robots} robots and these envs")));
         }
         if self.reward_scale.is_some() {
             self.reward_scale = Some(scale);
         }
         for part in &mut self.parts {
-            part.discounted.copy_from_slice(&discounted[part.envs.clone()]);
+            part.discounted.copy_from_slice(&discounted[part.rows.clone()]);
         }
         Ok(())
     }
@@ -206,12 +239,13 @@ impl Learner {
     /// # Errors
     /// Arrays of other sizes.
     pub fn set_episodes(&mut self, rewards: &[f32], lengths: &[f32]) -> Result<(), LearnerError> {
-        if [rewards.len(), lengths.len()] != [self.settings.num_envs; 2] {
-            return Err(LearnerError::new("episodes", format!("they are not of {} envs", self.settings.num_envs)));
+        let envs = self.num_own_envs();
+        if [rewards.len(), lengths.len()] != [envs; 2] {
+            return Err(LearnerError::new("episodes", format!("they are not of {envs} envs")));
         }
         for part in &mut self.parts {
-            part.episode_reward.copy_from_slice(&rewards[part.envs.clone()]);
-            part.episode_length.copy_from_slice(&lengths[part.envs.clone()]);
+            part.episode_reward.copy_from_slice(&rewards[part.rows.clone()]);
+            part.episode_length.copy_from_slice(&lengths[part.rows.clone()]);
         }
         Ok(())
     }
@@ -236,7 +270,7 @@ impl Learner {
         for part in &mut self.parts {
             let (mine, more) = std::mem::take(&mut rest).split_at_mut(part.len() * num_actions);
             rest = more;
-            let from = &observations[part.envs.start * num_obs..part.envs.end * num_obs];
+            let from = &observations[part.rows.start * num_obs..part.rows.end * num_obs];
             tasks.push((part, from, mine));
         }
         team.for_each(tasks, |(part, from, to)| {
@@ -275,18 +309,21 @@ impl Learner {
     /// If the arrays have other sizes, or all steps are taken.
     pub fn record(&mut self, rewards: &[f32], terminated: &[bool], truncated: &[bool], episodes: &mut Vec<Episode>) {
         for part in &mut self.parts {
-            let envs = part.envs.clone();
-            let (rewards, terminated) = (&rewards[envs.clone()], &terminated[envs.clone()]);
-            part.store_outcome(self.step, rewards, terminated, &truncated[envs], episodes);
+            let rows = part.rows.clone();
+            let (rewards, terminated) = (&rewards[rows.clone()], &terminated[rows.clone()]);
+            part.store_outcome(self.step, rewards, terminated, &truncated[rows], episodes);
         }
         self.step += 1;
     }
 
     /// Estimates values, returns and advantages; `observations` are those after the last step, `[envs, num_obs]`.
     ///
+    /// # Errors
+    /// Another worker is gone.
+    ///
     /// # Panics
     /// If the array has another size.
-    pub fn finish_rollout(&mut self, team: &impl Team, observations: &[f32]) {
+    pub fn finish_rollout(&mut self, team: &impl Team, observations: &[f32]) -> Result<(), LearnerError> {
         let Settings { num_obs, seed, .. } = self.settings;
         let (algorithm, iteration) = (&self.settings.options.algorithm, self.iteration);
         let (critic, matrix) = (&self.critic, self.matrix);
@@ -297,7 +334,7 @@ impl Learner {
             with_tile(|tile| {
                 critic.evaluate(matrix, stored, tile, |sample, value| values[sample] = value[0].0[0]);
                 let mut last = vec![Line::ZERO; part.envs.len() * lines_of(num_obs)];
-                let from = &observations[part.envs.start * num_obs..part.envs.end * num_obs];
+                let from = &observations[part.rows.start * num_obs..part.rows.end * num_obs];
                 crate::rollout::rows_to_lines(from, num_obs, &mut last);
                 critic.evaluate(matrix, &last, tile, |env, value| last_values[env] = value[0].0[0]);
             });
@@ -306,20 +343,16 @@ impl Learner {
             part.order = crate::random::shuffled(samples, Use::Order.stream(seed, iteration, part.envs.start));
         });
 
-        let robots = self.settings.robots.len();
-        let mut scales = vec![1.0f32; self.settings.options.num_steps_per_env * robots];
+        let (robots, steps) = (self.settings.robots.len(), self.settings.options.num_steps_per_env);
+        let mut scales = vec![1.0f32; steps * robots];
         if let Some(scale) = &mut self.reward_scale {
-            for step in 0..self.settings.options.num_steps_per_env {
-                let mut of_robots = vec![Moments::default(); robots];
-                for (part, returns) in self.parts.iter().zip(&returns) {
-                    for (k, &(robot, _)) in part.blocks.iter().enumerate() {
-                        let of = &mut of_robots[robot];
-                        *of = of.merge(returns[step * part.blocks.len() + k]);
-                    }
-                }
-                for (robot, moments) in of_robots.into_iter().enumerate() {
-                    scales[step * robots + robot] = scale.update(robot, moments);
-                }
+            let of_part = |(part, returns): (&Part, Vec<Moments>)| {
+                returns.chunks_exact(part.blocks.len()).flat_map(|of| part.by_robot(of, robots)).collect()
+            };
+            let returns: Vec<Vec<Moments>> = self.parts.iter().zip(returns).map(of_part).collect();
+            let returns = self.shares.sum(&*self.peers, &returns)?;
+            for (k, (moments, to)) in returns.into_iter().zip(&mut scales).enumerate() {
+                *to = scale.update(k % robots, moments);
             }
         }
 
@@ -327,22 +360,20 @@ impl Learner {
         let tasks: Vec<_> = self.parts.iter_mut().zip(&mut advantages).collect();
         team.for_each(tasks, |(part, advantages)| {
             part.estimate_advantages(algorithm.gamma, algorithm.lam, |step, robot| scales[step * robots + robot]);
-            *advantages = part.blocks.iter().map(|(_, envs)| Moments::of(part.advantages_of(envs.clone()))).collect();
+            let of_block = |(_, envs): &(usize, Range<usize>)| Moments::of(part.advantages_of(envs.clone()));
+            let of_blocks: Vec<_> = part.blocks.iter().map(of_block).collect();
+            *advantages = part.by_robot(&of_blocks, robots);
         });
-        self.scale_advantages(&advantages);
+        let of_robots = self.shares.sum(&*self.peers, &advantages)?;
+        self.scale_advantages(&of_robots)
     }
 
-    /// Decides what brings the advantages to one scale: that of each robot's own, or that of all.
-    fn scale_advantages(&mut self, parts: &[Vec<Moments>]) {
-        let mut of_robots = vec![Moments::default(); self.settings.robots.len()];
-        for (part, moments) in self.parts.iter().zip(parts) {
-            for (&(robot, _), &of) in part.blocks.iter().zip(moments) {
-                of_robots[robot] = of_robots[robot].merge(of);
-            }
-        }
+    /// Decides what brings the advantages to one scale: that of each robot's own, of all, or of those of a mini-batch.
+    fn scale_advantages(&mut self, of_robots: &[Moments]) -> Result<(), LearnerError> {
+        let algorithm = &self.settings.options.algorithm;
         let all = of_robots.iter().copied().fold(Moments::default(), Moments::merge);
         let scale = |of: &Moments| {
-            if self.settings.options.algorithm.normalize_advantage_per_mini_batch {
+            if algorithm.normalize_advantage_per_mini_batch {
                 (0.0, 1.0)
             } else if self.settings.options.normalize_advantage_per_robot {
                 of.scale(of.variance())
@@ -351,11 +382,24 @@ impl Learner {
             }
         };
         self.advantage_scale = of_robots.iter().map(scale).collect();
+        if algorithm.normalize_advantage_per_mini_batch {
+            let batches = algorithm.num_mini_batches;
+            let of = |part: &Part, batch: usize| {
+                let samples = part.mini_batch(batch, batches).iter();
+                Moments::of(samples.map(|&sample| part.advantages[sample as usize]))
+            };
+            let parts: Vec<Vec<_>> =
+                self.parts.iter().map(|part| (0..batches).map(|batch| of(part, batch)).collect()).collect();
+            let of_batches = self.shares.sum(&*self.peers, &parts)?;
+            self.mini_batch_scale = of_batches.iter().map(|of| of.scale(of.unbiased_variance())).collect();
+        }
+        Ok(())
     }
 
     /// The samples of the iteration, as rsl_rl would store them.
     pub fn rollout(&self) -> RolloutArrays {
-        let Settings { num_envs, num_obs, num_actions, .. } = self.settings;
+        let Settings { num_obs, num_actions, .. } = self.settings;
+        let num_envs = self.num_own_envs();
         let steps = self.settings.options.num_steps_per_env;
         let mut out = RolloutArrays::default();
         let numbers =
@@ -386,7 +430,7 @@ impl Learner {
             for part in &self.parts {
                 let global = |&sample: &u32| {
                     let (step, env) = (sample as usize / part.len(), sample as usize % part.len());
-                    (step * num_envs + part.envs.start + env) as u32
+                    (step * num_envs + part.rows.start + env) as u32
                 };
                 out.order.extend(
                     part.mini_batch(batch, self.settings.options.algorithm.num_mini_batches).iter().map(global),

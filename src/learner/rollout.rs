@@ -17,11 +17,19 @@ pub(crate) fn parts_of(num_envs: usize) -> impl Iterator<Item = Range<usize>> {
     (0..count).map(move |part| part * num_envs / count..(part + 1) * num_envs / count)
 }
 
+/// The share of a mini-batch in `count` samples.
+pub(crate) fn share(count: usize, batch: usize, batches: usize) -> Range<usize> {
+    batch * count / batches..(batch + 1) * count / batches
+}
+
 /// A block of envs that is simulated, stored and learnt from on its own.
 ///
 /// Sample `step * num_envs + env` is that of the part's env `env` at step `step`.
 pub(crate) struct Part {
+    /// Their numbers among those of all workers.
     pub(crate) envs: Range<usize>,
+    /// Their rows in this worker's arrays.
+    pub(crate) rows: Range<usize>,
     /// The robots it has envs of, with these envs, counted from the part's first.
     pub(crate) blocks: Vec<(usize, Range<usize>)>,
     /// Of each of its envs.
@@ -76,7 +84,8 @@ pub struct Episode {
 }
 
 impl Part {
-    pub(crate) fn new(envs: Range<usize>, settings: &Settings) -> Self {
+    /// Of the worker whose first env is `first_env`.
+    pub(crate) fn new(envs: Range<usize>, first_env: usize, settings: &Settings) -> Self {
         let count = envs.len();
         let samples = count * settings.options.num_steps_per_env;
         let overlap = |(robot, of): (usize, &crate::settings::Robot)| {
@@ -101,6 +110,7 @@ impl Part {
             episode_reward: vec![0.0; count],
             episode_length: vec![0.0; count],
             order: Vec::new(),
+            rows: envs.start - first_env..envs.end - first_env,
             envs,
             blocks,
             robot_of,
@@ -120,8 +130,7 @@ impl Part {
 
     /// The samples of a mini-batch.
     pub(crate) fn mini_batch(&self, batch: usize, batches: usize) -> &[u32] {
-        let count = self.order.len();
-        &self.order[batch * count / batches..(batch + 1) * count / batches]
+        &self.order[share(self.order.len(), batch, batches)]
     }
 
     /// Stores what came of a step; `[envs]` each. Episodes that ended are added to `episodes`.
@@ -170,6 +179,15 @@ impl Part {
             }
         }
         moments
+    }
+
+    /// Moments of the part's blocks as those of all robots.
+    pub(crate) fn by_robot(&self, of_blocks: &[Moments], robots: usize) -> Vec<Moments> {
+        let mut of_robots = vec![Moments::default(); robots];
+        for (&(robot, _), of) in self.blocks.iter().zip(of_blocks) {
+            of_robots[robot] = *of;
+        }
+        of_robots
     }
 
     /// Returns and advantages by generalised advantage estimation; `scale` is what the rewards of a step and a robot are multiplied by.

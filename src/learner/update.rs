@@ -1,16 +1,20 @@
 //! The update: for every mini-batch the gradients of both networks part by part, their sums, and a step of Adam.
 
-use polypod_dynamics::lanes::Kernel;
+use std::ops::Range;
 
-use crate::adam::{Rates, Step, Sum};
+use polypod_dynamics::lanes::{Kernel, SimdDispatch};
+
+use crate::adam::{Rates, Step};
 use crate::gaussian::{Distributions, Surrogate};
 use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
 use crate::network::{Mirror, Net, mirrored};
-use crate::rollout::Part;
-use crate::settings::{Robot, Settings, Symmetry};
+use crate::peers::{Message, lines, term};
+use crate::rollout::{Part, parts_of, share};
+use crate::settings::{LearnerError, Robot, Settings, Symmetry};
+use crate::tree::{NUMBERS, SumLines, Term, Tree};
 
 /// Means over the mini-batches of an update.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,6 +31,11 @@ pub struct Losses {
 
 /// Lines that a task sums and steps.
 const CHUNK: usize = 256;
+/// Most workers each of whom gets the gradients of all others at once; more workers sum a piece each first. With two, both ways send as
+/// many bytes, and the first way sends them at once.
+const MOST_GATHERED: usize = 2;
+/// Bytes of the figures that come with gradients.
+const FIGURES: usize = size_of::<Figures>();
 /// What a norm is divided by at least.
 const EPSILON: f64 = 1e-6;
 /// The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted.
@@ -186,9 +195,24 @@ impl MiniBatch<'_> {
     }
 }
 
+/// What comes with gradients; see [`Total`].
+type Figures = [f64; NUMBERS];
+
+/// A mini-batch's gradients of both networks, summed over the parts of all workers.
+struct Total {
+    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images; mean entropy of the
+    /// samples, where robots have different actions.
+    sums: Figures,
+    /// Squared norm of each network's gradient.
+    squares: [f64; 2],
+}
+
 impl Learner {
     /// Learns from the samples of the iteration, beginning with a learning rate.
-    pub fn update(&mut self, team: &impl Team, learning_rate: f64) -> Losses {
+    ///
+    /// # Errors
+    /// Another worker is gone.
+    pub fn update(&mut self, team: &impl Team, learning_rate: f64) -> Result<Losses, LearnerError> {
         let algorithm = self.settings.options.algorithm.clone();
         let mut losses = Losses { learning_rate, ..Losses::default() };
         let empty = |net: &Net| Gradient { lines: vec![Line::ZERO; net.gradient.len()], ..Gradient::default() };
@@ -197,48 +221,55 @@ impl Learner {
         let mini_batches = algorithm.num_mini_batches;
         for epoch in 0..algorithm.num_learning_epochs {
             for batch in 0..mini_batches {
-                let samples: usize = self.parts.iter().map(|part| part.mini_batch(batch, mini_batches).len()).sum();
+                let samples = self.samples_of(batch);
                 let rows = samples * self.settings.options.symmetry.rows_per_sample();
                 let entropy = self.compute_gradients(team, (epoch, batch), rows, &mut gradients);
-                let sum = |f: fn(&[Gradient; 2]) -> f64| gradients.iter().map(f).sum::<f64>();
-                losses.surrogate += sum(|[actor, _]| actor.loss) / rows as f64;
-                losses.value += sum(|[_, critic]| critic.loss) / rows as f64;
-                losses.entropy += entropy;
+                let Total { sums: [surrogate, value, divergence, seen, of_samples], squares } =
+                    self.sum_gradients(team, &gradients)?;
+                losses.surrogate += surrogate / rows as f64;
+                losses.value += value / rows as f64;
+                losses.entropy += entropy.unwrap_or(of_samples);
                 if let Some(desired) = algorithm.desired_kl {
                     // an image's divergence also has what the policy lacks in symmetry
-                    let samples: usize = gradients.iter().map(|[actor, _]| actor.samples).sum();
-                    if samples > 0 {
-                        let divergence = sum(|[actor, _]| actor.divergence) / samples as f64;
-                        losses.learning_rate = adapted(losses.learning_rate, divergence, desired);
+                    if seen > 0.0 {
+                        losses.learning_rate = adapted(losses.learning_rate, divergence / seen, desired);
                     }
                 }
-                self.step_networks(team, &gradients, losses.learning_rate);
+                self.step_networks(team, squares, losses.learning_rate);
             }
         }
         let updates = (algorithm.num_learning_epochs * mini_batches) as f64;
         losses.surrogate /= updates;
         losses.value /= updates;
         losses.entropy /= updates;
-        self.update_normalizers(team);
-        losses
+        self.update_normalizers(team)?;
+        Ok(losses)
     }
 
-    /// Fills `gradients` of each part and network, of a mini-batch with so many rows; returns the entropy.
+    /// Number of samples of a mini-batch, of all workers.
+    fn samples_of(&self, batch: usize) -> usize {
+        let Settings { num_envs, options, .. } = &self.settings;
+        let of_part = |envs: Range<usize>| {
+            share(envs.len() * options.num_steps_per_env, batch, options.algorithm.num_mini_batches).len()
+        };
+        parts_of(*num_envs).map(of_part).sum()
+    }
+
+    /// Fills `gradients` of each part and network, of a mini-batch with so many rows; returns the entropy, where all robots have the same.
     fn compute_gradients(
         &self,
         team: &impl Team,
         (epoch, batch): (usize, usize),
         rows: usize,
         gradients: &mut [[Gradient; 2]],
-    ) -> f64 {
+    ) -> Option<f64> {
         let algorithm = &self.settings.options.algorithm;
         let new = Distributions::new(self.actor.perceptron.extra(), &self.settings);
         let pairs = new.gaussians.iter().zip(&self.old.gaussians);
         let divergence_of_deviations: Vec<f32> = pairs.map(|(new, old)| new.divergence_of_deviations(old)).collect();
-        let advantages = if algorithm.normalize_advantage_per_mini_batch {
-            self.scale_of_mini_batch(batch)
-        } else {
-            self.advantage_scale.clone()
+        let advantages = match self.mini_batch_scale.get(batch) {
+            Some(&scale) => vec![scale; self.mirrors.len()],
+            None => self.advantage_scale.clone(),
         };
         let shared = MiniBatch {
             settings: &self.settings,
@@ -253,18 +284,18 @@ impl Learner {
         };
         let samples = rows / self.settings.options.symmetry.rows_per_sample();
         let mut tasks = Vec::with_capacity(2 * self.parts.len());
-        for (place, (part, [actor, critic])) in self.parts.iter().zip(&mut *gradients).enumerate() {
-            tasks.push((place, part, &self.actor, actor, true));
-            tasks.push((place, part, &self.critic, critic, false));
+        for (part, [actor, critic]) in self.parts.iter().zip(gradients) {
+            tasks.push((part, &self.actor, actor, true));
+            tasks.push((part, &self.critic, critic, false));
         }
-        team.for_each(tasks, |(place, part, net, gradient, is_actor)| {
+        team.for_each(tasks, |(part, net, gradient, is_actor)| {
             gradient.lines.fill(Line::ZERO);
             (gradient.loss, gradient.divergence, gradient.entropy, gradient.samples) = (0.0, 0.0, 0.0, 0);
             if is_actor {
                 let deviation = &mut gradient.lines[net.perceptron.first_extra()..];
                 if new.differ() {
                     gradient.entropy = shared.entropy_of(part, samples, deviation);
-                } else if place == 0 {
+                } else if part.envs.start == 0 {
                     new.gaussians[0].add_entropy(algorithm.entropy_coef, deviation);
                 }
                 shared.actor_gradient(net, part, gradient);
@@ -272,44 +303,95 @@ impl Learner {
                 shared.critic_gradient(net, part, gradient);
             }
         });
-        if new.differ() {
-            gradients.iter().map(|[actor, _]| actor.entropy).sum::<f64>()
-        } else {
-            f64::from(new.gaussians[0].entropy())
-        }
+        (!new.differ()).then(|| f64::from(new.gaussians[0].entropy()))
     }
 
-    /// What brings the advantages of a mini-batch to one scale.
-    fn scale_of_mini_batch(&self, batch: usize) -> Vec<(f32, f32)> {
-        let batches = self.settings.options.algorithm.num_mini_batches;
-        let of = |part: &Part| {
-            let samples = part.mini_batch(batch, batches).iter();
-            Moments::of(samples.map(|&sample| part.advantages[sample as usize]))
+    /// Sums the parts' gradients of all workers into the networks' own, and what comes with them.
+    fn sum_gradients(&mut self, team: &impl Team, parts: &[[Gradient; 2]]) -> Result<Total, LearnerError> {
+        let figures = |[actor, critic]: &[Gradient; 2]| -> Vec<Figures> {
+            vec![[actor.loss, critic.loss, actor.divergence, actor.samples as f64, actor.entropy]]
         };
-        let all = self.parts.iter().map(of).fold(Moments::default(), Moments::merge);
-        vec![all.scale(all.unbiased_variance()); self.mirrors.len()]
+        let dispatch = self.dispatch;
+        let lengths = [self.actor.gradient.len(), self.critic.gradient.len()];
+        let leaves_of = |which: usize, range: Range<usize>| -> Vec<&[Line]> {
+            parts[range].iter().map(|of| of[which].lines.as_slice()).collect()
+        };
+        if let (true, [(_, tree)]) = (self.shares.is_alone(), &self.shares.nodes[..]) {
+            let all = |which: usize| leaves_of(which, 0..parts.len());
+            let totals = [(&mut self.actor, 0), (&mut self.critic, 1)];
+            let totals = totals.map(|(net, which)| (all(which), &mut net.gradient[..]));
+            let squares = sum_lines(team, dispatch, tree, totals);
+            let figures: Vec<_> = parts.iter().map(figures).collect();
+            let sums = self.shares.sum(&*self.peers, &figures)?.first().copied().unwrap_or_default();
+            return Ok(Total { sums, squares });
+        }
+        let mut nodes: Vec<(Vec<Line>, Figures)> = Vec::new();
+        for (range, tree) in &self.shares.nodes {
+            let mut total = vec![Line::ZERO; lengths[0] + lengths[1]];
+            let (actor, critic) = total.split_at_mut(lengths[0]);
+            let totals = [(leaves_of(0, range.clone()), actor), (leaves_of(1, range.clone()), critic)];
+            sum_lines(team, dispatch, tree, totals);
+            let of_parts = parts[range.clone()].iter().map(|of| figures(of)[0]);
+            nodes.push((total, tree.fold(of_parts, Term::add).unwrap_or_default()));
+        }
+        let (all, sums) =
+            if self.shares.worker.count <= MOST_GATHERED { self.gather(&nodes)? } else { self.reduce(&nodes)? };
+        let leaf = |range: Range<usize>| all.iter().map(|node| &node[range.clone()]).collect::<Vec<_>>();
+        let leaves = [leaf(0..lengths[0]), leaf(lengths[0]..lengths[0] + lengths[1])];
+        // what is summed already is one leaf
+        let one = Tree::of_parts(1);
+        let tree = if all.len() == 1 { &one } else { &self.shares.top };
+        let [actor, critic] = leaves;
+        let totals = [(actor, &mut self.actor.gradient[..]), (critic, &mut self.critic.gradient[..])];
+        Ok(Total { sums, squares: sum_lines(team, dispatch, tree, totals) })
     }
 
-    /// Sums the parts' gradients, limits their norms, and takes a step with each network.
-    fn step_networks(&mut self, team: &impl Team, gradients: &[[Gradient; 2]], learning_rate: f64) {
+    /// The subtrees of all workers, and the sums of their figures: for few workers, to each of whom all are sent.
+    fn gather(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
+        let mut message = Message::default();
+        for (total, figures) in nodes {
+            message.numbers(figures);
+            message.lines(total);
+        }
+        let bytes = size_of_val(&nodes[0].0[..]);
+        let all = self.shares.gather(&*self.peers, message, FIGURES + bytes)?;
+        let sums = self.shares.top.fold(all.iter().map(|node| term(&node[..FIGURES])), Term::add);
+        Ok((all.iter().map(|node| lines(&node[FIGURES..])).collect(), sums.unwrap_or_default()))
+    }
+
+    /// The sum of the subtrees of all workers, and of their figures: each worker sums a piece, and sends it to the others.
+    fn reduce(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
+        let (count, length) = (self.shares.worker.count, nodes[0].0.len());
+        let piece = length.div_ceil(count);
+        let range = |worker: usize| (worker * piece).min(length)..((worker + 1) * piece).min(length);
+        let size = FIGURES + piece * size_of::<Line>();
+        let write = |worker: usize, message: &mut Message| {
+            for (total, figures) in nodes {
+                message.numbers(figures);
+                message.lines(&total[range(worker)]);
+                message.lines(&vec![Line::ZERO; piece - range(worker).len()]);
+            }
+        };
+        let mine = self.shares.exchange(&*self.peers, write, size)?;
+        let sums = self.shares.top.fold(mine.iter().map(|node| term(&node[..FIGURES])), Term::add);
+        let leaves: Vec<Vec<Line>> = mine.iter().map(|node| lines(&node[FIGURES..])).collect();
+        let mut total = vec![Line::ZERO; piece];
+        let leaves = leaves.iter().map(Vec::as_slice).collect();
+        self.dispatch.vectorize(SumLines { tree: &self.shares.top, leaves, total: &mut total });
+        let mut message = Message::default();
+        message.lines(&total);
+        let mut all = lines(&self.peers.gather(&message.into_bytes())?);
+        all.truncate(length);
+        Ok((vec![all], sums.unwrap_or_default()))
+    }
+
+    /// Limits the norms of the gradients, whose squares are given, and takes a step with each network.
+    fn step_networks(&mut self, team: &impl Team, squares: [f64; 2], learning_rate: f64) {
         let dispatch = self.dispatch;
         let limit = self.settings.options.algorithm.max_grad_norm;
-        let mut squares = [&self.actor, &self.critic].map(|net| vec![0.0; net.gradient.len().div_ceil(CHUNK)]);
         let mut tasks = Vec::new();
-        for (which, (net, squares)) in [&mut self.actor, &mut self.critic].into_iter().zip(&mut squares).enumerate() {
-            for (k, (total, square)) in net.gradient.chunks_mut(CHUNK).zip(squares).enumerate() {
-                tasks.push((which, k * CHUNK, total, square));
-            }
-        }
-        team.for_each(tasks, |(which, first, total, square)| {
-            let end = first + total.len();
-            let parts = gradients.iter().map(|of| &of[which].lines[first..end]).collect();
-            *square = dispatch.vectorize(Sum { parts, total });
-        });
-
-        let mut tasks = Vec::new();
-        for (net, squares) in [&mut self.actor, &mut self.critic].into_iter().zip(&squares) {
-            let norm = squares.iter().sum::<f64>().sqrt();
+        for (net, squares) in [&mut self.actor, &mut self.critic].into_iter().zip(squares) {
+            let norm = squares.sqrt();
             net.steps += 1;
             let rates = Rates::new(learning_rate, net.steps, (limit / (norm + EPSILON)).min(1.0));
             let weights = net.perceptron.weights_mut().chunks_mut(CHUNK);
@@ -323,26 +405,42 @@ impl Learner {
     }
 
     /// Takes the observations of the iteration into the networks' statistics.
-    fn update_normalizers(&mut self, team: &impl Team) {
+    fn update_normalizers(&mut self, team: &impl Team) -> Result<(), LearnerError> {
         let nets = [&mut self.actor, &mut self.critic];
         let mut normalizers: Vec<_> = nets.into_iter().filter_map(|net| net.normalizer.as_mut()).collect();
-        let Some(about) = normalizers.first().map(|normalizer| normalizer.mean.clone()) else { return };
+        let Some(about) = normalizers.first().map(|normalizer| normalizer.mean.clone()) else { return Ok(()) };
         let mut moments = vec![Vec::new(); self.parts.len()];
         let (dispatch, robots) = (self.dispatch, &self.settings.robots);
         let samples = self.settings.num_envs * self.settings.options.num_steps_per_env;
         team.for_each(self.parts.iter().zip(&mut moments).collect(), |(part, moments)| {
             *moments = dispatch.vectorize(OfObservations { part, about: &about, robots });
         });
-        let mut all = vec![Moments::default(); about.len()];
-        for part in moments {
-            for (all, of) in all.iter_mut().zip(part) {
-                *all = all.merge(of);
-            }
-        }
+        let all = self.shares.sum(&*self.peers, &moments)?;
         for normalizer in &mut normalizers {
             normalizer.update(&all, samples as u64);
         }
+        Ok(())
     }
+}
+
+/// Sums the leaves of each network into its total, in the order of the tree; returns the squared norms.
+fn sum_lines(
+    team: &impl Team,
+    dispatch: SimdDispatch,
+    tree: &Tree,
+    totals: [(Vec<&[Line]>, &mut [Line]); 2],
+) -> [f64; 2] {
+    let mut squares = totals.each_ref().map(|(_, total)| vec![0.0; total.len().div_ceil(CHUNK)]);
+    let mut tasks = Vec::new();
+    for ((leaves, total), squares) in totals.into_iter().zip(&mut squares) {
+        for (k, (total, square)) in total.chunks_mut(CHUNK).zip(squares).enumerate() {
+            let range = k * CHUNK..k * CHUNK + total.len();
+            let leaves = leaves.iter().map(|leaf| &leaf[range.clone()]).collect();
+            tasks.push((SumLines { tree, leaves, total }, square));
+        }
+    }
+    team.for_each(tasks, |(sum, square)| *square = dispatch.vectorize(sum));
+    squares.map(|squares| squares.iter().sum())
 }
 
 /// [`Part::observation_moments`], compiled for the instruction set.

@@ -1,6 +1,7 @@
 //! `Learner`: PPO on the simulator's threads.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
@@ -8,7 +9,7 @@ use pyo3::types::PyDict;
 
 use super::exceptions::{Guarded, to_python, unsigned, value_error, whole};
 use super::vec_sim::VecSim;
-use polypod::learner::{self, NetworkState, Normalizer, RewardScale, Which};
+use polypod::learner::{self, LearnerError, NetworkState, Normalizer, RewardScale, Which, Worker};
 
 /// Numbers as NumPy arrays of one dimension.
 type Arrays<'py, T> = Vec<Bound<'py, PyArray1<T>>>;
@@ -18,6 +19,47 @@ type Network<'py> = (Arrays<'py, f32>, Arrays<'py, f32>, Arrays<'py, f32>, u64);
 #[pyclass(module = "polypod._core")]
 pub(super) struct Learner {
     learner: Guarded<learner::Learner>,
+    raised: Raised,
+}
+
+/// What a call into Python raised while the learner was at work.
+type Raised = Arc<Mutex<Option<PyErr>>>;
+
+/// Peers that are asked through a Python object. Only its calls hold the interpreter.
+struct PythonPeers {
+    object: Py<PyAny>,
+    raised: Raised,
+}
+
+impl PythonPeers {
+    fn call(&self, name: &'static str, mine: &[u8]) -> Result<Vec<u8>, LearnerError> {
+        let all = Python::attach(|py| -> PyResult<Vec<u8>> {
+            let all = self.object.bind(py).call_method1(name, (PyArray1::from_slice(py, mine),))?;
+            Ok(all.extract::<PyReadonlyArray1<u8>>()?.as_slice()?.to_vec())
+        });
+        all.map_err(|error| {
+            let problem = error.to_string();
+            *self.raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+            LearnerError { element: name, problem }
+        })
+    }
+}
+
+impl learner::Peers for PythonPeers {
+    fn gather(&self, mine: &[u8]) -> Result<Vec<u8>, LearnerError> {
+        self.call("gather", mine)
+    }
+    fn exchange(&self, mine: &[u8]) -> Result<Vec<u8>, LearnerError> {
+        self.call("exchange", mine)
+    }
+}
+
+impl Learner {
+    /// The exception of an error: the one that a peer raised, if one did.
+    fn exception(&self, py: Python<'_>, error: polypod::Error) -> PyErr {
+        let raised = self.raised.lock().unwrap_or_else(PoisonError::into_inner).take();
+        raised.unwrap_or_else(|| to_python(py, error))
+    }
 }
 
 fn which(name: &str) -> PyResult<Which> {
@@ -39,11 +81,24 @@ fn vectors(arrays: &[PyReadonlyArray1<f32>]) -> PyResult<Vec<Vec<f32>>> {
 #[pymethods]
 impl Learner {
     #[new]
-    fn new(py: Python<'_>, sim: &VecSim, options: &str) -> PyResult<Self> {
+    #[pyo3(signature = (sim, options, peers=None, worker=0, workers=1))]
+    fn new(
+        py: Python<'_>,
+        sim: &VecSim,
+        options: &str,
+        peers: Option<Py<PyAny>>,
+        worker: usize,
+        workers: usize,
+    ) -> PyResult<Self> {
         let options: learner::Options =
             serde_json::from_str(options).map_err(|error| value_error(format!("options: {error}")))?;
-        let learner = sim.sim().look(py, |sim| sim.learner(options))?;
-        Ok(Self { learner: Guarded::new(py, || learner, to_python)? })
+        let (worker, raised) = (Worker { index: worker, count: workers }, Raised::default());
+        let peers = peers.map(|object| Box::new(PythonPeers { object, raised: raised.clone() }));
+        let learner = sim.sim().look(py, |sim| match peers {
+            Some(peers) => sim.learner_of_worker(options, worker, peers),
+            None => sim.learner(options),
+        })?;
+        Ok(Self { learner: Guarded::new(py, || learner, to_python)?, raised })
     }
 
     fn collect(
@@ -51,19 +106,19 @@ impl Learner {
         py: Python<'_>,
         sim: &mut VecSim,
         #[pyo3(from_py_with = whole)] iteration: i128,
-    ) -> PyResult<Vec<(f32, f32)>> {
+    ) -> PyResult<Vec<(usize, usize, f32, f32)>> {
         let iteration = unsigned(py, "iteration", iteration)?;
         let learner = &mut self.learner;
         let episodes = sim.run(py, |sim| learner.try_run(|learner| sim.collect(learner, iteration)))?;
-        let mut episodes = episodes.map_err(|error| to_python(py, error))?;
+        let mut episodes = episodes.map_err(|error| self.exception(py, error))?;
         episodes.sort_by_key(|episode| (episode.step, episode.env));
-        Ok(episodes.into_iter().map(|episode| (episode.reward, episode.length)).collect())
+        Ok(episodes.into_iter().map(|episode| (episode.step, episode.env, episode.reward, episode.length)).collect())
     }
 
     fn update(&mut self, py: Python<'_>, sim: &VecSim, learning_rate: f64) -> PyResult<BTreeMap<&'static str, f64>> {
         let learner = &mut self.learner;
         let losses = sim.sim().look(py, |sim| learner.try_run(|learner| sim.learn(learner, learning_rate)))?;
-        let losses = losses.map_err(|error| to_python(py, error))?;
+        let losses = losses.map_err(|error| self.exception(py, error))?;
         Ok(BTreeMap::from([
             ("value", losses.value),
             ("surrogate", losses.surrogate),

@@ -10,13 +10,15 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 
-use exceptions::{guarded, to_python};
+use exceptions::{guarded, to_python, value_error};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
+use polypod::learner::Worker;
 use polypod::robot::{self, LoadOptions};
+use polypod::snapshot;
 use polypod::systems::Registry;
 
 #[pyfunction]
@@ -72,6 +74,32 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
 }
 
 #[pyfunction]
+#[pyo3(signature = (task=None, robots=Vec::new(), overrides=Vec::new()))]
+fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, overrides: Vec<String>) -> PyResult<()> {
+    let check = || {
+        let library = Library::new(Vec::new());
+        let task = task.map(|task| library.task(task, &overrides)).transpose()?;
+        for robot in &robots {
+            match &task {
+                Some(task) => library.robot_in(robot, &task.config)?,
+                None => library.robot(robot)?,
+            };
+        }
+        Ok(())
+    };
+    guarded(py, check)?.map_err(|error: polypod::config::ConfigError| to_python(py, error.into()))
+}
+
+#[pyfunction]
+fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyResult<String> {
+    let mut config: toml::Table = serde_json::from_str(config).map_err(|error| value_error(error.to_string()))?;
+    for text in &overrides {
+        polypod::config::apply_override(&mut config, text).map_err(|error| to_python(py, error.into()))?;
+    }
+    vec_sim::written(py, serde_json::to_string(&config))
+}
+
+#[pyfunction]
 fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
     let robot = guarded(py, || Library::new(Vec::new()).robot(name))?.map_err(|error| to_python(py, error.into()))?;
     Ok(robot.urdf_text)
@@ -104,6 +132,18 @@ fn draft_robot(
 }
 
 #[pyfunction]
+fn share_of_worker(py: Python<'_>, num_envs: usize, worker: usize, workers: usize) -> PyResult<(usize, usize)> {
+    let envs = Worker { index: worker, count: workers }.envs(num_envs).map_err(|error| to_python(py, error.into()))?;
+    Ok((envs.start, envs.end))
+}
+
+#[pyfunction]
+fn join_snapshots<'py>(py: Python<'py>, parts: Vec<Vec<u8>>) -> PyResult<Bound<'py, PyBytes>> {
+    let joined = guarded(py, || snapshot::join(&parts))?.map_err(|error| to_python(py, error))?;
+    Ok(PyBytes::new(py, &joined))
+}
+
+#[pyfunction]
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("version", env!("CARGO_PKG_VERSION"))?;
@@ -124,9 +164,13 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(broken_configs, module)?)?;
     module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
+    module.add_function(wrap_pyfunction!(check_names, module)?)?;
+    module.add_function(wrap_pyfunction!(with_overrides, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(draft_robot, module)?)?;
+    module.add_function(wrap_pyfunction!(share_of_worker, module)?)?;
+    module.add_function(wrap_pyfunction!(join_snapshots, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
     module.add_function(wrap_pyfunction!(terrain::terrain, module)?)?;
     Ok(())

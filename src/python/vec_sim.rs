@@ -9,7 +9,7 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyDict, PySlice};
 use serde::Serialize;
 
 use super::exceptions::{
@@ -17,6 +17,7 @@ use super::exceptions::{
 };
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
+use polypod::config::POLICY_GROUP;
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
@@ -155,6 +156,22 @@ impl VecSim {
         written(py, json)
     }
 
+    /// The columns of an observation group: a view, or the array itself where there is no other group.
+    fn columns<'py>(
+        &self,
+        py: Python<'py>,
+        rows: &Bound<'py, PyArray2<f32>>,
+        group: &str,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let task = self.sim.task();
+        let columns = &task.group(group).map_err(|error| to_python(py, error.into()))?.columns;
+        if task.groups.len() == 1 {
+            return Ok(rows.clone().into_any());
+        }
+        let columns = PySlice::new(py, columns.start as isize, columns.end as isize, 1);
+        rows.get_item((PySlice::full(py), columns))
+    }
+
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
         let names: Vec<&str> = self.sim.morphologies().iter().map(|m| m.name()).collect();
         names.iter().position(|name| *name == robot).ok_or_else(|| {
@@ -167,7 +184,7 @@ impl VecSim {
 #[pymethods]
 impl VecSim {
     #[new]
-    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, slots=Vec::new()))]
+    #[pyo3(signature = (task, num_envs, robots=None, seed=0, threads=None, overrides=Vec::new(), autoreset="same_step", dump_dir=None, share=None, slots=Vec::new()))]
     fn new(
         py: Python<'_>,
         task: String,
@@ -178,12 +195,14 @@ impl VecSim {
         overrides: Vec<String>,
         autoreset: &str,
         dump_dir: Option<PathBuf>,
+        share: Option<(usize, usize)>,
         slots: Vec<String>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
         let num_envs = unsigned(py, "num_envs", num_envs)?;
         let seed = unsigned(py, "seed", seed)?;
         let threads = threads.map(|threads| unsigned(py, "threads", threads)).transpose()?;
+        let share = share.map(|(start, end)| start..end);
         let options = SimOptions {
             robots,
             seed,
@@ -191,10 +210,12 @@ impl VecSim {
             overrides,
             autoreset,
             dump_dir,
+            share,
             slots,
             ..SimOptions::new(task, num_envs)
         };
         let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
+        let num_envs = sim.num_envs();
         let num_obs = sim.batch().num_obs;
         let matrix = |width: usize| PyArray2::<f32>::zeros(py, [num_envs, width], false).unbind();
         let flags = || PyArray1::<bool>::zeros(py, num_envs, false).unbind();
@@ -218,8 +239,21 @@ impl VecSim {
         self.sim.num_envs()
     }
     #[getter]
+    fn share(&self) -> (usize, usize) {
+        let envs = &self.sim.share().envs;
+        (envs.start, envs.end)
+    }
+    #[getter]
+    fn total_num_envs(&self) -> usize {
+        self.sim.share().num_envs
+    }
+    #[getter]
+    fn simd(&self) -> &'static str {
+        self.sim.simd().name()
+    }
+    #[getter]
     fn num_obs(&self) -> usize {
-        self.sim.batch().num_obs
+        self.sim.task().groups[0].columns.len()
     }
     #[getter]
     fn num_actions(&self) -> usize {
@@ -251,9 +285,15 @@ impl VecSim {
         PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)
     }
 
-    fn observation_mask(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<bool>> {
+    #[pyo3(signature = (robot, group=POLICY_GROUP))]
+    fn observation_mask(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<bool>> {
         let index = self.robot_index(py, robot)?;
-        self.sim.look(py, |sim| sim.task().observation_mask(&sim.morphologies()[index]))
+        let mask = self.sim.look(py, |sim| {
+            let task = sim.task();
+            task.group(group)
+                .map(|group| task.observation_mask(&sim.morphologies()[index])[group.columns.clone()].to_vec())
+        })?;
+        mask.map_err(|error| to_python(py, error.into()))
     }
     #[getter]
     fn task_name(&self) -> &str {
@@ -273,14 +313,26 @@ impl VecSim {
     }
     #[getter]
     fn observation_layout(&self) -> Vec<(&str, usize)> {
-        self.sim.task().observations.iter().map(|term| (term.name.as_str(), term.size)).collect()
+        let task = self.sim.task();
+        task.terms_of(&task.groups[0]).iter().map(|term| (term.name.as_str(), term.size)).collect()
+    }
+    #[getter]
+    fn observation_groups<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        // in their order
+        let groups = PyDict::new(py);
+        for group in &self.sim.task().groups {
+            groups.set_item(&group.name, (group.columns.start, group.columns.end))?;
+        }
+        Ok(groups)
     }
 
-    fn observation_terms(&self, py: Python<'_>) -> PyResult<String> {
+    #[pyo3(signature = (group=POLICY_GROUP))]
+    fn observation_terms(&self, py: Python<'_>, group: &str) -> PyResult<String> {
         #[derive(Serialize)]
         struct Entry<'a> {
             term: &'a str,
             size: usize,
+            history_length: usize,
             #[serde(flatten)]
             spec: &'a TermSpec,
             inputs: Vec<&'a str>,
@@ -288,9 +340,12 @@ impl VecSim {
             clip: Option<[f32; 2]>,
             scale: f32,
         }
-        let terms = self.sim.task().observations.iter().map(|term| Entry {
+        let task = self.sim.task();
+        let group = task.group(group).map_err(|error| to_python(py, error.into()))?;
+        let terms = task.terms_of(group).iter().map(|term| Entry {
             term: &term.name,
             size: term.size,
+            history_length: term.history,
             spec: &term.spec,
             inputs: term.spec.source.inputs(&term.name),
             offset: term.offset,
@@ -300,9 +355,18 @@ impl VecSim {
         written(py, serde_json::to_string(&terms.collect::<Vec<_>>()))
     }
 
-    fn observation_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
+    #[pyo3(signature = (robot, group=POLICY_GROUP))]
+    fn observation_mirror(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<(usize, f32)>> {
         let index = self.robot_index(py, robot)?;
-        self.sim.look(py, |sim| sim.task().mirrored_observation(&sim.morphologies()[index]))
+        let mirror = self.sim.look(py, |sim| {
+            let task = sim.task();
+            task.group(group).map(|group| {
+                let start = group.columns.start;
+                let row = task.mirrored_observation(&sim.morphologies()[index]);
+                row[group.columns.clone()].iter().map(|&(column, sign)| (column - start, sign)).collect()
+            })
+        })?;
+        mirror.map_err(|error| to_python(py, error.into()))
     }
 
     fn action_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
@@ -393,8 +457,11 @@ impl VecSim {
     }
 
     #[getter]
-    fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        self.arrays.observations[self.arrays.current].bind(py).clone()
+    fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.observation_of(py, POLICY_GROUP)
+    }
+    fn observation_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
+        self.columns(py, self.arrays.observations[self.arrays.current].bind(py), group)
     }
     #[getter]
     fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
@@ -409,8 +476,11 @@ impl VecSim {
         self.arrays.truncated.bind(py).clone()
     }
     #[getter]
-    fn final_obs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        self.arrays.final_obs.bind(py).clone()
+    fn final_obs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.final_obs_of(py, POLICY_GROUP)
+    }
+    fn final_obs_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
+        self.columns(py, self.arrays.final_obs.bind(py), group)
     }
     #[getter]
     fn final_mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
@@ -520,6 +590,15 @@ impl VecSim {
                 logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>())
             })
         })
+    }
+
+    fn take_logs<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = self.sim.run(py, Sim::take_logs)?.map_err(|error| to_python(py, error))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    fn add_logs(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
+        self.sim.run(py, |sim| sim.add_logs(data))?.map_err(|error| to_python(py, error))
     }
 
     #[pyo3(signature = (clear=true))]

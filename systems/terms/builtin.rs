@@ -1,6 +1,6 @@
 //! The built-in terms: each file of the pipeline registers its own.
 
-use super::super::{curriculum, disturb, observe, reset, reward, startup, terminate};
+use super::super::{curriculum, disturb, observe, privileged, reset, reward, startup, terminate};
 use super::registry::Registry;
 
 impl Registry {
@@ -9,6 +9,7 @@ impl Registry {
         let mut registry = Self::default();
         reward::register(&mut registry);
         observe::register(&mut registry);
+        privileged::register(&mut registry);
         terminate::register(&mut registry);
         startup::register(&mut registry);
         reset::register(&mut registry);

@@ -1,6 +1,7 @@
 //! A task's terms, made for the robots of a run.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use bevy_ecs::prelude::Resource;
 use serde::Deserialize;
@@ -29,12 +30,14 @@ impl RewardTerm {
     }
 }
 
-/// One term of the observation.
+/// One term of an observation group.
 pub struct ObservationTerm {
     /// Its name.
     pub name: String,
-    /// How many numbers it writes.
+    /// How many numbers it has in an observation, those that it remembers included.
     pub size: usize,
+    /// How many control steps it remembers, the present one included: the oldest comes first.
+    pub history: usize,
     /// What these are.
     pub spec: TermSpec,
     /// Number that the term takes off its source, before noise, limits and factor.
@@ -46,6 +49,16 @@ pub struct ObservationTerm {
     /// Factor of the limited numbers.
     pub scale: f32,
     pub(in crate::systems) write: ObservationFn,
+}
+
+/// An observation group: consecutive terms, and consecutive numbers of a row of [`Batch::observations`](crate::batch::Batch).
+pub struct ObservationGroup {
+    /// Its name; the first one is [`POLICY_GROUP`](crate::config::POLICY_GROUP).
+    pub name: String,
+    /// Its terms, as indices.
+    pub terms: Range<usize>,
+    /// Its numbers in a row.
+    pub columns: Range<usize>,
 }
 
 /// One reason for an episode to end.
@@ -73,8 +86,10 @@ pub struct CompiledTask {
     pub step_dt: f32,
     /// Control steps in a full episode.
     pub max_episode_length: u32,
-    /// Terms of the policy's observation, in order.
+    /// Terms of all observation groups, in order.
     pub observations: Vec<ObservationTerm>,
+    /// The groups, the policy's first.
+    pub groups: Vec<ObservationGroup>,
     /// Terms of each morphology's reward set.
     pub rewards: Vec<Vec<RewardTerm>>,
     /// Reasons for an episode to end.
@@ -122,35 +137,49 @@ impl CompiledTask {
         let file = config.name.as_str();
         let step_dt = config.sim.step_dt() as f32;
         let num_joints = morphologies.1.joints.len();
-        let mut observations = Vec::new();
-        for (i, term) in config.observations.policy.iter().enumerate() {
-            let element = format!("observations.policy[{i}]");
-            let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
-            let size = (registered.size)(config, num_joints)
-                .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
-            registered.spec.check_size(size, num_joints).map_err(|needed| {
-                let problem =
-                    format!("the term `{}` is registered with {size} numbers, but its kind has {needed}", term.term);
-                ConfigError::invalid(file, element.as_str(), problem, "register it with another size, kind or blocks")
-            })?;
-            let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none());
-            if let Some(other) = other.filter(|_| registered.spec.is_of_quadrupeds()) {
-                let problem =
-                    format!("the term `{}` describes quadrupeds of twelve joints; {} is none", term.term, other.name());
-                let remedy = "use the term `joint_descriptors`, or other robots";
-                return Err(ConfigError::invalid(file, element, problem, remedy));
+        let (mut observations, mut groups, mut width) = (Vec::new(), Vec::new(), 0);
+        for (group, terms) in config.observations.groups() {
+            let (first_term, first_column) = (observations.len(), width);
+            for (i, term) in terms.iter().enumerate() {
+                let element = format!("observations.{group}[{i}]");
+                let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
+                let size = (registered.size)(config, num_joints)
+                    .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
+                registered.spec.check_size(size, num_joints).map_err(|needed| {
+                    let problem = format!(
+                        "the term `{}` is registered with {size} numbers, but its kind has {needed}",
+                        term.term
+                    );
+                    let remedy = "register it with another size, kind or blocks";
+                    ConfigError::invalid(file, element.as_str(), problem, remedy)
+                })?;
+                let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none());
+                if let Some(other) = other.filter(|_| registered.spec.is_of_quadrupeds()) {
+                    let problem = format!(
+                        "the term `{}` describes quadrupeds of twelve joints; {} is none",
+                        term.term,
+                        other.name()
+                    );
+                    let remedy = "use the term `joint_descriptors`, or other robots";
+                    return Err(ConfigError::invalid(file, element, problem, remedy));
+                }
+                let built = (registered.build)(file, &element, &term.params)?;
+                let history = term.history_length as usize;
+                width += size * history;
+                observations.push(ObservationTerm {
+                    name: term.term.clone(),
+                    size: size * history,
+                    history,
+                    noise: if config.observations.enable_noise { term.noise as f32 } else { 0.0 },
+                    clip: term.clip.map(|range| range.map(|x| x as f32)),
+                    scale: term.scale as f32,
+                    spec: registered.spec,
+                    offset: built.offset,
+                    write: built.write,
+                });
             }
-            let built = (registered.build)(file, &element, &term.params)?;
-            observations.push(ObservationTerm {
-                name: term.term.clone(),
-                size,
-                noise: if config.observations.enable_noise { term.noise as f32 } else { 0.0 },
-                clip: term.clip.map(|range| range.map(|x| x as f32)),
-                scale: term.scale as f32,
-                spec: registered.spec,
-                offset: built.offset,
-                write: built.write,
-            });
+            let (terms, columns) = (first_term..observations.len(), first_column..width);
+            groups.push(ObservationGroup { name: group.to_owned(), terms, columns });
         }
         let mut rewards = Vec::new();
         for morphology in &morphologies.0 {
@@ -184,6 +213,7 @@ impl CompiledTask {
             step_dt,
             max_episode_length: config.sim.max_episode_length(),
             observations,
+            groups,
             rewards,
             terminations,
             limits,
@@ -253,20 +283,45 @@ impl CompiledTask {
         self.action_delay.as_ref().map_or(0, |event| event.range(morphology)[1])
     }
 
-    /// Numbers in an observation.
+    /// Terms of a group.
+    pub fn terms_of(&self, group: &ObservationGroup) -> &[ObservationTerm] {
+        &self.observations[group.terms.clone()]
+    }
+
+    /// The group of that name.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn group(&self, name: &str) -> Result<&ObservationGroup, ConfigError> {
+        self.groups.iter().find(|group| group.name == name).ok_or_else(|| {
+            let remedy = did_you_mean(name, self.groups.iter().map(|group| group.name.as_str()), "observation groups");
+            let problem = format!("the task has no observation group `{name}`");
+            ConfigError::invalid(self.config.name.as_str(), "observations", problem, remedy)
+                .of_kind(ConfigErrorKind::UnknownName)
+        })
+    }
+
+    /// Whether any term remembers more than the present control step.
+    pub fn has_history(&self) -> bool {
+        self.observations.iter().any(|term| term.history > 1)
+    }
+
+    /// Numbers in a row of all groups.
     pub fn num_obs(&self) -> usize {
         self.observations.iter().map(|term| term.size).sum()
     }
 
-    /// The mirror image of an observation of this robot, left and right exchanged: of each number, which one takes its place and with
-    /// which sign.
+    /// The mirror image of a row of all groups of this robot, left and right exchanged: of each number, which one takes its place and
+    /// with which sign. Numbers stay in their group.
     pub fn mirrored_observation(&self, robot: &MorphologyModel) -> Vec<(usize, f32)> {
         let scanner = self.config.sensors.height_scanner.as_ref();
         let mut mirror = Vec::with_capacity(self.num_obs());
         for term in &self.observations {
-            let start = mirror.len();
-            let image = term.spec.mirror(term.size, self.num_joints, robot, scanner);
-            mirror.extend(image.into_iter().map(|(index, sign)| (start + index, sign)));
+            let image = term.spec.mirror(term.size / term.history, self.num_joints, robot, scanner);
+            for _ in 0..term.history {
+                let start = mirror.len();
+                mirror.extend(image.iter().map(|&(index, sign)| (start + index, sign)));
+            }
         }
         mirror
     }

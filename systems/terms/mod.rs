@@ -10,7 +10,7 @@ mod spec;
 
 pub(crate) use compile::ACTION_DELAY;
 pub(super) use compile::{ActionDelay, BODY_VARIATION};
-pub use compile::{CompiledTask, ObservationTerm, RewardTerm, TerminationTerm};
+pub use compile::{CompiledTask, ObservationGroup, ObservationTerm, RewardTerm, TerminationTerm};
 pub(crate) use registry::NoParams;
 pub use registry::Registry;
 pub use spec::{Block, JointMirror, Per, TermKind, TermSource, TermSpec};

@@ -8,6 +8,7 @@ use crate::robot::{CANONICAL_JOINT_NAMES, ROLES, Slot};
 
 /// Joints of a body that blocks describe: a quadruped's.
 const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
+const FEET: usize = 4;
 
 /// What the numbers of a term are, which says how they change in a mirror that exchanges left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -24,6 +25,8 @@ pub enum TermKind {
     /// Numbers of each joint, in the batch's columns: all joints' first number, then their next. Joints change sides, and some of
     /// them their signs. A robot's own numbers are written and observed; columns of joints that it lacks are zero.
     PerJoint,
+    /// A number of each foot of a quadruped, in the order LF, LH, RF, RH: feet change sides.
+    PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
     /// What body the robot is, in blocks ([`TermSpec::blocks`]): numbers of joints change like those of `PerJoint`.
@@ -196,6 +199,7 @@ impl TermSpec {
             TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if !size.is_multiple_of(3) => {
                 Err("three numbers for each vector".into())
             }
+            TermKind::PerFoot if size != FEET => Err(format!("a number for each of {FEET} feet")),
             TermKind::Body if size != blocks => Err(format!("{blocks} numbers in its blocks")),
             _ => Ok(()),
         }
@@ -203,7 +207,7 @@ impl TermSpec {
 
     /// Whether the term describes quadrupeds alone.
     pub(super) fn is_of_quadrupeds(&self) -> bool {
-        self.blocks.iter().any(|block| matches!(block.per, Per::Role | Per::Joint))
+        self.kind == TermKind::PerFoot || self.blocks.iter().any(|block| matches!(block.per, Per::Role | Per::Joint))
     }
 
     /// The mirror image of `size` numbers in a batch of `joints` slots: of each, which number takes its place and with which sign.
@@ -221,6 +225,7 @@ impl TermSpec {
             TermKind::Pseudovector => signs([-1.0, 1.0, -1.0]),
             TermKind::PlanarVelocity => signs([1.0, -1.0, -1.0]),
             TermKind::PerJoint => self.mirror_joints(size / columns.max(1), columns, robot),
+            TermKind::PerFoot => (0..size).map(|foot| ((foot + FEET / 2) % FEET, 1.0)).collect(),
             TermKind::Scan => {
                 // rows from right to left, each from back to front
                 let rows = scanner.map_or(1, |scanner| scanner.counts()[1]).max(1);

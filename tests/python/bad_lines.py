@@ -35,7 +35,14 @@ OVERRIDES += ["sim.dt=1=1", ".=1", "sim..dt=1", "sim.gravity=[nan,0,0]", "sim.gr
 OVERRIDES += ["sim.decimation=1000000000", "sim.decimation=-1", "[=1", "sim.dt='", "a.b.c.d=" + "[" * 5000, "sim=3"]
 OVERRIDES += ["sim.episode_length_s=0", "sim.episode_length_s=1e300", "observations.policy=[]", "rewards=1"]
 OVERRIDES += ["commands.base_velocity.ranges.lin_vel_x=[1e30,-1e30]", "scene.terrain.num_rows=1000000", "=" * 5000]
-OVERRIDES += ["sim.dt=\udcff"]
+OVERRIDES += [
+    "sim.dt=\udcff",
+    "train.",
+    "train.algorithm",
+    "train.algorithm.gamma=nan",
+    "train.run.num_envs=x",
+    "train=3",
+]
 SWITCH = [None, "x", ""]
 """What a flag without a value takes: nothing, or what does not belong to it."""
 
@@ -74,8 +81,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
-        | {"--quadrupeds": NAMES, "--learner": NAMES},
+        | {"--log-project": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]}
+        | {"--quadrupeds": NAMES, "--learner": NAMES, "--terms": FILES},
     ),
+    "sweep": (("empty.pt",), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
     "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (
         ("new", str(URDF), "--out", "/nothing/spot.toml"),
@@ -103,13 +112,17 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "bench": (
         ("--robot", "nobody"),
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
-        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS},
+        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS}
+        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40]},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),
     "": ((), {"": NAMES}),
 }
 _POLYPOD_SWITCHES = {
+    "": ("--version", "-V"),
+    "list": ("--json", "--no-json"),
+    "train": ("--headless", "--no-headless"),
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised"),
     "export": ("--fold", "--no-fold"),
     "play": ("--headless", "--no-headless"),

@@ -43,9 +43,9 @@ def test_actions_of_another_shape(make, shape):
         make().step(np.zeros(shape, dtype=np.float32))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float16, np.int64, np.bool_])
-def test_actions_of_another_dtype(make, dtype):
-    with pytest.raises(TypeError, match="float32"):
+@pytest.mark.parametrize("dtype", [np.bool_, np.complex64, np.str_, object])
+def test_actions_that_are_no_numbers(make, dtype):
+    with pytest.raises(TypeError, match="no numbers"):
         make().step(np.zeros((16, 12), dtype=dtype))
 
 

@@ -1,8 +1,10 @@
-"""`polypod bench --learner` and `--walk` train what they say, and say what came of it."""
+"""`polypod bench --learner`, `--walk` and `--workers` train what they say, and say what came of it."""
 
 import json
 
-from polypod.bench import walking
+import pytest
+
+from polypod.bench import walking, workers
 
 TINY = 'extends = "quick"\n[run]\nnum_envs = 32\nnum_steps_per_env = 4\nmax_iterations = 2\n'
 
@@ -32,3 +34,24 @@ def test_walks_are_looked_for_at_intervals(cli, tmp_path, monkeypatch):
     assert run["curve"][1]["error_vel_xy"] > walking.WALKS["error_vel_xy"]
     assert (tmp_path / "walk.png").stat().st_size > 0
     assert "| 42 | no | 0.0 |" in finished.stdout
+
+
+def test_workers_share_the_cores(cli, tmp_path):
+    (tmp_path / "tiny.toml").write_text(TINY)
+    arguments = ("--workers", "2", "--train-config", "tiny.toml", "--step-threads", "2", "--json", "workers.json")
+    finished = cli("bench", *arguments)
+    assert finished.returncode == 0, finished.stderr
+    row = json.loads((tmp_path / "workers.json").read_text())["workers"]["2"]
+    assert row["threads"] == 1
+    assert 0.0 < row["wait_s"] < row["iteration_s"]
+    # gradients of the networks 83-128-128-128-12 and -1 in lines of 16, inputs padded to 88; and some statistics
+    lines = sum(8 * (inputs + 1) for inputs in 2 * (88, 128, 128)) + 2 * 129 + 1
+    assert 20 * 64 * lines < row["sent_bytes"] < 20 * 64 * lines + 50_000
+    assert "| 2 x 1 |" in finished.stdout
+    assert "| 10 Gbit/s |" in finished.stdout
+
+
+def test_a_network_takes_the_gradients_twice():
+    # two workers send all once; four send three quarters twice
+    assert workers.limit_s({"1": {"sent_bytes": 0}, "2": {"sent_bytes": 10}}, 5.0) == pytest.approx(4.0)
+    assert workers.limit_s({"4": {"sent_bytes": 15}, "2": {"sent_bytes": 10}}, 5.0) == pytest.approx(4.0)

@@ -87,10 +87,11 @@ def test_every_command_has_a_file_of_its_own():
 
 
 def test_list_and_info(main):
-    code, output, _ = main("list")
-    assert code == 0
-    for entry in [*polypod.tasks(), *polypod.robots()]:
-        assert entry["name"] in output
+    for kind, entries in (("tasks", polypod.tasks()), ("robots", polypod.robots())):
+        code, output, _ = main("list", kind)
+        assert code == 0
+        for entry in entries:
+            assert entry["name"] in output
     code, output, _ = main("info")
     assert code == 0
     assert polypod.__version__ in output
@@ -123,7 +124,7 @@ def test_the_list_leaves_out_what_is_broken(main, monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("train", "--task", "Velocity-Flat"), "Velocity-Flat-HeteroQuadruped-v0"),
+        (("train", "--task", "Velocity-Flat"), "did you mean `velocity_flat`"),
         (("train", "--robots", "spott"), "spot"),
         (("train", "--num-envs", "3"), "num_envs"),
         (("train", "--max-iterations", "0"), "--max-iterations"),

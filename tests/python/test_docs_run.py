@@ -6,6 +6,7 @@ checked says so in its first line, with the reason: three backticks and `bash no
 
 import contextlib
 import dataclasses
+import importlib.util
 import io
 import itertools
 import json
@@ -22,7 +23,7 @@ from common import FLAT_POLICY
 from polypod import _core, bodies, cli
 from polypod.compat import tomllib
 from polypod.export import export_checkpoint
-from polypod.training import config
+from polypod.training import config, sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "CONTRIBUTING.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")))
@@ -35,7 +36,7 @@ FOLDERS = tuple(f"{folder}/" for folder in ("assets", "benches", "configs", "doc
 
 TASK_TABLES = {"commands", "curriculum", "events", "observations", "physics", "rewards", "scene", "sensors", "sim"}
 TASK_TABLES |= {"terminations"}
-TRAIN_TABLES = {"run", "algorithm", "actor", "critic"}
+TRAIN_TABLES = {"run", "algorithm", "actor", "critic", "obs_groups", "rnd", "distillation"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,9 +101,20 @@ def test_every_block_is_checked_or_says_why_not():
     assert len([block for block in BLOCKS if block.is_checked]) > 50
 
 
+LEARNERS = ("ray", "skrl", "stable_baselines3", "torchrl")
+"""Packages of examples that the tests may lack: the extra `learners`."""
+
+
+def missing_learners(first: Block) -> list[str]:
+    text = "".join(b.text for b in of("python") if (b.page, b.section) == (first.page, first.section))
+    return [name for name in LEARNERS if re.search(rf"\b{name}\b", text) and importlib.util.find_spec(name) is None]
+
+
 @pytest.mark.parametrize("first", SECTIONS.values(), ids=str)
 def test_python_runs(first, tmp_path, monkeypatch):
     """The blocks of one section run one after another, as a reader would paste them."""
+    if missing := missing_learners(first):
+        pytest.skip(f"needs {', '.join(missing)}: make test-learners")
     monkeypatch.chdir(tmp_path)
     if first.page == "docs/export.md":
         # what the command at the head of the page leaves, for the one robot that the block uses
@@ -126,6 +138,9 @@ def test_toml_is_accepted(block, tmp_path):
         name = "" if "name" in tables else 'name = "Mine-v0"\n'
         file.write_text(base.format("velocity_flat") + name + block.text)
         assert _core.VecSim(str(file), num_envs=8, threads=1).num_envs == 8
+    elif "seeds" in tables:
+        file.write_text(block.text)
+        assert sweep.read(file, tmp_path / "out").trials
     elif tables.keys() & TRAIN_TABLES:
         file.write_text(base.format("flat") + block.text)
         loaded = config.load(str(file)).as_dict()
@@ -189,6 +204,10 @@ def check_command(words: list[str], page: str) -> None:
             assert accepts(arguments), shlex.join(words)
         case "polypod-sim" | "target/release/polypod-sim":
             check_simulator(arguments)
+        case "torchrun":
+            place = arguments.index("polypod")
+            assert arguments[place - 1] == "-m"
+            assert accepts(arguments[place + 1 :]), shlex.join(words)
         case "make":
             makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
             for word in arguments:
@@ -200,14 +219,24 @@ def check_command(words: list[str], page: str) -> None:
         case "export":
             (assignment,) = arguments
             assert re.fullmatch(r"\w+=.+", assignment)
-        case "cp" | "mkdir" | "tar" | ".venv/bin/tensorboard":
+        case "cp" | "mkdir" | "tar" | "ray" | ".venv/bin/tensorboard":
             pass
+        case ".venv/bin/python":
+            check_example(words[1], words[2:])
         case _:
             pytest.fail(f"{shlex.join(words)}: test_docs_run.py does not know {program}")
     check_names(arguments, page)
     for word in (word.rpartition("=")[2] for word in arguments):
         if word.startswith(FOLDERS):
             assert any(ROOT.glob(word)), f"{word} does not exist"
+
+
+def check_example(script: str, arguments: list[str]) -> None:
+    """A script of `examples/` that takes the arguments."""
+    parsed = re.findall(r'add_argument\("([^"]+)"', (ROOT / script).read_text(encoding="utf-8"))
+    assert script.startswith("examples/")
+    for argument in arguments:
+        assert not argument.startswith("--") or argument in parsed, argument
 
 
 def accepts(arguments: list[str]) -> bool:

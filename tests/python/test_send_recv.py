@@ -13,7 +13,7 @@ STEPS = size(30, 300)
 
 
 def envs(count: int):
-    return [polypod.make("velocity_flat", num_envs=16, robots=ROBOTS, seed=3, copy=True) for _ in range(count)]
+    return [polypod.make("velocity_flat", num_envs=16, robots=ROBOTS, seed=3) for _ in range(count)]
 
 
 def test_two_halves_give_what_a_step_gives() -> None:

@@ -87,7 +87,7 @@ def test_robots_with_other_mirrors_are_refused(monkeypatch: pytest.MonkeyPatch) 
     sim = env.unwrapped.sim
 
     class Sim:
-        robots = sim.robots
+        robots, observation_groups = sim.robots, sim.observation_groups
         action_mask = sim.action_mask
         env_ids, observation_mask = sim.env_ids, sim.observation_mask
 
@@ -95,8 +95,8 @@ def test_robots_with_other_mirrors_are_refused(monkeypatch: pytest.MonkeyPatch) 
             mirror = sim.action_mirror(robot)
             return mirror if robot != "spot" else [(slot, -sign) for slot, sign in mirror]
 
-        def observation_mirror(self, robot: str) -> list[tuple[int, float]]:
-            return sim.observation_mirror(robot)
+        def observation_mirror(self, robot: str, group: str) -> list[tuple[int, float]]:
+            return sim.observation_mirror(robot, group)
 
     monkeypatch.setattr(env, "unwrapped", type("Env", (), {"sim": Sim()})())
     with pytest.raises(polypod.ConfigError, match="spot change sign differently"):

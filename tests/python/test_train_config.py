@@ -64,7 +64,10 @@ def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
             "[algorithm]\nnormalize_advantage_per_mini_batch = true\n",
             "exclude each other",
         ),
-        ('extends = "flat"\n[actor]\nclass_name = "UrmaModel"\n', "'UrmaModel' is not one of MLPModel, polypod"),
+        (
+            'extends = "flat"\n[actor]\nclass_name = "UrmaModel"\n',
+            "'UrmaModel' is not one of MLPModel, RNNModel, polypod",
+        ),
         ('extends = "flat"\n[actor]\nnum_heads = 4\n', r"\[actor\] num_heads is of networks of joints"),
         (f'extends = "flat"\n[actor]\nclass_name = "{config.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
         ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),

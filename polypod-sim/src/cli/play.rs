@@ -114,7 +114,15 @@ impl Play {
         visit(&mut sim, |env, place| tracks[env].place = place);
         let began = Instant::now();
         for _ in 0..self.steps {
-            let actions = policy.act(&sim.batch().observations)?;
+            let batch = sim.batch();
+            let observed = policy.manifest.num_obs();
+            let actions = if observed == batch.num_obs {
+                policy.act(&batch.observations)?
+            } else {
+                // the policy's group comes first in each row
+                let rows = batch.observations.chunks_exact(batch.num_obs);
+                policy.act(&rows.flat_map(|row| &row[..observed]).copied().collect::<Vec<_>>())?
+            };
             sim.step(&actions)?;
             advance(&mut sim, &mut tracks);
             progress.inc(1);

@@ -38,6 +38,7 @@ def control_steps(
         robots=None if robots is None else list(robots),
         seed=seed,
         threads=threads,
+        copy=False,
         overrides=list(overrides),
     )
     env.reset(seed=seed)

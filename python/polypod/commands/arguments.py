@@ -28,6 +28,15 @@ def names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",")]
 
 
+def check_names(task: str | None, robots: Sequence[str] | None, overrides: Sequence[str] = ()) -> None:
+    """Reads the configs that these name, before anything slow is imported. Raises UnknownNameError and ConfigError."""
+    from polypod.registration import task_of
+
+    if task is None:
+        overrides = ()
+    _core.check_names(None if task is None else task_of(task), list(robots or ()), list(overrides))
+
+
 def positive(value: int | None, flag: str) -> int | None:
     """The value of a flag that counts something. Raises ConfigError."""
     if value is not None and not 1 <= value < 2**31:

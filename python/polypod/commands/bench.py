@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
+from polypod import _core
 from polypod.commands.arguments import Count, arg, checked_threads, positive, write_json
 
 NUM_ENVS = 4096
@@ -19,8 +20,10 @@ class Bench:
     """Measure instead where an iteration of a training goes, for every learner of this machine."""
     walk: bool = False
     """Measure instead the time and the samples until all robots walk."""
+    workers: Annotated[str | None, arg(metavar="N,N,N")] = None
+    """Measure instead trainings with so many workers, which share the same cores: for example 1,2,4."""
     train_config: str = "quick"
-    """What --learner and --walk train."""
+    """What --learner, --walk and --workers train."""
     seeds: int = 3
     """Trainings of --walk, each with the next seed."""
     quick: bool = False
@@ -40,11 +43,11 @@ class Bench:
     largest: int = 65536
     """Number of envs that the scaling goes up to."""
     seed: Count = None
-    """Of every random stream; the first of --walk. Default: 0; of trainings, 42."""
+    """Seed of every random stream; the first of --walk. Default: 0; of trainings, 42."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
-        if self.learner or self.walk:
+        if self.learner or self.walk or self.workers is not None:
             return self._train()
         from polypod import bench
 
@@ -81,7 +84,12 @@ class Bench:
         num_envs, seed = positive(self.num_envs, "--num-envs"), DEFAULT_SEED if self.seed is None else self.seed
         options = learners.Options(self.train_config, num_envs, threads, seed)
         progress = functools.partial(print, file=sys.stderr, flush=True)
-        if self.learner:
+        if self.workers is not None:
+            from polypod.bench import workers
+
+            result = workers.measure(options, _counts(self.workers), progress)
+            print(workers.table(result))
+        elif self.learner:
             result = learners.measure(options, progress)
             print(learners.table(result))
         else:
@@ -93,3 +101,14 @@ class Bench:
         if self.plot is not None and self.walk:
             walking.picture(result, self.plot)
         return 0
+
+
+def _counts(text: str) -> list[int]:
+    """Numbers of workers. Raises ConfigError."""
+    try:
+        counts = [int(number) for number in text.split(",")]
+    except ValueError as error:
+        raise _core.ConfigError(f"--workers {text[:80]!r} is no list of numbers; write it like 1,2,4") from error
+    for count in counts:
+        positive(count, "--workers")
+    return counts

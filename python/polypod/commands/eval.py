@@ -5,7 +5,17 @@ from pathlib import Path
 from typing import Annotated
 
 from polypod import _core
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names, write_json
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    Robots,
+    arg,
+    check_names,
+    checked_threads,
+    names,
+    write_json,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -13,7 +23,8 @@ class Eval:
     """Measure a trained policy: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
-    """A model_<n>.pt beside its manifest.json. Of several, the seeds of one training, the mean and its interval too."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough. Of several,
+    the seeds of one training, the mean and its interval too."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -33,7 +44,7 @@ class Eval:
     task: Name = None
     """Name or alias of the task. Default: the run's."""
     seed: int = 0
-    """Of every random stream."""
+    """Seed of every random stream."""
     threads: Count = None
     """Threads of the simulator and the policy. Default: one per core."""
     set: Overrides = ()
@@ -41,8 +52,10 @@ class Eval:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(self.task, names(self.robots))
         import torch
 
+        from polypod import bundled
         from polypod.evaluation import evaluate_checkpoints, plot, summarize
         from polypod.training.report import Reporter
 
@@ -51,8 +64,9 @@ class Eval:
             torch.set_num_threads(threads)
         if not self.checkpoint:
             raise _core.ConfigError("--checkpoint names no file; pass one model_<n>.pt or more")
+        checkpoints = [bundled.resolve(checkpoint) for checkpoint in self.checkpoint]
         evaluations = evaluate_checkpoints(
-            self.checkpoint,
+            checkpoints,
             task=self.task,
             robots=names(self.robots),
             num_envs=self.num_envs,
@@ -66,7 +80,7 @@ class Eval:
         )
         summary = summarize(evaluations)
         reporter = Reporter()
-        for checkpoint, evaluation in zip(self.checkpoint, evaluations, strict=True):
+        for checkpoint, evaluation in zip(checkpoints, evaluations, strict=True):
             if len(evaluations) > 1:
                 reporter.message(str(checkpoint))
             reporter.evaluation(evaluation)

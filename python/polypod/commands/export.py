@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import RobotNames, arg, names
+from polypod.commands.arguments import RobotNames, arg, check_names, names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Export:
     """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where to. Default: exported/ beside the checkpoint."""
     robots: RobotNames = None
@@ -22,15 +22,19 @@ class Export:
     fold: bool = False
     """The same for all robots that the policy was trained on."""
     formats: Annotated[tuple[Literal["onnx", "torchscript"], ...], arg(metavar="FORMAT")] = ("onnx", "torchscript")
-    """Kinds of files."""
+    """Kinds of files to write."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(None, names(self.robots))
+        from polypod import bundled
         from polypod.export import export_checkpoint
 
         if not self.formats:
             raise _core.ConfigError("--formats names none; choose onnx, torchscript or both")
-        done = export_checkpoint(self.checkpoint, self.out, names(self.robots), fold=self.fold, formats=self.formats)
+        done = export_checkpoint(
+            bundled.resolve(self.checkpoint), self.out, names(self.robots), fold=self.fold, formats=self.formats
+        )
         for change in done.changes:
             print(f"polypod: warning: {change}", file=sys.stderr)
         for file in done.files:

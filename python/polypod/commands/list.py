@@ -1,23 +1,63 @@
 """`polypod list`."""
 
 import dataclasses
+import json
 import sys
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
 
-from polypod import _core
+import tyro
+
+from polypod import _core, bundled
+
+Kind = Literal["all", "tasks", "robots", "policies"]
+Task = Mapping[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
 class List:
-    """List the tasks and the robots."""
+    """List the tasks, the robots and the bundled policies."""
+
+    kind: Annotated[Kind, tyro.conf.Positional] = "all"
+    """What to list. `tasks` also lists the tasks that are made for one robot."""
+    json: bool = False
+    """As JSON."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
-        print("tasks")
-        for task in _core.tasks():
-            print(f"  {task['name']:<40} {', '.join(task['aliases'])}")
-        print("robots")
-        for robot in _core.robots():
-            print(f"  {robot['name']:<40} {robot['title']}")
+        kinds: dict[str, Any] = {"tasks": _core.tasks, "robots": _core.robots, "policies": _policies}
+        listed = {name: entries() for name, entries in kinds.items() if self.kind in ("all", name)}
+        if self.json:
+            print(json.dumps(listed, indent=2))
+        else:
+            self._print(listed)
         for problem in _core.broken_configs():
             print(f"polypod: warning: {problem}", file=sys.stderr)
         return 0
+
+    def _print(self, listed: dict[str, Any]) -> None:
+        if "tasks" in listed:
+            own, made = _split(listed["tasks"])
+            print("tasks")
+            for task in own if self.kind == "all" else listed["tasks"]:
+                print(f"  {task['name']:<44} {', '.join(task['aliases'])}".rstrip())
+            if made and self.kind == "all":
+                print(f"  and {len(made)} for one robot alone, such as {made[0]['name']}:")
+                print("  polypod list tasks")
+        if "robots" in listed:
+            print("robots")
+            for robot in listed["robots"]:
+                print(f"  {robot['name']:<44} {robot['title']}")
+        if "policies" in listed:
+            print("policies")
+            for policy in listed["policies"]:
+                print(f"  {policy['name']:<44} {policy['file']}")
+
+
+def _policies() -> list[dict[str, str]]:
+    return [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.NAMES]
+
+
+def _split(tasks: Sequence[Task]) -> tuple[list[Task], list[Task]]:
+    """Tasks with a file, and those that are made from one of these for a single robot, which have no other name."""
+    return [task for task in tasks if task["aliases"]], [task for task in tasks if not task["aliases"]]

@@ -4,15 +4,25 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
-from polypod.commands.arguments import Count, Name, Overrides, RobotNames, Velocity, arg, checked_threads, names
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    RobotNames,
+    Velocity,
+    arg,
+    check_names,
+    checked_threads,
+    names,
+)
 
 
 @dataclasses.dataclass(frozen=True)
 class Play:
     """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
 
-    checkpoint: Path
-    """A model_<n>.pt beside its manifest.json."""
+    checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None
@@ -30,15 +40,15 @@ class Play:
     video: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write a film: .gif, .webp or .mp4."""
     fps: int = 25
-    """Of the film."""
+    """Frames of the film per second."""
     size: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (640, 360)
-    """Of the film, pixels."""
+    """Width and height of the film, pixels."""
     headless: bool = False
     """Neither browser nor file: only the table of how the robots did."""
     port: int = 8080
-    """Of the browser's page."""
+    """Port of the browser's page; 0 takes a free one."""
     seed: int = 0
-    """Of every random stream."""
+    """Seed of every random stream."""
     threads: Count = None
     """Threads of the simulator. Default: one per core."""
     set: Overrides = ()
@@ -46,12 +56,14 @@ class Play:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        check_names(self.task, names(self.robots))
+        from polypod import bundled
         from polypod.play import session
         from polypod.play.report import show
 
         player = session.play(
             session.Options(
-                checkpoint=self.checkpoint,
+                checkpoint=bundled.resolve(self.checkpoint),
                 robots=names(self.robots),
                 command=self.command,
                 task=self.task,

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, names, write_json
+from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, check_names, names, write_json
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Sim2sim:
     """
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -30,19 +30,20 @@ class Sim2sim:
     dt: Annotated[float | None, arg(metavar="S")] = None
     """MuJoCo's physics step, s. Default: the task's, on terrain 0.002."""
     integrator: Literal["implicitfast", "RK4"] = "implicitfast"
-    """MuJoCo's."""
+    """Integrator of MuJoCo."""
     friction: Annotated[float | None, arg(metavar="MU")] = None
-    """Of the ground in MuJoCo. Default: the task's static friction."""
+    """Friction coefficient of the ground in MuJoCo. Default: the task's static friction."""
     soft_contact: bool = False
     """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
     seed: int = 0
-    """Of initial states, commands and delays."""
+    """Seed of initial states, commands and delays."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
-        from polypod import sim2sim
+        check_names(None, names(self.robots))
+        from polypod import bundled, sim2sim
         from polypod.sim2sim.report import Progress, show
 
         options = sim2sim.Options(
@@ -57,7 +58,7 @@ class Sim2sim:
             overrides=self.set,
         )
         with Progress() as progress:
-            comparison = sim2sim.compare(self.checkpoint, names(self.robots), options, progress)
+            comparison = sim2sim.compare(bundled.resolve(self.checkpoint), names(self.robots), options, progress)
         show(comparison)
         write_json(self.json, comparison.as_dict())
         return 0 if comparison.transfers else 3

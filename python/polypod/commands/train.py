@@ -4,7 +4,18 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, checked_threads, names
+from polypod import _core
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    Robots,
+    arg,
+    check_names,
+    checked_threads,
+    names,
+    positive,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,24 +25,28 @@ class Train:
     task: Name = None
     """Name or alias of the task (`polypod list`). Default: the train config's."""
     num_envs: Count = None
-    """Number of envs, shared out evenly among the robots. Default: the train config's."""
+    """Number of envs, shared out evenly among the robots. Default: the train config's, 4096 of most."""
     robots: Robots = None
     """Names of the robots, with commas between (`polypod list`). Default: the task's."""
     max_iterations: Count = None
     """Learning iterations; with --resume, how many more. Default: the train config's; with --resume, what was left."""
     seed: Count = None
-    """Of every random stream. Default: 42."""
+    """Seed of every random stream. Default: 42."""
     train_config: Name = None
-    """Name of a file in configs/train (flat, flat_universal, quick, rough), or the path of a .toml. Default: flat."""
+    """Name of a file in configs/train (`polypod list`), or the path of a .toml. Default: flat."""
     learner: Literal["auto", "native", "rsl_rl"] | None = None
     """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
     perceptrons on a CPU. A resumed run may go on with the other one."""
-    logger: Literal["tensorboard", "none"] = "tensorboard"
-    """Where the curves go."""
+    logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
+    """Where the curves go. wandb and neptune need their package and account; TensorBoard's files are written too."""
+    log_project: str = "polypod"
+    """Project of wandb or neptune."""
     resume: Annotated[str | None, arg(metavar="RUN")] = None
     """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
     """Begin with the networks of this checkpoint, of a run with the same observation and sizes of networks."""
+    terms: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None
     """Added to the name of the run's directory."""
     log_dir: Path = Path("logs")
@@ -41,28 +56,55 @@ class Train:
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     set: Overrides = ()
-    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0. May be repeated."""
+    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0, or with train. before the key the train
+    config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
+    headless: bool = False
+    """Accepted for scripts of other simulators: trainings open no window."""
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
+    started if there is none. Needs the extra ray."""
+    workers: Count = None
+    """Workers of --ray. Default: one per node. Without Ray, torchrun starts workers: see docs/cluster.md."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
+        if self.resume is None:
+            self._check()
         from polypod.training import session
 
-        return session.train(
-            session.Options(
-                task=self.task,
-                num_envs=self.num_envs,
-                robots=names(self.robots),
-                max_iterations=self.max_iterations,
-                seed=self.seed,
-                train_config=self.train_config,
-                learner=self.learner,
-                logger=self.logger,
-                resume=self.resume,
-                init=self.init,
-                run_name=self.run_name,
-                log_dir=self.log_dir,
-                device=self.device,
-                threads=checked_threads(self.threads, "--threads"),
-                overrides=list(self.set),
-            )
+        options = session.Options(
+            task=self.task,
+            num_envs=self.num_envs,
+            robots=names(self.robots),
+            max_iterations=self.max_iterations,
+            seed=self.seed,
+            train_config=self.train_config,
+            learner=self.learner,
+            logger=self.logger,
+            log_project=self.log_project,
+            resume=self.resume,
+            init=self.init,
+            terms=self.terms,
+            run_name=self.run_name,
+            log_dir=self.log_dir,
+            device=self.device,
+            threads=checked_threads(self.threads, "--threads"),
+            overrides=list(self.set),
         )
+        if self.ray is not None:
+            from polypod.training import on_ray
+
+            return on_ray.train(options, self.ray, positive(self.workers, "--workers"))
+        if self.workers is not None:
+            raise _core.ConfigError(
+                "--workers is of --ray; on one machine use torchrun --nproc-per-node N -m polypod train"
+            )
+        return session.train(options)
+
+    def _check(self) -> None:
+        """Refuses names and keys that do not exist before torch is imported."""
+        from polypod.training import config
+
+        of_task, of_training = config.split_overrides(self.set)
+        run = config.load(self.train_config or config.DEFAULT, of_training).run
+        check_names(self.task or run.task, names(self.robots), of_task)

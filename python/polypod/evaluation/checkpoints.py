@@ -1,26 +1,27 @@
 """Evaluating what trainings left."""
 
 import dataclasses
-import hashlib
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from polypod.evaluation.policies import load_policy
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
-from polypod.training import run_dir
 
 
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
-    """`evaluate` for a checkpoint; task, robots and overrides come from its manifest unless given."""
-    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
+    """`evaluate` for a checkpoint or an ONNX file; task, robots and overrides come from its manifest unless given."""
+    from polypod.policy import load  # it builds on this package
+
+    task = arguments.pop("task", None)
+    policy = load(checkpoint, task, robots)
+    manifest = policy.manifest
     given = list(arguments.pop("overrides", ()))
     evaluation = evaluate(
-        load_policy(state, manifest["policy"]),
-        arguments.pop("task", None) or manifest["task"],
+        policy.runner(),
+        task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
         overrides=[*manifest["overrides"], *given],
         slots=manifest["canonical_joint_names"],
@@ -28,8 +29,8 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
     )
     origin = {
         "file": str(checkpoint),
-        "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
-        "iteration": state.get("iter"),
+        "sha256": policy.sha256,
+        "iteration": policy.iteration,
         "task": manifest["task"],
         "robots": manifest["robots"],
         "seed": manifest.get("seed"),

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 
 from polypod import _core
 from polypod.networks import build_actor
 
 Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
-"""Observations [num_envs, num_obs] to actions [num_envs, num_actions]."""
+"""Observations [num_envs, num_obs] to actions [num_envs, num_actions], as `polypod.policy.Policy.act`."""
 
 
 def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
@@ -39,16 +39,36 @@ def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
 
 def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
     """The deterministic policy of a checkpoint; arguments and errors are those of `load_network`."""
-    network = load_network(checkpoint, model)
+    return NetworkPolicy(load_network(checkpoint, model), model["num_obs"])
 
-    def policy(observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        if observations.shape[1] != model["num_obs"]:
+
+class NetworkPolicy:
+    """The deterministic policy of a network. A recurrent one remembers what it has seen since `reset`."""
+
+    def __init__(self, network: torch.nn.Module, num_obs: int) -> None:
+        """Takes observations of `num_obs` numbers."""
+        self.network, self.num_obs = network, num_obs
+
+    def __call__(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Actions for observations. Raises ConfigError for observations of another size."""
+        if observations.shape[1] != self.num_obs:
             raise _core.ConfigError(
-                f"the policy takes observations of {model['num_obs']} numbers, and the task gives "
+                f"the policy takes observations of {self.num_obs} numbers, and the task gives "
                 f"{observations.shape[1]}; use the task that it was trained on"
             )
         with torch.inference_mode():
             batch = TensorDict({"policy": torch.from_numpy(observations)}, batch_size=[len(observations)])
-            return network(batch).numpy()
+            actions: npt.NDArray[np.float32] = self.network(batch).numpy()
+            return actions
 
-    return policy
+    def reset(self, ends: npt.NDArray[np.bool_] | None = None) -> None:
+        """Forgets what the envs of the mask have seen, [num_envs]; None: all, of whatever number."""
+        if isinstance(self.network, RNNModel):
+            with torch.inference_mode():
+                self.network.reset(None if ends is None else torch.from_numpy(ends.astype(np.int64)))
+
+
+def reset(policy: Policy, ends: npt.NDArray[np.bool_] | None = None) -> None:
+    """Tells a policy that remembers of episodes that have ended; others are left alone."""
+    if hasattr(policy, "reset"):
+        policy.reset(ends)

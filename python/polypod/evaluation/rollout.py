@@ -10,7 +10,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import measures
-from polypod.evaluation.policies import Policy
+from polypod.evaluation.policies import Policy, reset
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.registration import num_robots
 
@@ -130,6 +130,7 @@ def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measur
     """Sums over each env's first episode of what `measures.of_step` gives."""
     sums: dict[str, measures.Array] = {}
     running = np.ones(sim.num_envs, dtype=np.bool_)
+    reset(policy)
     for _ in range(length):
         sim.step(policy(sim.observation))
         for key, value in measures.of_step(sim).items():
@@ -140,6 +141,7 @@ def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measur
             break
         if done.any():
             sim.reset(mask=done)
+            reset(policy, done)
     return sums
 
 

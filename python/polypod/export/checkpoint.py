@@ -9,18 +9,18 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.evaluation import load_network
-from polypod.export import onnx_graph
+from polypod.export import metadata, onnx_graph
 from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
-from polypod.observation import Term
-from polypod.training import run_dir
+from polypod.networks.onnx_network import OnnxNetwork
+from polypod.observation import Term, check_memory
+from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
 
 Format = Literal["onnx", "torchscript"]
 
@@ -52,7 +52,7 @@ def export_checkpoint(
     """Writes the policy of a checkpoint, and one graph per robot where robots are named or `fold` is set.
 
     Args:
-        checkpoint: a `model_<n>.pt` beside its manifest.
+        checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
         out: the directory; None: `exported` beside the checkpoint.
         robots: names or paths of configs to fold the policy for, also of robots that it was not trained on.
         fold: fold for all robots of the training, where `robots` are not named.
@@ -62,14 +62,21 @@ def export_checkpoint(
         ConfigError: for a checkpoint, robot or directory that cannot be used, and where a package is missing.
         PolypodError: for a graph that does not compute what the checkpoint does.
     """
-    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    network = load_network(state, manifest["policy"])
+    policy = load(checkpoint)
+    manifest = policy.manifest
+    if isinstance(policy.network, RNNModel):
+        raise _core.ConfigError(
+            f"{checkpoint} is recurrent, which this version does not export; distil it into a perceptron with "
+            "history_length, or use rsl_rl's own exporter"
+        )
+    if isinstance(policy.network, OnnxNetwork) and "torchscript" in formats:
+        raise _core.ConfigError(f"{checkpoint} is an ONNX file, of which no TorchScript is made; use --formats onnx")
     known = interfaces(manifest)
     asked = known if robots is None and fold else {}
     if robots is not None:
         asked = interfaces(manifest, robots)
     out = checkpoint.parent / FOLDER if out is None else out
-    writer = _Writer(checkpoint, state, manifest, network, out, formats)
+    writer = _Writer(policy, out, formats)
     try:
         writer.write_policy(known | asked)
         for robot in asked.values():
@@ -82,24 +89,23 @@ def export_checkpoint(
 class _Writer:
     def __init__(
         self,
-        checkpoint: Path,
-        state: dict[str, Any],
-        manifest: dict[str, Any],
-        network: MLPModel,
+        policy: LoadedPolicy,
         out: Path,
         formats: Sequence[Format],
     ) -> None:
-        self.manifest, self.network, self.out, self.formats = manifest, network, out, formats
+        manifest = policy.manifest
+        self.manifest, self.network, self.out, self.formats = manifest, policy.network, out, formats
         self.terms: tuple[Term, ...] = ()
         self.scan_points: list[list[float]] = []
         self.files: list[Path] = []
         self.sums: dict[str, str] = {}
         self.difference = 0.0
         self.origin = {
-            "file": checkpoint.name,
-            "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
-            "iteration": state.get("iter"),
+            "file": policy.file.name,
+            "sha256": policy.sha256,
+            "iteration": policy.iteration,
         }
+        self.run_path = str(policy.file)
         self.num_obs = manifest["policy"]["num_obs"]
         self.num_actions = manifest["policy"]["num_actions"]
 
@@ -111,7 +117,10 @@ class _Writer:
         module = self.network.as_jit()
         sizes = {"obs": self.num_obs}
         if "onnx" in self.formats:
-            model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, self._metadata("policy"))
+            # gains and poses are one robot's: of several, each graph that is folded for one says its own
+            alone = any_robot if len(robots) == 1 else None
+            described = self._metadata("policy", alone)
+            model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, described)
             self._write_onnx("policy", model, module, sizes, ["actions"])
         if "torchscript" in self.formats:
             self._write_torchscript("policy", module, sizes)
@@ -128,11 +137,12 @@ class _Writer:
 
     def write_robot(self, robot: RobotInterface) -> None:
         """The graph folded for one robot, with a manifest about it."""
+        check_memory(robot.terms, "a graph that is folded for a robot has")
         name = f"policy_{robot.name}"
         module = RobotPolicy(self.network, robot).eval()
         sizes, outputs = robot.inputs(), {"joint_pos_target": len(robot.joint_names), "actions": self.num_actions}
         if "onnx" in self.formats:
-            model = onnx_graph.robot_model(self.network, robot, self._metadata(name))
+            model = onnx_graph.robot_model(self.network, robot, self._metadata(name, robot))
             self._write_onnx(name, model, module, sizes, list(outputs))
         if "torchscript" in self.formats:
             self._write_torchscript(name, module, sizes)
@@ -177,7 +187,7 @@ class _Writer:
             place = {"term": term.term, "size": term.size, "start": start}
             layout.append({**place, **dataclasses.asdict(term.treatment)})
             start += term.size
-        normalizer = self.network.obs_normalizer
+        normalizer: Any = self.network.obs_normalizer
         normalized = isinstance(normalizer, EmpiricalNormalization)
         manifest = {
             "format": 1,
@@ -214,12 +224,14 @@ class _Writer:
             "morphology": [float(x) for value in robot.constants.values() for x in value],
         }
 
-    def _metadata(self, name: str) -> dict[str, str]:
+    def _metadata(self, name: str, robot: RobotInterface | None = None) -> dict[str, str]:
         return {
+            METADATA: json.dumps(onnx_manifest(self.manifest)),
             "name": name,
             "task": self.manifest["task"],
             "checkpoint_sha256": self.origin["sha256"],
-            "step_dt": str(self.manifest["step_dt"]),
+            **metadata.of_observation(self.terms, self.run_path, self.manifest["step_dt"]),
+            **({} if robot is None else metadata.of_robot(robot)),
         }
 
 

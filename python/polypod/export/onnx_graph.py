@@ -19,6 +19,7 @@ from polypod.export import sources
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
 from polypod.extras import package
 from polypod.networks import JointNetwork
+from polypod.networks.onnx_network import OnnxNetwork
 from polypod.observation import Treatment
 
 OPSET = 17
@@ -36,6 +37,8 @@ class Graph:
         self.name = name
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
+        self.opsets = {"": OPSET}
+        self.ir_version = IR_VERSION
 
     def constant(self, name: str, value: npt.NDArray[Any]) -> str:
         """Stores an array."""
@@ -46,6 +49,23 @@ class Graph:
         """Adds a node."""
         self.nodes.append(self.onnx.helper.make_node(operator, list(inputs), [output], name=output, **attributes))
         return output
+
+    def inline(self, network: OnnxNetwork, source: str, target: str) -> None:
+        """Adds the graph of an ONNX file from tensor `source` to tensor `target`, its other names behind `network_`."""
+        model = self.onnx.load_model_from_string(network.data)
+        self.opsets |= {entry.domain.removeprefix("ai.onnx"): entry.version for entry in model.opset_import}
+        if self.opsets[""] < OPSET:
+            raise _core.ConfigError(
+                f"{network.name} has operators of version {self.opsets['']}; write it with {OPSET} or later"
+            )
+        self.ir_version = max(model.ir_version, self.ir_version)
+        names = {network.input: source, network.output: target}
+        inner = self.onnx.compose.add_prefix_graph(model.graph, "network_", rename_inputs=False, rename_outputs=False)
+        for node in inner.node:
+            node.input[:] = [names.get(name, name) for name in node.input]
+            node.output[:] = [names.get(name, name) for name in node.output]
+        self.nodes += list(inner.node)
+        self.constants += list(inner.initializer)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int], metadata: Mapping[str, str]) -> Any:
         """The checked model; inputs and outputs are float32 [batch, size]."""
@@ -62,8 +82,8 @@ class Graph:
         graph = helper.make_graph(self.nodes, self.name, tensors(inputs), tensors(outputs), self.constants)
         model = helper.make_model(
             graph,
-            opset_imports=[helper.make_opsetid("", OPSET)],
-            ir_version=IR_VERSION,
+            opset_imports=[helper.make_opsetid(domain, version) for domain, version in self.opsets.items()],
+            ir_version=self.ir_version,
             producer_name="polypod",
             producer_version=_core.__version__,
         )
@@ -72,14 +92,14 @@ class Graph:
         return model
 
 
-def network_model(network: MLPModel, num_obs: int, num_actions: int, metadata: Mapping[str, str]) -> Any:
+def network_model(network: MLPModel | OnnxNetwork, num_obs: int, num_actions: int, metadata: Mapping[str, str]) -> Any:
     """The network alone: `obs` [batch, num_obs] to `actions` [batch, num_actions]."""
     graph = Graph("policy")
     _add_network(graph, network, "obs", "actions")
     return graph.model({"obs": num_obs}, {"actions": num_actions}, metadata)
 
 
-def robot_model(network: MLPModel, robot: RobotInterface, metadata: Mapping[str, str]) -> Any:
+def robot_model(network: MLPModel | OnnxNetwork, robot: RobotInterface, metadata: Mapping[str, str]) -> Any:
     """The network folded for a robot: see `polypod.export.robot` for inputs and outputs."""
     graph = Graph(f"policy_{robot.name}")
     inputs = robot.inputs()
@@ -171,8 +191,11 @@ def _add_treatment(graph: Graph, treatment: Treatment, source: str, term: str) -
     return value
 
 
-def _add_network(graph: Graph, network: MLPModel, source: str, target: str) -> None:
+def _add_network(graph: Graph, network: MLPModel | OnnxNetwork, source: str, target: str) -> None:
     """Adds the deterministic network from tensor `source` to tensor `target`."""
+    if isinstance(network, OnnxNetwork):
+        graph.inline(network, source, target)
+        return
     value = source
     if isinstance(network.obs_normalizer, EmpiricalNormalization):
         normalizer = network.obs_normalizer

@@ -8,6 +8,7 @@ from rsl_rl.models import MLPModel
 
 from polypod.export import sources
 from polypod.export.robot import RobotInterface
+from polypod.networks.onnx_network import OnnxNetwork
 from polypod.observation import Treatment
 
 
@@ -21,7 +22,7 @@ class RobotPolicy(torch.nn.Module):
     gather: torch.Tensor
     mask: torch.Tensor
 
-    def __init__(self, network: MLPModel, robot: RobotInterface) -> None:
+    def __init__(self, network: MLPModel | OnnxNetwork, robot: RobotInterface) -> None:
         """Takes over a copy of the network."""
         super().__init__()
         self.network = network.as_jit()

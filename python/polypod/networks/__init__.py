@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 
 from polypod import _core
@@ -23,7 +23,11 @@ __all__ = [
     "build_actor",
 ]
 
-NETWORKS: dict[str, type[MLPModel]] = {"MLPModel": MLPModel, "polypod.networks:UrmaModel": UrmaModel}
+NETWORKS: dict[str, type[MLPModel]] = {
+    "MLPModel": MLPModel,
+    "RNNModel": RNNModel,
+    "polypod.networks:UrmaModel": UrmaModel,
+}
 """By the class names of train configs and manifests, in which a masked perceptron is a `MLPModel`."""
 
 

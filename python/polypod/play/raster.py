@@ -12,7 +12,7 @@ from polypod.extras import package
 from polypod.play import relief
 from polypod.play.camera import NEAR, Camera, Lens
 from polypod.play.mesh import Array, Mesh, lit
-from polypod.play.player import Frame, Player, RobotFrame, arrow
+from polypod.play.scene import Frame, RobotFrame, Scene, arrow
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -50,42 +50,42 @@ FORCE_LENGTH = 0.35
 """Of an arrow for a force like the robot's weight, m."""
 
 
-def follow(player: Player, frame: Frame, size: tuple[int, int]) -> Camera:
+def follow(scene: Scene, frame: Frame, size: tuple[int, int]) -> Camera:
     """A camera that looks at all robots from their front left, as near as shows them all."""
     places = np.array([robot.position[0] for robot in frame.robots])
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     # wide enough for the whole row and a robot's length on either side
-    across = float(np.ptp(player.places[:, 1])) + 1.5
+    across = float(np.ptp(scene.places[:, 1])) + 1.5
     aspect = size[0] / size[1]
     distance = 0.55 * across / (aspect * np.tan(np.radians(0.5 * Camera.field_of_view))) + 0.8
     return _camera((float(middle[0]), float(middle[1]), 0.3), distance, (0.92, 0.20, 0.36))
 
 
-def follow_one(player: Player, robot: RobotFrame, size: tuple[int, int]) -> Camera:
+def follow_one(scene: Scene, robot: RobotFrame, size: tuple[int, int]) -> Camera:
     """A camera that looks at one robot from its front left and above, over whatever ground is between."""
     wide = min(1.0, size[0] / size[1])
-    distance = 0.5 * CLOSE_UP * player.reach[robot.name] / (wide * np.tan(np.radians(0.5 * Camera.field_of_view)))
+    distance = 0.5 * CLOSE_UP * scene.reach[robot.name] / (wide * np.tan(np.radians(0.5 * Camera.field_of_view)))
     x, y, z = (float(value) for value in robot.position[0])
-    if player.ground is None:
+    if scene.ground is None:
         return _camera((x, y, z), distance, CLOSE_UP_FROM)
     # the mean around each point of the line of sight, so that the picture does not jump at a step
     sight = np.linspace(0.0, 1.0, 7)[:, None] * distance * np.array(CLOSE_UP_FROM[:2])
     offsets = np.linspace(-0.6, 0.6, 7)
     around = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
-    heights = player.ground.heights(np.array([x, y]) + sight[:, None, :] + around).mean(axis=1)
+    heights = scene.ground.heights(np.array([x, y]) + sight[:, None, :] + around).mean(axis=1)
     z = float(heights[0]) + 0.3
     rise = max(CLOSE_UP_FROM[2], float(((heights[1:] + 0.3 - z) / np.linalg.norm(sight[1:], axis=1)).max()) + 0.1)
     return _camera((x, y, z), distance, (*CLOSE_UP_FROM[:2], rise))
 
 
-def picture(player: Player, frame: Frame, size: tuple[int, int] = (640, 360)) -> "Image":
+def picture(scene: Scene, frame: Frame, size: tuple[int, int] = (640, 360)) -> "Image":
     """What a film shows of a frame: all robots in a row or, on terrain, each from nearby in a field of its own.
 
     Raises:
         ConfigError: where Pillow is missing.
     """
-    if player.ground is None:
-        return render(player, frame, follow(player, frame, size), size)
+    if scene.ground is None:
+        return render(scene, frame, follow(scene, frame, size), size)
     image = package("PIL.Image", "drawing pictures", "play")
     whole: Image = image.new("RGB", size, TEXT)
     columns, rows = fields(len(frame.robots), size)
@@ -96,7 +96,7 @@ def picture(player: Player, frame: Frame, size: tuple[int, int] = (640, 360)) ->
         shown = blank
         if index < len(frame.robots):
             robot = frame.robots[index]
-            shown = render(player, frame, follow_one(player, robot, field), field, caption=_caption(robot))
+            shown = render(scene, frame, follow_one(scene, robot, field), field, caption=_caption(robot))
         whole.paste(shown, (index % columns * (field[0] + 1), index // columns * (field[1] + 1)))
     return whole
 
@@ -113,7 +113,7 @@ def fields(count: int, size: tuple[int, int]) -> tuple[int, int]:
 
 
 def render(
-    player: Player, frame: Frame, camera: Camera, size: tuple[int, int] = (640, 360), *, caption: str | None = None
+    scene: Scene, frame: Frame, camera: Camera, size: tuple[int, int] = (640, 360), *, caption: str | None = None
 ) -> "Image":
     """The picture of a frame, RGB; on terrain of what is near the camera's target.
 
@@ -125,16 +125,16 @@ def render(
     canvas = _Canvas(camera, size)
     robots = frame.robots
     solids: list[tuple[Mesh, Color]] = []
-    if player.ground is not None:
+    if scene.ground is not None:
         away = [np.linalg.norm(robot.position[0][:2] - camera.target[:2]) for robot in robots]
         robots = [robot for robot, distance in zip(robots, away, strict=True) if distance < relief.RADIUS]
-    for place in player.obstacle_places(frame):
-        solids += [(part.moved(place, (1.0, 0.0, 0.0, 0.0)), OBSTACLE) for part in player.obstacles]
+    for place in scene.obstacle_places(frame):
+        solids += [(part.moved(place, (1.0, 0.0, 0.0, 0.0)), OBSTACLE) for part in scene.obstacles]
     for robot in robots:
-        for part in player.parts[robot.name]:
+        for part in scene.parts[robot.name]:
             placed = part.mesh.moved(robot.position[part.link], robot.quaternion[part.link])
             solids.append((placed, COLORS[part.group]))
-    if player.ground is None:
+    if scene.ground is None:
         _draw_ground(canvas, camera)
         for solid, _ in solids:
             canvas.shadow(solid)
@@ -142,7 +142,7 @@ def render(
             canvas.solid(solid, color)
     else:
         middles = [robot.position[0] for robot in robots]
-        canvas.paint(relief.picture(canvas.lens, player.ground, camera.target, solids, middles, LIGHT, SKY))
+        canvas.paint(relief.picture(canvas.lens, scene.ground, camera.target, solids, middles, LIGHT, SKY))
     for robot in robots:
         for point, force in robot.forces:
             canvas.line(point, point + FORCE_LENGTH * force / robot.weight, FORCE)
@@ -157,7 +157,7 @@ def render(
         return canvas.image()
     for robot in robots:
         x, y, _ = robot.position[0]
-        height = 0.0 if player.ground is None else float(player.ground.heights(np.array([x, y])))
+        height = 0.0 if scene.ground is None else float(scene.ground.heights(np.array([x, y])))
         canvas.text(np.array([x, y, height]), robot.name)
     return canvas.image()
 

@@ -10,8 +10,9 @@ from polypod import _core
 from polypod.extras import package
 from polypod.files import write_bytes
 from polypod.play.ground import Ground
-from polypod.play.player import Frame, Player, RobotFrame
+from polypod.play.player import Player
 from polypod.play.raster import COLORS, COMMAND, FORCE, FORCE_LENGTH, OBSTACLE
+from polypod.play.scene import Frame, RobotFrame
 
 Array = npt.NDArray[np.float64]
 

@@ -1,6 +1,5 @@
 """What a user of `polypod sim2sim` sees: progress, and a table with both simulators side by side."""
 
-import sys
 from types import TracebackType
 
 from rich.console import Console
@@ -8,7 +7,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rich.progress import Progress as Bars
 
 from polypod.sim2sim.run import MAX_FALL_RATE, MAX_VELOCITY_DIFFERENCE, Comparison
-from polypod.training.report import table_of
+from polypod.tables import Rows, console_of_output
 
 
 class Progress:
@@ -45,7 +44,7 @@ class Progress:
 
 def show(comparison: Comparison) -> None:
     """Prints the figures."""
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console = console_of_output()
     physics = comparison.physics
     console.print(
         f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
@@ -54,7 +53,7 @@ def show(comparison: Comparison) -> None:
         markup=False,
     )
     columns = ("err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
-    table = table_of("robot", *columns)
+    table = Rows("robot", *columns)
     for name, robot in comparison.robots.items():
         ours, theirs = robot.polypod, robot.mujoco
         table.add_row(
@@ -67,7 +66,7 @@ def show(comparison: Comparison) -> None:
             f"{theirs.fall_rate:.1%}",
             "yes" if robot.transfers else "no",
         )
-    console.print(table)
+    table.print(console)
     if not comparison.transfers:
         console.print(
             f"transfers: falls at most {MAX_FALL_RATE:.0%} in MuJoCo, err xy at most {MAX_VELOCITY_DIFFERENCE:g} m/s "

@@ -10,20 +10,21 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rsl_rl.models import RNNModel
 
 from polypod import _core
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
-from polypod.evaluation import Policy, load_network, load_policy, play_task
+from polypod.evaluation import Policy, play_task
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.observation import terms_of
+from polypod.observation import check_memory, terms_of
+from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
 from polypod.sim2sim.twin import Observed, Physics, Twin
-from polypod.training import run_dir
 
 MAX_FALL_RATE = 0.05
 """Of a policy that is taken to transfer."""
@@ -129,7 +130,7 @@ def compare(
     once, and a heading is held by the same controller from each simulator's own heading.
 
     Args:
-        checkpoint: a `model_<n>.pt` beside its manifest.
+        checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
         robots: names or paths of configs; None: those that the policy was trained on.
         options: see `Options`.
         progress: told how far the run is.
@@ -147,16 +148,20 @@ def compare(
             raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
     if options.command is not None and not all(math.isfinite(value) for value in options.command):
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
-    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    network = load_network(state, manifest["policy"])
+    loaded = load(checkpoint)
+    network, manifest = loaded.network, loaded.manifest
+    if isinstance(network, RNNModel):
+        raise _core.ConfigError(f"{checkpoint} is recurrent, which sim2sim does not run; use polypod eval")
     sources = list(manifest["robot_sources"] if robots is None else robots)
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
+    for interface in known.values():
+        check_memory(interface.terms, "sim2sim runs policies of")
     episode = _Episode(manifest, sources, options)
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
     when = measured()
-    in_polypod = _run_polypod(episode, load_policy(state, manifest["policy"]), progress)
+    in_polypod = _run_polypod(episode, loaded.runner(), progress)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         model = onnx_graph.robot_model(network, interface, {})

@@ -3,17 +3,23 @@
 import contextlib
 import dataclasses
 import difflib
+import json
 import types
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_origin
 
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.files import read_bytes
-from polypod.observation import layout_of, terms_of
+from polypod.observation import check_memory, layout_of, terms_of
 from polypod.training.manifest import MAX_LAYER, Activation, check_size
+from polypod.training.manifest import read as read_manifest
 
+DEFAULT = "flat"
+"""Name of the train config that trainings use by default."""
+OVERRIDE = "train."
+"""What a `--set` begins with that changes the train config instead of the task."""
 MAX_BYTES = 1 << 20
 """Of a train config."""
 MAX_EXTENDS = 100
@@ -24,9 +30,12 @@ OBSERVATION_GROUP = "policy"
 ALTERNATE = "alternate"
 """Symmetry that learns from each sample or its mirror image, in turn from epoch to epoch."""
 LEARNERS = ("auto", "native", "rsl_rl")
+RNN_TYPES = ("lstm", "gru")
+LOSSES = ("mse", "huber")
 NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 
 MLP = "MLPModel"
+RNN = "RNNModel"
 URMA = "polypod.networks:UrmaModel"
 ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
 MASKED_MLP = "polypod.networks:MaskedMLPModel"
@@ -85,7 +94,7 @@ class AnnealConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CriticConfig:
-    """`[critic]`: a multi-layer perceptron, or a network of joints, which has two sizes of its own."""
+    """`[critic]`: a multi-layer perceptron, a recurrent network, or a network of joints."""
 
     class_name: str = MLP
     hidden_dims: list[int]
@@ -93,6 +102,9 @@ class CriticConfig:
     obs_normalization: bool
     joint_dim: int | None = None
     num_heads: int | None = None
+    rnn_type: str | None = None
+    rnn_hidden_dim: int | None = None
+    rnn_num_layers: int | None = None
 
     def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
         """The network's constructor arguments, with the class names that rsl_rl resolves.
@@ -104,13 +116,15 @@ class CriticConfig:
             ConfigError: for a network of joints without `sim`.
         """
         network = {key: value for key, value in dataclasses.asdict(self).items() if value is not None}
-        if self.class_name == MLP:
+        if self.class_name != URMA:
             return network
         if sim is None:
             raise _core.ConfigError(
                 f"{self.class_name} is made for the joints of an env: call rsl_rl_cfg(env.sim) of the train config"
             )
-        layout = layout_of(terms_of(sim))
+        terms = terms_of(sim)
+        check_memory(terms, f"{self.class_name} takes")
+        layout = layout_of(terms)
         return {**network, "observation_layout": layout, "joint_names": sim.canonical_joint_names}
 
 
@@ -137,6 +151,44 @@ class Goals(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
+class ObsGroupsConfig:
+    """`[obs_groups]`: which of the task's observation groups each network sees, side by side, in rsl_rl's words."""
+
+    actor: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
+    critic: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
+    rnd_state: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
+    teacher: list[str] = dataclasses.field(default_factory=lambda: ["teacher"])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RndConfig:
+    """`[rnd]`: random network distillation, a reward for observations that are new, in rsl_rl's words."""
+
+    weight: float
+    num_outputs: int = 1
+    predictor_hidden_dims: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
+    target_hidden_dims: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
+    activation: str = "elu"
+    state_normalization: bool = True
+    reward_normalization: bool = True
+    learning_rate: float = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DistillationConfig:
+    """`[distillation]`: `[actor]` learns to act as a teacher does, in place of PPO.
+
+    Of `[algorithm]`, `num_learning_epochs`, `learning_rate` and `max_grad_norm` count.
+    """
+
+    teacher: str
+    """A model_<n>.pt beside its manifest.json."""
+    gradient_length: int = 15
+    """Control steps between two steps of the optimiser."""
+    loss_type: str = "mse"
+
+
+@dataclasses.dataclass(frozen=True)
 class TrainConfig:
     """One train config, complete."""
 
@@ -145,6 +197,9 @@ class TrainConfig:
     actor: ActorConfig
     critic: CriticConfig
     anneal: AnnealConfig | None = None
+    obs_groups: ObsGroupsConfig = dataclasses.field(default_factory=ObsGroupsConfig)
+    rnd: RndConfig | None = None
+    distillation: DistillationConfig | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The config as it would stand in its file."""
@@ -167,6 +222,13 @@ class TrainConfig:
         """The config with other values in `[run]`; None leaves a value alone."""
         given = {key: value for key, value in values.items() if value is not None}
         return parse({**self.as_dict(), "run": {**dataclasses.asdict(self.run), **given}}, "the command line")
+
+    def with_teacher_located(self) -> "TrainConfig":
+        """The config with the absolute path of its teacher, so that a run goes on from any directory."""
+        if self.distillation is None:
+            return self
+        teacher = str(Path(self.distillation.teacher).resolve())
+        return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
         """The config with "auto" decided for this machine, so that a resumed run computes in the same way."""
@@ -201,6 +263,13 @@ class TrainConfig:
         """What keeps the native learner from this config."""
         if device_type != "cpu":
             return f"runs on the CPU, not on {device_type}"
+        if self.rnd is not None:
+            return "has no random network distillation, and the train config has [rnd]"
+        if self.distillation is not None:
+            return "does not distil, and the train config has [distillation]"
+        for name in ("actor", "critic"):
+            if (groups := getattr(self.obs_groups, name)) != [OBSERVATION_GROUP]:
+                return f"sees the observation group {OBSERVATION_GROUP}, and {name} sees {', '.join(groups)}"
         for section, network in (("actor", self.actor), ("critic", self.critic)):
             if network.class_name != MLP:
                 return f"learns perceptrons, and [{section}] is a {network.class_name}"
@@ -230,6 +299,14 @@ class TrainConfig:
         """The configuration that rsl_rl's runner reads; arguments and errors are those of `CriticConfig.model_cfg`."""
         algorithm = dataclasses.asdict(self.algorithm)
         algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
+        if self.distillation is not None:
+            return self._distillation_cfg(algorithm, sim)
+        groups = dataclasses.asdict(self.obs_groups)
+        del groups["teacher"]
+        if self.rnd is None:
+            del groups["rnd_state"]
+        else:
+            algorithm["rnd_cfg"] = dataclasses.asdict(self.rnd)
         return {
             "num_steps_per_env": self.run.num_steps_per_env,
             "save_interval": self.run.save_interval,
@@ -237,15 +314,45 @@ class TrainConfig:
             "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
             "normalize_advantage_per_robot": self.run.normalize_advantage_per_robot,
             "symmetry": self.run.symmetry,
-            "obs_groups": {"actor": [OBSERVATION_GROUP], "critic": [OBSERVATION_GROUP]},
+            "obs_groups": groups,
             "algorithm": {"class_name": "PPO", **algorithm},
-            "actor": _masked(self.actor.model_cfg(sim), sim),
-            "critic": _masked(self.critic.model_cfg(sim), sim),
+            "actor": _masked(self.actor.model_cfg(sim), sim, self.obs_groups.actor),
+            "critic": _masked(self.critic.model_cfg(sim), sim, self.obs_groups.critic),
+            "check_for_nan": True,
+        }
+
+    def _distillation_cfg(self, algorithm: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
+        assert self.distillation is not None
+        if sim is not None and not sim.action_mask.all():
+            raise _core.ConfigError(
+                f"[distillation] is for bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
+                "distil for robots of one kind"
+            )
+        teacher = dict(read_manifest(Path(self.distillation.teacher).parent / "manifest.json")["policy"])
+        for key in ("num_obs", "num_actions"):
+            del teacher[key]
+        own = ("num_learning_epochs", "learning_rate", "max_grad_norm", "use_mixed_precision")
+        return {
+            "num_steps_per_env": self.run.num_steps_per_env,
+            "save_interval": self.run.save_interval,
+            "max_iterations": self.run.max_iterations,
+            "normalize_reward_per_robot": False,
+            "normalize_advantage_per_robot": False,
+            "symmetry": False,
+            "obs_groups": {"student": self.obs_groups.actor, "teacher": self.obs_groups.teacher},
+            "algorithm": {
+                "class_name": "Distillation",
+                **{key: algorithm[key] for key in own},
+                "gradient_length": self.distillation.gradient_length,
+                "loss_type": self.distillation.loss_type,
+            },
+            "student": self.actor.model_cfg(sim),
+            "teacher": teacher,
             "check_for_nan": True,
         }
 
 
-def _masked(model: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
+def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
     if sim is None or sim.action_mask.all():
         return model
@@ -255,7 +362,7 @@ def _masked(model: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
             f'use class_name = "{MLP}"'
         )
     joint_of_number: list[int] = []
-    for term in terms_of(sim):
+    for term in (term for group in groups for term in terms_of(sim, group)):
         per_joint = term.kind == "per_joint"
         joint_of_number += [index % sim.num_actions if per_joint else -1 for index in range(term.size)]
     masked = {**model, "class_name": MASKED_MLP, "joint_of_number": joint_of_number}
@@ -264,32 +371,55 @@ def _masked(model: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
     return masked
 
 
-def load(name: str) -> TrainConfig:
-    """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
-
-    `extends` is a name, a path relative to the file, or a list of them, of which the later ones win. A file may extend
-    the one of the same name that it hides.
-
-    Raises:
-        ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
-    """
-    return parse(_load_tables(name), name)
+def split_overrides(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The overrides of the task, and those of the train config without their `train.`."""
+    of_training = [text.removeprefix(OVERRIDE) for text in overrides if text.startswith(OVERRIDE)]
+    return [text for text in overrides if not text.startswith(OVERRIDE)], of_training
 
 
-_SECTIONS = {
+SECTIONS: dict[str, Any] = {
     "run": RunConfig,
     "algorithm": AlgorithmConfig,
     "actor": ActorConfig,
     "critic": CriticConfig,
     "anneal": AnnealConfig,
+    "obs_groups": ObsGroupsConfig,
+    "rnd": RndConfig,
+    "distillation": DistillationConfig,
 }
+"""Tables of a train config and what is read of each."""
+OPTIONAL_SECTIONS = ("anneal", "obs_groups", "rnd", "distillation")
+
+
+def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
+    """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
+
+    `extends` is a name, a path relative to the file, or a list of them, of which the later ones win. A file may extend
+    the one of the same name that it hides.
+
+    Args:
+        name: the name or the path.
+        overrides: `key=value` pairs, the key dotted as in the file, the value in TOML syntax.
+
+    Raises:
+        ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
+    """
+    config = parse(_load_tables(name), name)
+    if not overrides:
+        return config
+    tables = json.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
+    return parse(tables, f"{name} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
 
 
 def parse(tables: dict[str, Any], source: str) -> TrainConfig:
     """Checks `tables` and builds the config; `source` names them in errors. Raises ConfigError."""
-    _check_keys(tables, _SECTIONS, f"{source}: top level", ["anneal"])
+    _check_keys(tables, dict.fromkeys(SECTIONS), f"{source}: top level", OPTIONAL_SECTIONS)
     config = TrainConfig(
-        **{key: _parse_section(_SECTIONS[key], table, f"{source}: [{key}]") for key, table in tables.items()}
+        **{
+            key: _parse_section(type_, tables[key], f"{source}: [{key}]")
+            for key, type_ in SECTIONS.items()
+            if key in tables
+        }
     )
     _check_ranges(config, source)
     return config
@@ -379,7 +509,11 @@ def _parse_section(type_: Any, table: Any, where: str) -> Any:
     if not isinstance(table, dict):
         raise _core.ConfigError(f"{where} must be a table")
     expected = {field.name: field.type for field in dataclasses.fields(type_)}
-    optional = {field.name for field in dataclasses.fields(type_) if field.default is not dataclasses.MISSING}
+    optional = {
+        field.name
+        for field in dataclasses.fields(type_)
+        if field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+    }
     _check_keys(table, expected, where, optional)
     return type_(**{key: _checked(value, expected[key], f"{where} {key}") for key, value in table.items()})
 
@@ -412,6 +546,9 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
     raise _core.ConfigError(f"{where} = {value!r} must be of type {getattr(expected, '__name__', expected)}")
 
 
+MAX_RNN = 4096
+"""Width of a recurrent layer."""
+MAX_RNN_LAYERS = 8
 MAX_SAMPLES = 50_000_000
 """Env-steps of an iteration, some 100 numbers each."""
 _POSITIVE = (
@@ -474,6 +611,8 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         )
     for section, network in (("actor", config.actor), ("critic", config.critic)):
         _check_network(network, f"{source}: [{section}]")
+    _check_groups(config, source)
+    _check_extensions(config, source)
     choices: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
         ("algorithm", "schedule", ("adaptive", "fixed")),
         ("algorithm", "mixed_precision", ("off", "on", "auto")),
@@ -488,8 +627,8 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
 
 
 def _check_network(network: CriticConfig, where: str) -> None:
-    if network.class_name not in (MLP, URMA):
-        raise _core.ConfigError(f"{where} class_name = {network.class_name!r} is not one of {MLP}, {URMA}")
+    if network.class_name not in (MLP, RNN, URMA):
+        raise _core.ConfigError(f"{where} class_name = {network.class_name!r} is not one of {MLP}, {RNN}, {URMA}")
     if not network.hidden_dims or min(network.hidden_dims) < 1:
         raise _core.ConfigError(f"{where} hidden_dims = {network.hidden_dims} must hold sizes of at least 1")
     if max(network.hidden_dims) > MAX_LAYER:
@@ -502,13 +641,80 @@ def _check_network(network: CriticConfig, where: str) -> None:
     check_size([network.joint_dim or 1, network.num_heads or 1], f"{where} joint_dim and num_heads")
     for key in ("joint_dim", "num_heads"):
         size = getattr(network, key)
-        if network.class_name == MLP and size is not None:
+        if network.class_name != URMA and size is not None:
             raise _core.ConfigError(
                 f'{where} {key} is of networks of joints; leave it out or set class_name = "{URMA}"'
             )
         if network.class_name == URMA and (size is None or size < 1):
             raise _core.ConfigError(
                 f"{where} {key} = {size} must be at least 1 for {URMA}; configs/train has an example"
+            )
+
+    for key in ("rnn_type", "rnn_hidden_dim", "rnn_num_layers"):
+        value = getattr(network, key)
+        if network.class_name != RNN and value is not None:
+            raise _core.ConfigError(f'{where} {key} is of recurrent networks; leave it out or set class_name = "{RNN}"')
+        if network.class_name == RNN and value is None:
+            raise _core.ConfigError(
+                f'{where} {key} is missing, which {RNN} needs; write rnn_type = "gru", rnn_hidden_dim = 256, '
+                "rnn_num_layers = 1"
+            )
+    if network.class_name == RNN:
+        if network.rnn_type not in RNN_TYPES:
+            raise _core.ConfigError(f"{where} rnn_type = {network.rnn_type!r} is not one of {', '.join(RNN_TYPES)}")
+        width, layers = network.rnn_hidden_dim or 0, network.rnn_num_layers or 0
+        if not 1 <= width <= MAX_RNN or not 1 <= layers <= MAX_RNN_LAYERS:
+            raise _core.ConfigError(
+                f"{where} rnn_hidden_dim = {width} must be from 1 to {MAX_RNN}, rnn_num_layers = {layers} from 1 to "
+                f"{MAX_RNN_LAYERS}"
+            )
+
+
+def _check_groups(config: TrainConfig, source: str) -> None:
+    for field in dataclasses.fields(config.obs_groups):
+        groups = getattr(config.obs_groups, field.name)
+        if not groups or len(set(groups)) != len(groups):
+            raise _core.ConfigError(f"{source}: [obs_groups] {field.name} = {groups} must name groups, each once")
+    if config.obs_groups.actor != [OBSERVATION_GROUP]:
+        raise _core.ConfigError(
+            f"{source}: [obs_groups] actor = {config.obs_groups.actor}: a policy sees the group {OBSERVATION_GROUP} "
+            "alone, since that is what a robot gives it; add the terms to that group"
+        )
+    for section, network in (("actor", config.actor), ("critic", config.critic)):
+        if network.class_name == URMA and getattr(config.obs_groups, section) != [OBSERVATION_GROUP]:
+            raise _core.ConfigError(
+                f"{source}: [{section}] {URMA} sees the group {OBSERVATION_GROUP} alone; use {MLP} for other groups"
+            )
+
+
+def _check_extensions(config: TrainConfig, source: str) -> None:
+    """What `[rnd]` and `[distillation]` may say."""
+    recurrent = [name for name in ("actor", "critic") if getattr(config, name).class_name == RNN]
+    if recurrent and config.run.symmetry:
+        raise _core.ConfigError(
+            f"{source}: [{recurrent[0]}] is recurrent, and rsl_rl mirrors no sequences; set symmetry = false in [run]"
+        )
+    if (rnd := config.rnd) is not None:
+        check_size([*rnd.predictor_hidden_dims, rnd.num_outputs], f"{source}: [rnd] predictor_hidden_dims")
+        check_size([*rnd.target_hidden_dims, rnd.num_outputs], f"{source}: [rnd] target_hidden_dims")
+        sizes = [*rnd.predictor_hidden_dims, *rnd.target_hidden_dims, rnd.num_outputs]
+        if not 0.0 < rnd.weight <= 1e6 or not 0.0 < rnd.learning_rate <= 1.0 or not 1 <= min(sizes) <= MAX_LAYER:
+            raise _core.ConfigError(f"{source}: [rnd] weight, learning_rate and all sizes must be greater than 0")
+        if rnd.activation not in get_args(Activation):
+            raise _core.ConfigError(
+                f"{source}: [rnd] activation = {rnd.activation!r} is not one of {', '.join(get_args(Activation))}"
+            )
+        if config.distillation is not None:
+            raise _core.ConfigError(f"{source}: [rnd] and [distillation] exclude each other; leave one of them out")
+    if (distillation := config.distillation) is not None:
+        if distillation.loss_type not in LOSSES:
+            raise _core.ConfigError(
+                f"{source}: [distillation] loss_type = {distillation.loss_type!r} is not one of {', '.join(LOSSES)}"
+            )
+        if not 1 <= distillation.gradient_length <= config.run.num_steps_per_env:
+            raise _core.ConfigError(
+                f"{source}: [distillation] gradient_length = {distillation.gradient_length} must be from 1 to "
+                f"num_steps_per_env = {config.run.num_steps_per_env}"
             )
 
 

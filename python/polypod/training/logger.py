@@ -1,11 +1,16 @@
 """What a training run records: rsl_rl's scalars, written once per iteration and never printed."""
 
+import importlib
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
+from rsl_rl.utils.log_writer import LogWriter
 from rsl_rl.utils.logger import Logger
+
+from polypod import _core
 
 
 class ScalarWriter(Protocol):
@@ -34,6 +39,27 @@ class NoWriter:
         """Does nothing."""
 
 
+_SERVICES = {
+    "wandb": "rsl_rl.utils.wandb_log_writer:WandbLogWriter",
+    "neptune": "rsl_rl.utils.neptune_log_writer:NeptuneLogWriter",
+}
+"""rsl_rl's writers, which write TensorBoard's files as well."""
+
+
+def _service(kind: str, log_dir: str, project: str, env_cfg: Any, train_cfg: dict[str, Any]) -> Any:
+    """A writer of rsl_rl for a service. Raises ConfigError where its package or account is missing."""
+    module, _, name = _SERVICES[kind].partition(":")
+    try:
+        writer = getattr(importlib.import_module(module), name)(log_dir, project)
+    except ModuleNotFoundError as error:
+        raise _core.ConfigError(f"--logger {kind} needs the package {kind}: pip install {kind}") from error
+    except KeyError as error:
+        raise _core.ConfigError(f"--logger {kind}: {error.args[0]}") from error
+    # rsl_rl asks the env's configuration for a dict
+    writer.store_config(types.SimpleNamespace(to_dict=lambda: dict(env_cfg)), train_cfg)
+    return writer
+
+
 class TrainingLogger(Logger):
     """rsl_rl's bookkeeping of rewards and episode lengths, with another output.
 
@@ -41,26 +67,64 @@ class TrainingLogger(Logger):
     env's log over steps; here the simulator averages it over the episodes that ended in the iteration.
     """
 
-    def open(self, kind: str, purge_step: int, warn: Callable[[str], None]) -> None:
+    total_num_envs: int
+    """Envs of all workers."""
+    ended: list[tuple[int, int, float, float]]
+    """Step, env, return and length in control steps of each episode that ended in the iteration."""
+
+    def begin(self, first_env: int, total_num_envs: int) -> None:
+        """Tells of the envs: the first one of this worker, and how many all workers have."""
+        self.total_num_envs, self.ended = total_num_envs, []
+        self._first_env, self._step = first_env, 0
+
+    def process_env_step(
+        self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any], intrinsic_rewards: Any = None
+    ) -> None:
+        """Counts a step, and notes the episodes that it ended."""
+        self.cur_reward_sum += rewards
+        self.cur_episode_length += 1
+        envs = (dones > 0).nonzero().flatten()
+        if envs.numel():
+            figures = (envs + self._first_env, self.cur_reward_sum[envs], self.cur_episode_length[envs])
+            for env, reward, length in zip(*(of.tolist() for of in figures), strict=True):
+                self.ended.append((self._step, env, reward, length))
+            self.cur_reward_sum[envs] = 0
+            self.cur_episode_length[envs] = 0
+        self._step += 1
+
+    def finish(self, ended: list[tuple[int, int, float, float]]) -> None:
+        """Takes in the episodes of all workers that ended in the iteration."""
+        for _, _, reward, length in sorted(map(tuple, ended), key=lambda episode: episode[:2]):
+            self.rewbuffer.append(reward)
+            self.lenbuffer.append(length)
+        self.ended, self._step = [], 0
+
+    def open(self, kind: str, purge_step: int, warn: Callable[[str], None], project: str = "polypod") -> None:
         """Begins to record.
 
         Args:
-            kind: "tensorboard" or "none".
+            kind: "tensorboard", "wandb", "neptune" or "none".
+            project: of wandb and neptune.
             warn: is told when the disk takes no curves.
             purge_step: records of this and later iterations, left by a run that went on after its last checkpoint, are
                 dropped.
+
+        Raises:
+            ConfigError: where the package or the account of wandb or neptune is missing.
         """
         self.writer: ScalarWriter | None
         if kind == "tensorboard":
             from polypod.training.curves import Curves
 
             self.writer = Curves(Path(self.log_dir), purge_step or None, warn)
+        elif kind in _SERVICES:
+            self.writer = _service(kind, str(self.log_dir), project, self.env_cfg, self.cfg)
         else:
             self.writer = NoWriter()
 
     def record(self, iteration: int, collect_time: float, learn_time: float, scalars: dict[str, float]) -> float:
         """Records one iteration and returns its env-steps per second."""
-        env_steps = self.cfg["num_steps_per_env"] * self.num_envs
+        env_steps = self.cfg["num_steps_per_env"] * self.total_num_envs
         self.tot_timesteps += env_steps
         self.tot_time += collect_time + learn_time
         steps_per_second = env_steps / (collect_time + learn_time)
@@ -93,6 +157,8 @@ class TrainingLogger(Logger):
         """Writes what is still buffered."""
         if self.writer is not None:
             self.writer.close()
+            if isinstance(self.writer, LogWriter):
+                self.writer.stop()
 
     def state(self) -> dict[str, Any]:
         """What a resumed run needs to go on with the same curves."""

@@ -67,16 +67,26 @@ class PolicyManifest(TypedDict):
 
     num_obs: Size
     num_actions: Size
-    class_name: Literal["MLPModel", "polypod.networks:UrmaModel"]
+    class_name: Literal["MLPModel", "RNNModel", "polypod.networks:UrmaModel"]
     hidden_dims: Annotated[list[Size], Meta(min_length=1, max_length=64)]
     activation: Activation
     obs_normalization: bool
     distribution_cfg: DistributionManifest
+    rnn_type: NotRequired[Literal["lstm", "gru"]]
+    rnn_hidden_dim: NotRequired[Annotated[int, Meta(ge=1, le=4096)]]
+    rnn_num_layers: NotRequired[Annotated[int, Meta(ge=1, le=8)]]
     joint_dim: NotRequired[Size]
     num_heads: NotRequired[Size]
     observation_layout: NotRequired[list[TermManifest | tuple[Name, Size]]]
     """Manifests of earlier versions hold names and sizes alone."""
     joint_names: NotRequired[list[Name]]
+
+
+class TermsManifest(TypedDict):
+    """The Python file whose terms a run was trained with: a copy lies in `params/`, and nothing runs it."""
+
+    file: Name
+    sha256: Sha256
 
 
 class Manifest(TypedDict):
@@ -99,10 +109,28 @@ class Manifest(TypedDict):
     robot_info: NotRequired[dict[str, dict[str, Any]]]
     joint_maps: NotRequired[dict[str, list[dict[str, Any]]]]
     train_config: dict[str, dict[str, Any]]
+    terms: NotRequired[TermsManifest]
     versions: NotRequired[dict[str, str]]
     git: NotRequired[dict[str, Any] | None]
     checkpoints: NotRequired[dict[str, Sha256]]
     """Of each checkpoint."""
+
+
+class OnnxManifest(TypedDict):
+    """What the metadata of an ONNX policy say, as JSON."""
+
+    format: Literal[1]
+    task: Name
+    robot_sources: Annotated[list[Name], Meta(min_length=1)]
+    robots: Annotated[list[Name], Meta(min_length=1)]
+    overrides: list[str]
+    step_dt: Annotated[float, Meta(gt=0.0, le=10.0)]
+    canonical_joint_names: Annotated[list[Name], Meta(min_length=1)]
+    observation_layout: Annotated[list[TermSize], Meta(min_length=1)]
+
+
+ONNX_KEYS = tuple(key for key in OnnxManifest.__annotations__ if key != "format")
+"""What they share with `Manifest`."""
 
 
 class ExportManifest(TypedDict):
@@ -123,8 +151,14 @@ def read(path: Path) -> dict[str, Any]:
     policy = manifest["policy"]
     _check_layout(manifest, path)
     check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
-    if policy["class_name"] != "MLPModel":
+    if policy["class_name"] == "polypod.networks:UrmaModel":
         _check_joints(policy, path)
+    return dict(manifest)
+
+
+def read_onnx(text: str, where: str) -> dict[str, Any]:
+    """Reads the metadata of an ONNX policy. Raises ConfigError, which begins with `where`."""
+    manifest: OnnxManifest = _parse(text.encode(), OnnxManifest, where, "the learner's export")
     return dict(manifest)
 
 
@@ -175,17 +209,23 @@ def _check_joints(policy: PolicyManifest, path: Path) -> None:
 
 def _decode(path: Path, schema: Any, source: str) -> Any:
     try:
-        return msgspec.json.decode(read_bytes(path, MAX_BYTES), type=schema)
+        data = read_bytes(path, MAX_BYTES)
     except OSError as error:
         raise _core.ConfigError(
             f"cannot read {path}: {error.strerror}; keep the manifest beside what it describes"
         ) from error
+    return _parse(data, schema, str(path), source)
+
+
+def _parse(data: bytes, schema: Any, where: str, source: str) -> Any:
+    try:
+        return msgspec.json.decode(data, type=schema)
     except msgspec.ValidationError as error:
         raise _core.ConfigError(
-            f"{path} is not a manifest of polypod: {_plain(str(error))}; copy it again from {source}"
+            f"{where} is not a manifest of polypod: {_plain(str(error))}; copy it again from {source}"
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise _core.ConfigError(f"{path} is not valid JSON: {error}; copy it again from {source}") from error
+        raise _core.ConfigError(f"{where} is not valid JSON: {error}; copy it again from {source}") from error
 
 
 def _plain(message: str) -> str:

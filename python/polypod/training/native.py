@@ -17,6 +17,7 @@ from polypod.rsl_rl import VecEnv
 from polypod.training.config import TrainConfig
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
+from polypod.training.workers import Workers
 
 NETWORKS = ("actor", "critic")
 
@@ -24,20 +25,30 @@ NETWORKS = ("actor", "critic")
 class NativeRunner(Runner):
     """A `Runner` whose iterations are computed by `polypod._core.Learner`."""
 
-    def __init__(self, env: VecEnv, config: TrainConfig, run: Path, device: str, reporter: Reporter) -> None:
+    draws = False
+
+    def __init__(
+        self,
+        env: VecEnv,
+        config: TrainConfig,
+        run: Path,
+        device: str,
+        reporter: Reporter,
+        workers: Workers | None = None,
+    ) -> None:
         """Builds the networks; `config` is one for the native learner."""
         # samples and mirror images are the native learner's: rsl_rl stores none
-        super().__init__(env, config, run, device, reporter, symmetry=False, num_steps_per_env=1)
-        sim = env.unwrapped.sim
+        super().__init__(env, config, run, device, reporter, workers, symmetry=False, num_steps_per_env=1)
+        sim, workers = env.unwrapped.sim, self.workers
         self.cfg = self.logger.cfg = config.rsl_rl_cfg(sim)
-        self._learner = _core.Learner(sim, json.dumps(config.native_options()))
+        peers = workers if workers.count > 1 else None
+        options = json.dumps(config.native_options())
+        self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
         self._give()
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         sim = self.env.unwrapped.sim
-        for reward, length in self._learner.collect(sim, self.current_learning_iteration):
-            self.logger.rewbuffer.append(reward)
-            self.logger.lenbuffer.append(length)
+        self.logger.ended = self._learner.collect(sim, self.current_learning_iteration)
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:

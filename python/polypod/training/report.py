@@ -3,16 +3,14 @@
 import contextlib
 import dataclasses
 import math
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from datetime import timedelta
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from polypod.evaluation import CONFIDENCE, Evaluation, Interval, Summary
+from polypod.tables import Rows, console_of_output
 
 _PLAIN_INTERVAL_S = 10.0
 
@@ -31,9 +29,10 @@ class Iteration:
 class Reporter:
     """Writes to standard output: live on a terminal, line by line elsewhere."""
 
-    def __init__(self) -> None:
-        """Looks at standard output."""
-        self.console = Console(width=None if sys.stdout.isatty() else 120, soft_wrap=False, highlight=False)
+    def __init__(self, quiet: bool = False) -> None:
+        """Looks at standard output, or shows nothing."""
+        self.console = console_of_output()
+        self.console.quiet = quiet
         self._progress: Progress | None = None
         self._task = TaskID(0)
         self._start = 0
@@ -73,9 +72,16 @@ class Reporter:
             elapsed = timedelta(seconds=round(now - self._started))
             self.message(f"iteration {figures.done}/{figures.total}  {summary}  elapsed {elapsed}")
 
+    def slow_worker(self, index: int, host: str, seconds: float, count: int) -> None:
+        """Warns of a worker that keeps the others waiting."""
+        self.message(
+            f"polypod: warning: worker {index} of {count} on {host} works {seconds:.2f} s an iteration, and the others "
+            "wait for it; see Perf/worker_*/work_time in the curves"
+        )
+
     def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:
         """Prints one line per robot about the episodes that ended lately."""
-        table = table_of("robot", "reward/s", "falls", "err xy", "err yaw", "length", "episodes")
+        table = Rows("robot", "reward/s", "falls", "err xy", "err yaw", "length", "episodes")
         for robot, values in stats.items():
             table.add_row(
                 robot,
@@ -86,7 +92,7 @@ class Reporter:
                 f"{values['episode_length_s']:.1f} s",
                 f"{values['episodes']:.0f}",
             )
-        self.console.print(table)
+        table.print(self.console)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Prints the figures of the deterministic policy per robot."""
@@ -94,7 +100,7 @@ class Reporter:
             f"deterministic policy, {_conditions(evaluation)} "
             "(errors in m/s and rad/s; still: of a robot that does not move; power in W, slip in m/s)"
         )
-        table = table_of(
+        table = Rows(
             "robot", *("reward/s", "err xy", "still", "err yaw", "still", "falls", "length", "power", "CoT", "slip")
         )
         for robot, result in evaluation.robots.items():
@@ -111,20 +117,20 @@ class Reporter:
                 f"{result.cost_of_transport:.2f}",
                 f"{result.foot_slip:.2f}",
             )
-        self.console.print(table)
+        table.print(self.console)
         kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
         if not kinds:
             return
         self.message("success by type of tile, all levels: no fall, and the commands were followed")
-        table = table_of("robot", *kinds, "all")
+        table = Rows("robot", *kinds, "all")
         for robot, result in evaluation.robots.items():
             table.add_row(robot, *(f"{result.success(kind):.0%}" for kind in kinds), f"{result.success():.0%}")
-        self.console.print(table)
+        table.print(self.console)
         levels = sorted(
             {tile.level for result in evaluation.robots.values() for tiles in result.terrain.values() for tile in tiles}
         )
         self.message("success by level, mean over the robots")
-        table = table_of("level", *kinds, "all")
+        table = Rows("level", *kinds, "all")
         for level in levels:
             shares = []
             for kind in (*kinds, None):
@@ -132,7 +138,7 @@ class Reporter:
                 met = [share for share in of_robots if not math.isnan(share)]
                 shares.append(f"{sum(met) / len(met):.0%}" if met else "-")
             table.add_row(str(level), *shares)
-        self.console.print(table)
+        table.print(self.console)
 
     def summary(self, summary: Summary) -> None:
         """Prints means and intervals over seeds per robot."""
@@ -146,10 +152,10 @@ class Reporter:
             "CoT": ("cost_of_transport", ".2f"),
             "slip": ("foot_slip", ".2f"),
         }
-        table = table_of("robot", *columns)
+        table = Rows("robot", *columns)
         for robot, figures in summary.robots.items():
             table.add_row(robot, *(with_interval(figures[key], form) for key, form in columns.values()))
-        self.console.print(table)
+        table.print(self.console)
 
 
 def with_interval(interval: Interval, form: str) -> str:
@@ -163,12 +169,3 @@ def _conditions(evaluation: Evaluation) -> str:
     randomized = ", randomised and pushed" if evaluation.randomized else ""
     grid = f", {'x'.join(map(str, evaluation.grid))} commands" if evaluation.grid is not None else ""
     return f"{evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s{randomized}{grid}"
-
-
-def table_of(name: str, *figures: str) -> Table:
-    """An empty table: one column of names, then columns of figures."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(name, no_wrap=True)
-    for figure in figures:
-        table.add_column(figure, justify="right", no_wrap=True)
-    return table

@@ -4,6 +4,8 @@ from typing import Any
 
 import torch
 
+from polypod.training.workers import Workers
+
 EPSILON = 1e-8
 
 
@@ -14,8 +16,18 @@ class RewardScale:
     update averages over all advantages. Scaling changes no robot's own preferences: its rewards keep their proportions.
     """
 
-    def __init__(self, blocks: list[tuple[int, int]], gamma: float, device: str) -> None:
-        """`blocks`: the env range [start, stop) of each robot; `gamma`: the discount of the learner."""
+    def __init__(
+        self, blocks: list[tuple[int, int]], gamma: float, device: str, workers: Workers | None = None
+    ) -> None:
+        """Before the first reward.
+
+        Args:
+            blocks: the env range [start, stop) of each robot.
+            gamma: the discount of the learner.
+            device: where rewards are.
+            workers: those that have the other envs; None: there are none.
+        """
+        self._workers = workers or Workers.alone()
         self.blocks = blocks
         self.gamma = gamma
         num_envs = max(stop for _, stop in blocks)
@@ -29,18 +41,32 @@ class RewardScale:
     def __call__(self, rewards: torch.Tensor, dones: torch.Tensor) -> torch.Tensor:
         """The scaled rewards of one step, float32 [num_envs]; the statistics take them in first."""
         self.returns = self.returns * self.gamma + rewards
-        for robot, (start, stop) in enumerate(self.blocks):
-            self._update(robot, self.returns[start:stop].double())
+        if self._workers.count > 1:
+            self._update_with_others()
+        else:
+            for robot, (start, stop) in enumerate(self.blocks):
+                self._update(robot, self.returns[start:stop].double())
         self.returns = self.returns * (dones == 0)
         scale = torch.rsqrt(self.variance + EPSILON).float()
         return rewards * scale[self.robot_of_env]
 
+    def _update_with_others(self) -> None:
+        own = [self.returns[start:stop].double() for start, stop in self.blocks]
+        # about the running mean, which all have, sums of squares lose no digits
+        offsets = [sample - mean for sample, mean in zip(own, self.mean, strict=True)]
+        rows = [torch.stack([of.new_tensor(of.numel()), of.sum(), of.square().sum()]) for of in offsets]
+        for robot, (n, total, squares) in enumerate(self._workers.sum(torch.stack(rows))):
+            offset = total / n
+            self._merge(robot, n, self.mean[robot] + offset, squares / n - offset**2)
+
     def _update(self, robot: int, sample: torch.Tensor) -> None:
+        self._merge(robot, sample.numel(), sample.mean(), sample.var(correction=0))
+
+    def _merge(self, robot: int, n: "int | torch.Tensor", mean: torch.Tensor, variance: torch.Tensor) -> None:
         # the parallel form of Welford's update (Chan, Golub and LeVeque)
-        n = sample.numel()
-        delta = sample.mean() - self.mean[robot]
+        delta = mean - self.mean[robot]
         total = self.count[robot] + n
-        spread = self.variance[robot] * self.count[robot] + sample.var(correction=0) * n
+        spread = self.variance[robot] * self.count[robot] + variance * n
         self.variance[robot] = (spread + delta**2 * self.count[robot] * n / total) / total
         self.mean[robot] += delta * n / total
         self.count[robot] = total

@@ -34,6 +34,7 @@ from polypod.files import read_bytes, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.training import manifest
 from polypod.training.config import TrainConfig
+from polypod.training.python_terms import PythonTerms
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
@@ -98,6 +99,14 @@ def latest_checkpoint(run: Path) -> Path:
     return checkpoints[-1]
 
 
+def iterations_of(checkpoint: Path) -> int:
+    """Finished iterations, by the checkpoint's name. Raises ConfigError for another name."""
+    match = _CHECKPOINT.fullmatch(checkpoint.name)
+    if match is None:
+        raise _core.ConfigError(f"{checkpoint} is not named model_<n>.pt; name it as polypod train does")
+    return int(match[1])
+
+
 def checkpoint_path(run: Path, iterations: int) -> Path:
     """Where the checkpoint after `iterations` iterations lies."""
     return run / f"model_{iterations}.pt"
@@ -110,11 +119,21 @@ def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dic
         ConfigError: for a file that is none, that is damaged, whose SHA-256 is not that of the manifest beside it, or
             whose weights are not all finite.
     """
+    return checkpoint_of(read_checkpoint(path), path, map_location)
+
+
+def read_checkpoint(path: Path) -> bytes:
+    """The bytes of a checkpoint. Raises ConfigError, like `load_checkpoint`, for a damaged file."""
     try:
         data = read_bytes(path, MAX_CHECKPOINT)
     except OSError as error:
         raise _core.ConfigError(f"cannot read {path}: {error.strerror}") from error
     _check_sum(path, data)
+    return data
+
+
+def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "cpu") -> dict[str, Any]:
+    """The checkpoint that bytes are; `path` names them in errors. Raises ConfigError like `load_checkpoint`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if (broken := archive.testzip()) is not None:
@@ -207,12 +226,23 @@ def locked(run: Path) -> Iterator[None]:
 
 
 def write_params(
-    run: Path, sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
+    run: Path,
+    sim: _core.VecSim,
+    config: TrainConfig,
+    robots: list[str] | None,
+    overrides: list[str],
+    command: str,
+    terms: PythonTerms | None = None,
 ) -> None:
     """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
-    write_text(run / MANIFEST, json.dumps(manifest_of(sim, config, robots, overrides, command), indent=2) + "\n")
+    manifest = manifest_of(sim, config, robots, overrides, command)
+    if terms is not None:
+        # what was run, and nothing that is run by itself
+        manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}
+        write_bytes(run / "params" / "terms.py", terms.path.read_bytes())
+    write_text(run / MANIFEST, json.dumps(manifest, indent=2) + "\n")
 
 
 def manifest_of(
@@ -228,7 +258,7 @@ def manifest_of(
         "robot_sources": [source(robot) for robot in robots or sim.robots],
         "overrides": overrides,
         "seed": sim.seed,
-        "num_envs": sim.num_envs,
+        "num_envs": sim.total_num_envs,
         "step_dt": sim.step_dt,
         "config_hash": sim.config_hash(),
         "canonical_joint_names": sim.canonical_joint_names,

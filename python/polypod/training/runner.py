@@ -4,11 +4,12 @@ import contextlib
 import io
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from rsl_rl.runners import OnPolicyRunner
@@ -24,6 +25,7 @@ from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
 from polypod.training.symmetry import Mirror
+from polypod.training.workers import Workers, slow_workers
 
 STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
 """Ctrl-C; what Slurm, Docker and spot machines send; a closed terminal."""
@@ -36,6 +38,22 @@ STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
 
 
+_STUDENT_AND_TEACHER = {"student": True, "teacher": True, "optimizer": True}
+"""What a resumed distillation loads."""
+
+
+def check_groups(env: VecEnv, obs_groups: dict[str, list[str]]) -> None:
+    """Raises ConfigError for an observation group that the task does not have."""
+    known = env.unwrapped.sim.observation_groups
+    for network, groups in obs_groups.items():
+        for group in groups:
+            if group not in known:
+                raise _core.ConfigError(
+                    f"[obs_groups] {network} = {groups}: {env.unwrapped.sim.task_name} has no group {group!r}, but "
+                    f"{', '.join(known)}; add [[observations.{group}]] terms to the task"
+                )
+
+
 class Runner(OnPolicyRunner):
     """Collects, learns, records and saves.
 
@@ -46,27 +64,41 @@ class Runner(OnPolicyRunner):
 
     env: VecEnv
     logger: TrainingLogger
+    draws = True
+    """Whether torch's random streams decide the actions and the order of the samples."""
 
     def __init__(
-        self, env: VecEnv, config: TrainConfig, run: Path, device: str, reporter: Reporter, **changes: Any
+        self,
+        env: VecEnv,
+        config: TrainConfig,
+        run: Path,
+        device: str,
+        reporter: Reporter,
+        workers: Workers | None = None,
+        **changes: Any,
     ) -> None:
         """Builds networks and storage.
 
         Args:
-            env: the envs.
+            env: this worker's envs.
             config: what to train.
-            run: the run's directory.
-            device: torch's.
-            reporter: what shows the progress.
+            run: directory of the run, which worker 0 writes to.
+            device: where the learner is.
+            reporter: what the user sees, of worker 0.
+            workers: those that have the other envs; None: there are none.
             changes: values of rsl_rl's configuration other than those of `config`.
         """
+        self.workers = workers or Workers.alone()
         cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **changes}
+        check_groups(env, cfg["obs_groups"])
+        self._distils = cfg["algorithm"]["class_name"] == "Distillation"
         if cfg["symmetry"]:
             mirror = Mirror(env, device)
             symmetry = {"data_augmentation_func": mirror.augment, "use_data_augmentation": True}
             cfg = {**cfg, "algorithm": {**cfg["algorithm"], "symmetry_cfg": symmetry}}
         with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its networks
             super().__init__(env, cfg, log_dir=str(run), device=device)
+        sim = env.unwrapped.sim
         self.logger = TrainingLogger(
             log_dir=str(run),
             cfg=cfg,
@@ -77,16 +109,32 @@ class Runner(OnPolicyRunner):
             gpu_global_rank=0,
             device=device,
         )
+        self.logger.begin(sim.share[0], sim.total_num_envs)
         self.config = config
         self.run = run
         self.reporter = reporter
         self.stopped_by: signal.Signals | None = None
         """The first signal that asked the training to end."""
-        sim = env.unwrapped.sim
+        self._told_all: signal.Signals | None = None
+        """The same of any worker, once all know of it."""
+        self.watch: Callable[[int, Mapping[str, float]], None] | None = None
+        """Is told the number of finished iterations and the scalars of each."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
-            self.reward_scale = RewardScale(self.blocks, cfg["algorithm"]["gamma"], device)
+            self.reward_scale = RewardScale(self.blocks, cfg["algorithm"]["gamma"], device, self.workers)
+
+    def _configure_multi_gpu(self) -> None:
+        """Tells rsl_rl of the workers."""
+        workers = self.workers
+        self.gpu_global_rank, self.gpu_local_rank, self.gpu_world_size = (
+            workers.index,
+            workers.local_index,
+            workers.count,
+        )
+        self.is_distributed = workers.count > 1
+        ranks = {"global_rank": workers.index, "local_rank": workers.local_index, "world_size": workers.count}
+        self.cfg["multi_gpu"] = ranks if self.is_distributed else None
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Runs `num_learning_iterations` more iterations, or fewer after a signal, which sets `stopped_by`.
@@ -101,20 +149,31 @@ class Runner(OnPolicyRunner):
             ConfigError: where the last checkpoint cannot be written, or the run's directory is gone.
         """
         if init_at_random_ep_len:
-            lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
-            self.env.episode_length_buf = lengths
+            sim = self.env.unwrapped.sim
+            lengths = torch.randint(int(self.env.max_episode_length), (sim.total_num_envs,))
+            self.env.episode_length_buf = lengths[slice(*sim.share)]
+            self._seed_worker(sim.seed)
         self.alg.train_mode()
+        if self.workers.count > 1 and self.draws:
+            self.alg.broadcast_parameters()
         observations = self.env.get_observations()
         start = self.current_learning_iteration
         stop = start + num_learning_iterations
         with self._stop_on_signals(), self.reporter.training(start, stop):
             for iteration in range(start, stop):
                 observations = self._iterate(iteration, stop, observations)
-                last = iteration + 1 == stop or self.stopped_by is not None
+                last = iteration + 1 == stop or self._is_to_stop()
                 if last or (iteration + 1) % self.cfg["save_interval"] == 0:
                     self._try_to_save(run_dir.checkpoint_path(self.run, iteration + 1), last)
                 if last:
                     break
+
+    def _is_to_stop(self) -> bool:
+        """Whether a signal ends the training now: for all workers after the same iteration."""
+        if self.workers.count > 1 and self._told_all is None:
+            return False
+        self.stopped_by = self.stopped_by or self._told_all
+        return self.stopped_by is not None
 
     def _try_to_save(self, path: Path, last: bool) -> None:
         try:
@@ -126,7 +185,7 @@ class Runner(OnPolicyRunner):
             self.reporter.message(f"polypod: warning: {reason}; the training goes on and tries again at the next save")
 
     def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
-        started = time.perf_counter()
+        started, waited = time.perf_counter(), self.workers.waited
         observations = self._collect(observations)
         collected = time.perf_counter()
         self.alg.entropy_coef, self.alg.desired_kl = self.config.goals(iteration)
@@ -134,15 +193,53 @@ class Runner(OnPolicyRunner):
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1
 
+        waited = self.workers.waited - waited
+        figures = self._share_figures(learned - started - waited, waited)
+        if not self.workers.is_first:
+            return observations
         sim = self.env.unwrapped.sim
-        scalars = scalars_of(loss, self.alg.learning_rate, self._action_std()) | sim.log()
+        scalars = scalars_of(loss, self.alg.learning_rate, self._action_std()) | self.env.log() | figures
         steps_per_second = self.logger.record(iteration, collected - started, learned - collected, scalars)
         self.reporter.iteration(
             Iteration(iteration + 1, stop, self.logger.mean_reward, self.logger.mean_episode_length, steps_per_second)
         )
+        if self.watch is not None:
+            self.watch(iteration + 1, scalars)
         if (iteration + 1) % STATS_INTERVAL == 0:
             self.reporter.robots(sim.episode_stats(clear=True))
         return observations
+
+    def _share_figures(self, worked: float, waited: float) -> dict[str, float]:
+        """Tells the other workers of the iteration, and worker 0 of the episodes that ended.
+
+        All agree on whether to stop. Returns the seconds that each of several workers worked and waited.
+        """
+        workers, sim = self.workers, self.env.unwrapped.sim
+        if workers.count == 1:
+            self.logger.finish(self.logger.ended)
+            return {}
+        mine = {
+            "ended": self.logger.ended,
+            "logs": b"" if workers.is_first else sim.take_logs(),
+            "times": (worked, waited),
+            "stopped_by": self.stopped_by,
+        }
+        of_workers = workers.gather_messages(mine)
+        signals = [of["stopped_by"] for of in of_workers if of["stopped_by"] is not None]
+        self._told_all = signal.Signals(signals[0]) if signals else None
+        self.logger.finish([episode for of in of_workers for episode in of["ended"]])
+        times = [tuple(of["times"]) for of in of_workers]
+        if workers.is_first:
+            for of in of_workers[1:]:
+                sim.add_logs(of["logs"])
+            if (self.current_learning_iteration) % STATS_INTERVAL == 0:
+                for index in slow_workers(times):
+                    self.reporter.slow_worker(index, workers.places[index][0], times[index][0], len(times))
+        return {
+            f"Perf/worker_{index}/{name}_time": seconds
+            for index, of in enumerate(times)
+            for name, seconds in zip(("work", "wait"), of, strict=True)
+        }
 
     @torch.inference_mode()
     def _collect(self, observations: TensorDict) -> TensorDict:
@@ -161,7 +258,9 @@ class Runner(OnPolicyRunner):
         with torch.inference_mode():
             self.alg.compute_returns(observations)
             if self.cfg["normalize_advantage_per_robot"]:
-                normalize_per_robot(self.alg.storage.advantages, self.blocks)
+                if self.workers.count > 1:  # rsl_rl has brought each worker's to a scale of its own
+                    self.alg.storage.advantages = self.alg.storage.returns - self.alg.storage.values
+                normalize_per_robot(self.alg.storage.advantages, self.blocks, self.workers)
         loss: dict[str, float] = self.alg.update()
         return loss
 
@@ -170,16 +269,25 @@ class Runner(OnPolicyRunner):
         return self.alg.get_policy().output_std
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-        """Writes a checkpoint, whole or not at all."""
+        """Writes a checkpoint, whole or not at all. All workers call it, and worker 0 writes."""
+        of_workers = self._of_workers()
+        if not self.workers.is_first:
+            return
         state = self.alg.save()
+        if self._distils:
+            # what evaluations and exports read
+            state["actor_state_dict"] = state["student_state_dict"]
         state["iter"] = self.current_learning_iteration
         state["infos"] = {
             **(infos or {}),
-            "sim": torch.from_numpy(np.frombuffer(self.env.unwrapped.sim.snapshot(), dtype=np.uint8).copy()),
+            "sim": torch.from_numpy(np.frombuffer(of_workers["sim"], dtype=np.uint8).copy()),
             "rng": torch.get_rng_state(),
-            "cuda_rng": torch.cuda.get_rng_state_all() if torch.device(self.device).type == "cuda" else [],
-            "logger": self.logger.state(),
-            "reward_scale": self.reward_scale.state() if self.reward_scale is not None else {},
+            "cuda_rng": self._cuda_streams(),
+            "worker_rng": of_workers["worker_rng"],
+            "logger": {**self.logger.state(), **of_workers["logger"]},
+            "reward_scale": {}
+            if self.reward_scale is None
+            else {**self.reward_scale.state(), **of_workers["reward_scale"]},
         }
         run_dir.save_checkpoint(Path(path), lambda file: torch.save(state, file))
 
@@ -187,20 +295,20 @@ class Runner(OnPolicyRunner):
         self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
     ) -> dict[str, Any]:
         """Takes over a checkpoint. Raises ConfigError for a file that is none or that fits another run."""
-        state = run_dir.load_checkpoint(Path(path), map_location or self.device)
+        data = self.workers.from_first(lambda: run_dir.read_checkpoint(Path(path)))
+        state = run_dir.checkpoint_of(data, Path(path), map_location or self.device)
         try:
-            self.alg.load(state, load_cfg, strict)
+            self.alg.load(state, load_cfg or (_STUDENT_AND_TEACHER if self._distils else None), strict)
         except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
             raise _core.ConfigError(f"{path} does not fit this run's networks: {_first_line(error)}") from error
         try:
             infos: dict[str, Any] = state["infos"]
             self.env.unwrapped.sim.restore(infos["sim"].cpu().numpy().tobytes())
-            torch.set_rng_state(infos["rng"].cpu())
-            if infos["cuda_rng"] and torch.device(self.device).type == "cuda":
-                torch.cuda.set_rng_state_all([stream.cpu() for stream in infos["cuda_rng"]])
-            self.logger.restore(infos["logger"])
+            self.env.refresh()
+            self._restore_streams(infos, state["iter"])
+            self.logger.restore(self._own_rows(infos["logger"], ("reward_sum", "episode_length")))
             if self.reward_scale is not None:
-                self.reward_scale.restore(infos["reward_scale"])
+                self.reward_scale.restore(self._own_rows(infos["reward_scale"], ("returns",)))
             if type(state["iter"]) is not int or state["iter"] < 0:
                 raise ValueError(f"iter is {state['iter']!r}")
             self.current_learning_iteration = state["iter"]
@@ -213,15 +321,89 @@ class Runner(OnPolicyRunner):
             ) from error
         return infos
 
+    def _of_workers(self) -> dict[str, Any]:
+        """What a checkpoint holds of all workers, for worker 0: whole arrays, and the simulator as of one process."""
+        if self.workers.count == 1:
+            return {"sim": self.env.unwrapped.sim.snapshot(), "worker_rng": [], "logger": {}, "reward_scale": {}}
+        workers, logger = self.workers, self.logger.state()
+        rows = {"reward_sum": logger["reward_sum"], "episode_length": logger["episode_length"]}
+        if self.reward_scale is not None:
+            rows["returns"] = self.reward_scale.returns
+        streams = [] if workers.is_first or not self.draws else [torch.get_rng_state(), *self._cuda_streams()]
+        mine = {
+            "sim": self.env.unwrapped.sim.snapshot(),
+            "rows": {name: tensor.cpu().numpy().tobytes() for name, tensor in rows.items()},
+            "streams": [stream.numpy().tobytes() for stream in streams],
+        }
+        of_workers = [msgspec.msgpack.decode(data) for data in workers.bytes_for_first(msgspec.msgpack.encode(mine))]
+        if not workers.is_first:
+            return {}
+        whole = {name: _floats(b"".join(of["rows"][name] for of in of_workers)) for name in rows}
+        returns = {"returns": whole.pop("returns")} if "returns" in whole else {}
+        return {
+            "sim": _core.join_snapshots([of["sim"] for of in of_workers]),
+            "worker_rng": [
+                [_byte_tensor(stream) for stream in of["streams"]] for of in of_workers[1:] if of["streams"]
+            ],
+            "logger": whole,
+            "reward_scale": returns,
+        }
+
+    def _own_rows(self, state: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+        """A state with this worker's rows of the arrays that have one for each env of all workers."""
+        return {**state, **{name: state[name][slice(*self.env.unwrapped.sim.share)] for name in names}}
+
+    def _cuda_streams(self) -> list[torch.Tensor]:
+        if torch.device(self.device).type != "cuda":
+            return []
+        return torch.cuda.get_rng_state_all() if self.workers.count == 1 else [torch.cuda.get_rng_state(self.device)]
+
+    def _restore_streams(self, infos: dict[str, Any], iteration: int) -> None:
+        """Goes on with this worker's random streams, or with new ones where it was not there before."""
+        of_others = infos.get("worker_rng", [])
+        if self.workers.is_first:
+            stream, of_cuda = infos["rng"], infos["cuda_rng"]
+        elif self.workers.index <= len(of_others):
+            stream, *of_cuda = of_others[self.workers.index - 1]
+        else:
+            self._seed_worker(self.env.unwrapped.sim.seed + iteration)
+            return
+        torch.set_rng_state(stream.cpu())
+        if of_cuda and torch.device(self.device).type == "cuda":
+            if self.workers.count > 1:
+                torch.cuda.set_rng_state(of_cuda[0].cpu(), self.device)
+            else:
+                torch.cuda.set_rng_state_all([stream.cpu() for stream in of_cuda])
+
+    def _seed_worker(self, seed: int) -> None:
+        """Gives every worker but the first one random streams of its own. Networks begin the same on all."""
+        if not self.workers.is_first and self.draws:
+            torch.manual_seed(int(np.random.SeedSequence([seed, self.workers.index]).generate_state(1, np.uint64)[0]))
+
     def start_from(self, path: Path) -> None:
         """Takes over a checkpoint's networks and nothing else. Raises ConfigError where they do not fit."""
-        state = run_dir.load_checkpoint(path, self.device)
+        data = self.workers.from_first(lambda: run_dir.read_checkpoint(path))
+        state = run_dir.checkpoint_of(data, path, self.device)
         try:
-            self.alg.load(state, {"actor": True, "critic": True}, True)
+            if self._distils:
+                self.alg.get_policy().load_state_dict(state["actor_state_dict"])
+            else:
+                self.alg.load(state, {"actor": True, "critic": True}, True)
         except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
             raise _core.ConfigError(
                 f"--init {path} does not fit this run's networks, {_first_line(error)}: "
                 "use its task and its train config's sizes"
+            ) from error
+
+    def learn_from(self, teacher: Path) -> None:
+        """Takes over the network that a distillation learns from. Raises ConfigError where it does not fit."""
+        state = run_dir.load_checkpoint(teacher, self.device)
+        try:
+            self.alg.load(state, {"teacher": True}, True)
+        except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise _core.ConfigError(
+                f"[distillation] teacher {teacher} does not fit the observation groups that [obs_groups] names for it: "
+                f"{_first_line(error)}; give them the terms of the teacher's task"
             ) from error
 
     @contextlib.contextmanager
@@ -254,6 +436,14 @@ class Runner(OnPolicyRunner):
         finally:
             for number, handler in previous.items():
                 signal.signal(number, handler)
+
+
+def _floats(data: bytes) -> torch.Tensor:
+    return torch.from_numpy(np.frombuffer(data, np.float32).copy())
+
+
+def _byte_tensor(data: bytes) -> torch.Tensor:
+    return torch.from_numpy(np.frombuffer(data, np.uint8).copy())
 
 
 def _first_line(error: Exception) -> str:

@@ -4,23 +4,26 @@ import contextlib
 import dataclasses
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 import polypod
 from polypod import _core
 from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
-from polypod.training import config, run_dir
+from polypod.terms import CustomTerms
+from polypod.training import config, python_terms, run_dir
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
+from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
-DEFAULT_TRAIN_CONFIG = "flat"
 LONGEST_EVALUATION_S = 60.0
 """Of the episodes after a training, s. Episodes of tasks without time-outs have no end."""
 
@@ -37,13 +40,17 @@ class Options:
     train_config: str | None = None
     learner: str | None = None
     logger: str = "tensorboard"
+    log_project: str = "polypod"
     resume: str | None = None
     init: Path | None = None
+    terms: Path | None = None
     run_name: str | None = None
     log_dir: Path = Path("logs")
     device: str = "auto"
     threads: int | None = None
     overrides: list[str] = dataclasses.field(default_factory=list)
+    run: Path | None = None
+    """An empty directory that was made for the run; None: a new one in `log_dir`. No flag of the command line."""
 
     @property
     def command(self) -> str:
@@ -51,7 +58,11 @@ class Options:
         words = ["polypod", "train"]
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if value is None or (field.default is not dataclasses.MISSING and value == field.default):
+            if (
+                field.name == "run"
+                or value is None
+                or (field.default is not dataclasses.MISSING and value == field.default)
+            ):
                 continue
             if field.name == "overrides":
                 words += [word for change in value for word in ("--set", change)]
@@ -62,7 +73,7 @@ class Options:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Plan:
+class Plan:
     """What to train, all questions settled."""
 
     config: config.TrainConfig
@@ -71,6 +82,7 @@ class _Plan:
     overrides: list[str]
     checkpoint: Path | None
     device: str
+    terms: python_terms.PythonTerms | None = None
 
 
 def train(options: Options) -> int:
@@ -79,54 +91,18 @@ def train(options: Options) -> int:
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
     """
-    plan = _new_plan(options) if options.resume is None else _resumed_plan(options)
-    device = plan.device
-    begin_with = plan.checkpoint or options.init
-    if begin_with is not None:
-        run_dir.load_checkpoint(begin_with)  # a broken one is refused before anything is written
-    if options.threads is not None:
-        torch.set_num_threads(options.threads)
-    torch.manual_seed(plan.seed)
-    run_config = plan.config.run
-    env = polypod.make(
-        run_config.task,
-        run_config.num_envs,
-        robots=plan.robots,
-        seed=plan.seed,
-        threads=options.threads,
-        overrides=plan.overrides,
-    )
-    reporter = Reporter()
-    if plan.checkpoint is None:
-        run = run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
-        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command)
-    else:
-        run = plan.checkpoint.parent
-    with run_dir.locked(run):
-        with _kept_if_begun(run, plan.checkpoint is None):
-            env.sim.set_dump_dir(run)
-            runner = runner_of(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter)
-            if plan.checkpoint is not None:
-                runner.load(str(plan.checkpoint))
-            elif options.init is not None:
-                runner.start_from(options.init)
-            iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
-        reporter.message(
-            f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.robots)}; "
-            f"simulator {env.sim.threads} threads, {_learner(run_config.learner, device)}; {run}"
-        )
-        runner.logger.open(
-            options.logger,
-            runner.current_learning_iteration,
-            lambda problem: reporter.message(f"polypod: warning: {problem}"),
-        )
-        try:
-            runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
-        finally:
-            runner.logger.close()
-    longest = round(LONGEST_EVALUATION_S / env.sim.step_dt)
-    steps = longest if env.sim.max_episode_length > longest else None
-    env.close()
+    is_cuda = options.device != "cpu" and torch.cuda.is_available()
+    workers = Workers.join(is_cuda)
+    try:
+        run, runner = train_with(options, workers)
+    finally:
+        workers.close()
+    if not workers.is_first:
+        return 0 if runner.stopped_by is None else 128 + runner.stopped_by
+    reporter, sim = runner.reporter, runner.env.unwrapped.sim
+    longest = round(LONGEST_EVALUATION_S / sim.step_dt)
+    steps = longest if sim.max_episode_length > longest else None
+    runner.env.unwrapped.close()
     checkpoint = run_dir.checkpoint_path(run, runner.current_learning_iteration)
     reporter.message(f"checkpoint {checkpoint}")
     if runner.stopped_by is not None:
@@ -135,26 +111,154 @@ def train(options: Options) -> int:
     return 0
 
 
+def train_with(
+    options: Options, workers: Workers, watch: Callable[[int, Mapping[str, float]], None] | None = None
+) -> tuple[Path, Runner]:
+    """Trains with the other workers.
+
+    Args:
+        options: the same for all workers.
+        workers: the others.
+        watch: is told the number of finished iterations and the scalars of each, in worker 0.
+
+    Returns:
+        The run's directory, and what has trained it.
+
+    Raises:
+        ConfigError: as `train`.
+        SystemExit: in workers that have nothing to say of an error that another one reports.
+    """
+    plan = new_plan(options) if options.resume is None else _resumed_plan(options, workers)
+    _check_same_plan(plan, options, workers)
+    device = plan.device
+    begin_with = plan.checkpoint or options.init
+    if begin_with is not None and workers.is_first:
+        run_dir.load_checkpoint(begin_with)  # a broken one is refused before anything is written
+    threads = threads_of(workers, options.threads)
+    if threads is not None:
+        torch.set_num_threads(threads)
+    torch.manual_seed(plan.seed)
+    run_config = plan.config.run
+    terms = plan.terms
+    if terms is not None and workers.count > 1:
+        raise _core.ConfigError("--terms are of trainings in one process; leave them out, or train without workers")
+    env: polypod.VectorEnv | CustomTerms = polypod.make(
+        run_config.task,
+        run_config.num_envs,
+        robots=plan.robots,
+        seed=plan.seed,
+        threads=threads,
+        overrides=plan.overrides,
+        autoreset="same_step" if terms is None else "disabled",
+        share=workers.share(run_config.num_envs, run_config.learner),
+    )
+    if terms is not None and isinstance(env, polypod.VectorEnv):
+        env = CustomTerms(env, terms.rewards, terms.terminations)
+    workers.check_same({"the configuration of task and robots": env.sim.config_hash()}, "use the same files")
+    workers.check_same({"the instruction set": env.sim.simd}, "set POLYPOD_SIMD to one that all have")
+    reporter = Reporter(quiet=not workers.is_first)
+
+    def new_run() -> str:
+        run = options.run or run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
+        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command, terms)
+        return str(run)
+
+    run = Path(workers.from_first(new_run)) if plan.checkpoint is None else plan.checkpoint.parent
+    with run_dir.locked(run) if workers.is_first else contextlib.nullcontext():
+        with _kept_if_begun(run, plan.checkpoint is None and workers.is_first):
+            env.sim.set_dump_dir(run if run.is_dir() else None)
+            runner = runner_of(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter, workers)
+            runner.watch = watch
+            if plan.checkpoint is not None:
+                runner.load(str(plan.checkpoint))
+            elif options.init is not None:
+                runner.start_from(options.init)
+            iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
+        among = f", each of {workers.count} workers" if workers.count > 1 else ""
+        reporter.message(
+            f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
+            f"simulator {env.sim.threads} threads{among}, {_learner(run_config.learner, device)}; {run}"
+        )
+        runner.logger.open(
+            options.logger if workers.is_first else "none",
+            runner.current_learning_iteration,
+            lambda problem: reporter.message(f"polypod: warning: {problem}"),
+            options.log_project,
+        )
+        try:
+            runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
+        finally:
+            runner.logger.close()
+    return run, runner
+
+
+def next_options(options: Options, run: Path, target: int) -> Options | None:
+    """The options to begin a run with, or to go on with it from its last checkpoint; None: it is done."""
+    if not any(run.glob("model_*.pt")):
+        return dataclasses.replace(options, run=run, max_iterations=target)
+    checkpoint = run_dir.latest_checkpoint(run)
+    left = target - run_dir.iterations_of(checkpoint)
+    if left <= 0:
+        return None
+    return Options(
+        resume=str(checkpoint),
+        max_iterations=left,
+        learner=options.learner,
+        logger=options.logger,
+        log_project=options.log_project,
+        terms=options.terms,
+        log_dir=options.log_dir,
+        device=options.device,
+        threads=options.threads,
+    )
+
+
+def _check_same_plan(plan: Plan, options: Options, workers: Workers) -> None:
+    """Refuses workers that would train something else. Raises ConfigError, which names the difference."""
+    versions = {
+        "polypod": polypod.__version__,
+        "torch": str(torch.__version__),
+        "rsl_rl": version("rsl-rl-lib"),
+        "numpy": np.__version__,
+    }
+    workers.check_same({f"{name}'s version": number for name, number in versions.items()}, "install the same")
+    workers.check_same(flat(plan.config.as_dict()), "use the same train config")
+    begun = {
+        "--robots": plan.robots,
+        "--seed": plan.seed,
+        "--set": plan.overrides,
+        "--max-iterations": options.max_iterations,
+        "--resume": options.resume is not None,
+        "--init": options.init is not None,
+        "--device": torch.device(plan.device).type,
+    }
+    workers.check_same(begun, "use the same command line")
+
+
 @contextlib.contextmanager
 def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
     """Removes the directory of a new run that cannot even begin."""
     try:
         yield
-    except Exception:
+    except (Exception, SystemExit):
         if is_new:
             shutil.rmtree(run, ignore_errors=True)
         raise
 
 
-def _new_plan(options: Options) -> _Plan:
-    train_config = config.load(options.train_config or DEFAULT_TRAIN_CONFIG)
+def new_plan(options: Options) -> Plan:
+    """What a new run is to train. Raises ConfigError for options that contradict each other or name nothing."""
+    of_task, of_training = config.split_overrides(options.overrides)
+    train_config = config.load(options.train_config or config.DEFAULT, of_training)
     device = _device(options, train_config)
     train_config = train_config.with_run(
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
     ).with_mixed_precision_resolved(device)
-    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
+    train_config = train_config.with_teacher_located()
+    terms = None if options.terms is None else python_terms.load(options.terms)
+    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
@@ -165,12 +269,11 @@ def _new_plan(options: Options) -> _Plan:
             f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
             "leave out slashes, and use 100 letters at most"
         )
-    return _Plan(train_config, options.robots, seed, options.overrides, None, device)
+    return Plan(train_config, options.robots, seed, of_task, None, device, terms)
 
 
-def _resumed_plan(options: Options) -> _Plan:
+def _resumed_plan(options: Options, workers: Workers) -> Plan:
     """The plan of the run that is resumed; it goes on as it was begun, so nothing in it may be given anew."""
-    checkpoint = run_dir.find_checkpoint(options.log_dir, str(options.resume))
     fixed: dict[str, Any] = {
         "--task": options.task,
         "--num-envs": options.num_envs,
@@ -186,11 +289,48 @@ def _resumed_plan(options: Options) -> _Plan:
         raise _core.ConfigError(
             f"a resumed run goes on as it was begun: leave out {', '.join(given)}, or train anew without --resume"
         )
-    manifest = run_dir.read_manifest(checkpoint)
+
+    def find() -> tuple[str, dict[str, Any]]:
+        checkpoint = run_dir.find_checkpoint(options.log_dir, str(options.resume))
+        return str(checkpoint), run_dir.read_manifest(checkpoint)
+
+    path, manifest = workers.from_first(find)
+    checkpoint = Path(path)
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
-    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
-    return _Plan(train_config, manifest["robot_sources"], manifest["seed"], manifest["overrides"], checkpoint, device)
+    terms = _terms_again(options, manifest)
+    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
+    robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
+    return Plan(train_config, robots, seed, overrides, checkpoint, device, terms)
+
+
+def _learner_of(options: Options) -> str | None:
+    """The learner that is asked for: terms in Python are rsl_rl's."""
+    if options.terms is None:
+        return options.learner
+    if options.learner == "native":
+        raise _core.ConfigError(
+            "--terms are called between steps, which the native learner takes in Rust; leave out --learner native"
+        )
+    return "rsl_rl"
+
+
+def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.PythonTerms | None:
+    """The terms of a run that goes on. A manifest names no code, so the file is named on the command line once more."""
+    began = manifest.get("terms")
+    if began is None and options.terms is not None:
+        raise _core.ConfigError("--terms: this run was begun without; leave them out, or train anew without --resume")
+    if began is None or options.terms is None:
+        if began is None:
+            return None
+        raise _core.ConfigError(f"this run was begun with --terms {began['file']}; name the file again")
+    terms = python_terms.load(options.terms)
+    if terms.sha256 != began["sha256"]:
+        raise _core.ConfigError(
+            f"--terms {options.terms} is not the file that this run was begun with; take that one, or train anew with "
+            "--init"
+        )
+    return terms
 
 
 def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
@@ -210,14 +350,24 @@ def _device(options: Options, train_config: config.TrainConfig) -> str:
         return "cpu"
     if not torch.cuda.is_available():
         raise _core.ConfigError("--device cuda, but torch finds no CUDA device; use --device cpu or auto")
-    return "cuda:0"
+    return f"cuda:{torch.cuda.current_device() if is_among_workers() else 0}"
 
 
-def runner_of(env: VecEnv, train_config: config.TrainConfig, run: Path, device: str, reporter: Reporter) -> Runner:
+def runner_of(
+    env: VecEnv,
+    train_config: config.TrainConfig,
+    run: Path,
+    device: str,
+    reporter: Reporter,
+    workers: Workers | None = None,
+) -> Runner:
     """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
-        return NativeRunner(env, train_config, run, device, reporter)
-    return Runner(env, train_config, run, device, reporter)
+        return NativeRunner(env, train_config, run, device, reporter, workers)
+    runner = Runner(env, train_config, run, device, reporter, workers)
+    if train_config.distillation is not None:
+        runner.learn_from(Path(train_config.distillation.teacher))
+    return runner
 
 
 def _learner(learner: str, device: str) -> str:

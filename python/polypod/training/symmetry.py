@@ -10,7 +10,6 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.networks.masked import ACTION_MASK
 from polypod.rsl_rl import VecEnv
-from polypod.training.config import OBSERVATION_GROUP
 
 
 class Mirror:
@@ -25,9 +24,13 @@ class Mirror:
         sim = env.unwrapped.sim
         mask, robots = sim.action_mask, sim.robots
         actions = {name: (sim.action_mirror(name), mask[sim.env_ids(name)[0]].tolist()) for name in robots}
-        observations = {name: (sim.observation_mirror(name), sim.observation_mask(name)) for name in robots}
         self._actions = _tensors(_common(actions), device)
-        self._observations = _tensors(_common(observations), device)
+        self._observations = {}
+        for group in sim.observation_groups:
+            mirrors = {
+                name: (sim.observation_mirror(name, group), sim.observation_mask(name, group)) for name in robots
+            }
+            self._observations[group] = _tensors(_common(mirrors), device)
 
     def augment(
         self, env: VecEnv, obs: TensorDict | None, actions: torch.Tensor | None
@@ -36,21 +39,22 @@ class Mirror:
 
         Args:
             env: the env, which is not looked at.
-            obs: group `policy`, [n, num_obs], and in batches of different bodies `action_mask`.
+            obs: groups of observations, [n, size] each, and in batches of different bodies `action_mask`.
             actions: [n, num_actions].
 
         Returns:
             Both with 2 n rows.
         """
         if obs is not None:
-            policy = obs[OBSERVATION_GROUP]
-            both = torch.cat([policy, _mirrored(policy, self._observations)])
-            groups = {OBSERVATION_GROUP: both}
+            groups = {
+                group: torch.cat([obs[group], _mirrored(obs[group], mirror)])
+                for group, mirror in self._observations.items()
+            }
             if ACTION_MASK in obs.keys():  # noqa: SIM118  a TensorDict is no dict
                 # a joint's image is a joint
                 mask = obs[ACTION_MASK]
                 groups[ACTION_MASK] = torch.cat([mask, mask.index_select(1, self._actions[0])])
-            obs = TensorDict(groups, batch_size=[both.shape[0]], device=obs.device)
+            obs = TensorDict(groups, batch_size=[2 * obs.batch_size[0]], device=obs.device)
         if actions is not None:
             actions = torch.cat([actions, _mirrored(actions, self._actions)])
         return obs, actions

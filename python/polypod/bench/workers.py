@@ -1,0 +1,140 @@
+"""How trainings scale over workers of one machine: `polypod bench --workers`.
+
+The same cores are shared out among more and more workers. What is measured is what several workers cost: the time that
+they wait for one another, and the bytes that they send.
+"""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import polypod
+from polypod import _core
+from polypod.bench.learners import Options, Silent, heading
+from polypod.bench.report import Progress
+from polypod.rsl_rl import VecEnv
+from polypod.training import config, run_dir
+from polypod.training.session import runner_of
+from polypod.training.workers import Workers
+
+ITERATIONS = 8
+"""Timed after one that is not. The fastest one counts: whatever else the machine does makes workers wait."""
+NETWORKS = {"1 Gbit/s": 1e9 / 8, "10 Gbit/s": 1e10 / 8, "100 Gbit/s": 1e11 / 8}
+"""Bytes per second that a worker sends, of the networks that limits are given for."""
+LONGEST_S = 600.0
+"""Of one number of workers."""
+
+
+def measure(options: Options, counts: Sequence[int], progress: Progress) -> dict[str, Any]:
+    """Trains with each number of workers in turn.
+
+    Raises:
+        ConfigError: for envs that so many workers cannot share, and for a training that fails.
+    """
+    cores = options.threads or _core.info()["threads"]
+    train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
+    for count in counts:
+        _core.share_of_worker(train_config.run.num_envs, 0, count)
+    rows = {}
+    for count in counts:
+        threads = max(1, cores // count)
+        progress(f"{count} workers of {threads} threads")
+        rows[str(count)] = _measured(options, count, threads)
+    samples = train_config.run.num_envs * train_config.run.num_steps_per_env
+    return {**options.conditions(), "samples": samples, "workers": rows}
+
+
+def _measured(options: Options, count: int, threads: int) -> dict[str, Any]:
+    asked = {"train_config": options.train_config, "num_envs": options.num_envs, "seed": options.seed}
+    words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)]
+    words += ["-m", __name__, json.dumps({**asked, "threads": threads})]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=LONGEST_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise _core.ConfigError(f"{count} workers take more than {LONGEST_S:g} s; lower --num-envs") from error
+    if done.returncode:
+        lines = [line for line in done.stderr.splitlines() if line.startswith("polypod: ")] or done.stderr.splitlines()
+        raise _core.ConfigError(f"{count} workers fail: {lines[0] if lines else 'without a word'}")
+    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return {"threads": threads, **row}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The figures as Markdown, and the limits of networks that follow from them."""
+    rows = result["workers"]
+    first = next(iter(rows.values()))
+    lines = [
+        *heading(result, f"{result['samples']} samples an iteration, fastest of {ITERATIONS} iterations, one machine"),
+        "| workers x threads | iteration, s | speed | waiting, s | processor time, s | sent by a worker, MB |",
+        "|---|---|---|---|---|---|",
+    ]
+    for count, row in rows.items():
+        speed = first["iteration_s"] / row["iteration_s"]
+        lines.append(
+            f"| {count} x {row['threads']} | {row['iteration_s']:.3f} | {speed:.0%} | {row['wait_s']:.3f} | "
+            f"{row['cpu_s']:.2f} | {row['sent_bytes'] / 1e6:.2f} |"
+        )
+    most = max(rows, key=int)
+    if int(most) > 1:
+        work = first["iteration_s"] * first["threads"]
+        lines += ["", "Workers that halve the speed of each, by the model of docs/cluster.md, for these samples:", ""]
+        lines += ["| network | bytes take, s | threads of one worker | workers |", "|---|---|---|---|"]
+        for name, rate in NETWORKS.items():
+            seconds = limit_s(rows, rate)
+            for threads in (2, 16):
+                lines.append(f"| {name} | {seconds:.3f} | {threads} | {work / threads / seconds:.0f} |")
+    return "\n".join(lines)
+
+
+def limit_s(rows: Mapping[str, Mapping[str, Any]], bytes_per_second: float) -> float:
+    """Seconds that a network takes for what many workers send in an iteration.
+
+    Of the gradients of a mini-batch, `n` bytes, each of W workers sends `(W - 1) / W` twice; 2 workers send `n` once.
+    """
+    count = max(map(int, rows))
+    sent = rows[str(count)]["sent_bytes"]
+    return float(2 * sent * count / (2 * (count - 1)) if count > 2 else 2 * sent) / bytes_per_second
+
+
+def _work(asked: Mapping[str, Any]) -> None:
+    """What a worker does; worker 0 prints the figures."""
+    workers = Workers.join(False)
+    options = Options(asked["train_config"], asked["num_envs"], asked["threads"], asked["seed"])
+    train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
+    train_config = train_config.with_mixed_precision_resolved("cpu").with_learner_resolved("native", "cpu")
+    run = train_config.run
+    torch.set_num_threads(options.threads or 1)
+    torch.manual_seed(options.seed)
+    share = workers.share(run.num_envs, "native")
+    env = polypod.make(run.task, run.num_envs, seed=options.seed, threads=options.threads, share=share)
+    times = []
+    with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
+        path = Path(folder)
+        run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")
+        runner = runner_of(VecEnv(env, "cpu", log_extras=False), train_config, path, "cpu", Silent(), workers)
+        runner.logger.open("none", 0, print)
+        observations = runner.env.get_observations()
+        for iteration in range(ITERATIONS + 1):
+            begin, used, waited, sent = time.perf_counter(), time.process_time(), workers.waited, workers.sent
+            observations = runner._iterate(iteration, ITERATIONS + 1, observations)
+            seconds, used = time.perf_counter() - begin, time.process_time() - used
+            used = sum(workers.gather_messages(used))
+            times.append((seconds, used, workers.waited - waited, workers.sent - sent))
+    workers.close()
+    if workers.is_first:
+        names = ("iteration_s", "cpu_s", "wait_s", "sent_bytes")
+        print(json.dumps(dict(zip(names, min(times[1:]), strict=True))))
+
+
+if __name__ == "__main__":
+    _work(json.loads(sys.argv[1]))

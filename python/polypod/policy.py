@@ -1,0 +1,243 @@
+"""Policies of any learner: what `eval`, `play`, `export` and `sim2sim` run.
+
+>>> import polypod.policy
+>>> policy = polypod.policy.load("logs/.../model_300.pt")
+>>> actions = policy.act(observations)
+
+A policy is a checkpoint of `polypod train` beside its manifest, or an ONNX file with one input, the observation, and as
+its first output the action. `save_onnx` writes such a file of any torch module, with what the commands need to know.
+"""
+
+import dataclasses
+import hashlib
+import io
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+
+from polypod import _core
+from polypod.evaluation.policies import NetworkPolicy, load_network
+from polypod.extras import package
+from polypod.files import read_bytes, write_bytes
+from polypod.networks.onnx_network import OnnxNetwork
+from polypod.registration import task_of
+from polypod.training import manifest as manifests
+from polypod.training import run_dir
+from polypod.vector_env import FloatArray, VectorEnv
+
+if TYPE_CHECKING:
+    from rsl_rl.models import MLPModel
+
+METADATA = "polypod"
+"""Key of an ONNX model's metadata under which the manifest stands, as JSON."""
+MAX_BYTES = 1 << 30
+"""Of an ONNX file."""
+OPSET = 17
+"""Of the files that `save_onnx` writes."""
+TOLERANCE = 1e-5
+"""Largest difference of a file that `save_onnx` writes from its module, relative to numbers beyond 1."""
+_ROWS = 64
+
+
+class Policy(Protocol):
+    """A deterministic policy, and what it was made for."""
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+
+    @property
+    def robots(self) -> Sequence[str]:
+        """Names of the robots, or paths of their configs."""
+
+    @property
+    def observation_names(self) -> Sequence[str]:
+        """Terms of the observation, in order."""
+
+    @property
+    def joint_names(self) -> Sequence[str]:
+        """Slots of the action."""
+
+    def act(self, observations: FloatArray) -> FloatArray:
+        """Actions [num_envs, num_actions] for observations [num_envs, num_obs]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LoadedPolicy:
+    """A policy of a file. It is a `Policy`."""
+
+    network: "MLPModel | OnnxNetwork"
+    manifest: dict[str, Any]
+    """`polypod.training.manifest.Manifest`, of an ONNX file the part of it that `OnnxManifest` describes."""
+    file: Path
+    sha256: str
+    """Of the file, hexadecimal."""
+    iteration: int | None = None
+    """Of the training, if it is known."""
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        return str(self.manifest["task"])
+
+    @property
+    def robots(self) -> list[str]:
+        """Names of the robots, or paths of their configs."""
+        return list(self.manifest["robot_sources"])
+
+    @property
+    def observation_names(self) -> list[str]:
+        """Terms of the observation, in order."""
+        return [entry["term"] for entry in self.manifest["observation_layout"]]
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Slots of the action."""
+        return list(self.manifest["canonical_joint_names"])
+
+    def act(self, observations: FloatArray) -> FloatArray:
+        """Actions [num_envs, num_actions] for observations [num_envs, num_obs]; another width raises ConfigError."""
+        return self.runner()(observations)
+
+    def runner(self) -> NetworkPolicy:
+        """The policy as `polypod.evaluation.evaluate` runs it: a recurrent one is told when episodes end."""
+        return NetworkPolicy(self.network, self.manifest["policy"]["num_obs"])
+
+
+def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None = None) -> LoadedPolicy:
+    """Loads a policy; nothing in the file is executed.
+
+    Args:
+        path: a `model_<n>.pt` beside its manifest, or a `.onnx`.
+        task: what an ONNX file is made for that does not say so itself. Others are taken at their word.
+        robots: its robots, likewise; None: those of the task.
+
+    Raises:
+        ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.
+    """
+    path = Path(path)
+    if path.suffix == ".onnx":
+        return _load_onnx(path, task, robots)
+    state, manifest = run_dir.load_checkpoint(path), run_dir.read_manifest(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return LoadedPolicy(load_network(state, manifest["policy"]), manifest, path, digest, state.get("iter"))
+
+
+def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path:
+    """Writes a policy as an ONNX file that the commands take: `polypod eval --checkpoint FILE`.
+
+    Args:
+        module: takes observations [batch, num_obs], float32, and gives actions [batch, num_actions] as `env.step` takes
+            them: what a learner does to either (normalisation, clipping) belongs into it.
+        env: an env of the task and the robots that the policy was trained on.
+        path: of the file; ends in `.onnx`.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: for another ending, for a module that gives something else, and where onnx is missing.
+        PolypodError: for a graph that does not compute what the module does.
+    """
+    path = Path(path)
+    if path.suffix != ".onnx":
+        raise _core.ConfigError(f"{path}: the name of an ONNX file ends in .onnx")
+    onnx = package("onnx", "writing an ONNX file", "export")
+    sim, module = env.sim, module.to("cpu").eval()
+    example = torch.from_numpy(np.random.default_rng(0).standard_normal((_ROWS, sim.num_obs), dtype=np.float32))
+    with torch.inference_mode():
+        wanted = module(example)
+    if not isinstance(wanted, torch.Tensor) or wanted.shape != (_ROWS, sim.num_actions):
+        found = tuple(wanted.shape) if isinstance(wanted, torch.Tensor) else type(wanted).__name__
+        raise _core.ConfigError(
+            f"the module gives {found} for observations {tuple(example.shape)}; it must give actions "
+            f"({_ROWS}, {sim.num_actions})"
+        )
+    model = onnx.load_model_from_string(_traced(module, example))
+    onnx.helper.set_model_props(model, {METADATA: json.dumps(_manifest_of(sim, sim.task_name, sim.robots))})
+    data = model.SerializeToString()
+    with torch.inference_mode():
+        given = OnnxNetwork(data, str(path))(example)
+    difference = float(((given - wanted).abs() / wanted.abs().clamp(min=1.0)).max())
+    if not difference <= TOLERANCE:
+        raise _core.PolypodError(
+            f"{path} would differ from the module by {difference:.1e}; let the module compute without random numbers "
+            "and without branches that depend on its input"
+        )
+    write_bytes(path, data)
+    return path
+
+
+def _traced(module: torch.nn.Module, example: torch.Tensor) -> bytes:
+    """The module as an ONNX model of any batch size. torch's newer exporter takes seconds and another package."""
+    buffer: Any = io.BytesIO()
+    axes = {"obs": {0: "batch"}, "actions": {0: "batch"}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            module,
+            (example,),
+            buffer,
+            input_names=["obs"],
+            output_names=["actions"],
+            dynamic_axes=axes,
+            opset_version=OPSET,
+            dynamo=False,
+        )
+    return bytes(buffer.getvalue())
+
+
+def _load_onnx(path: Path, task: str | None, robots: Sequence[str] | None) -> LoadedPolicy:
+    try:
+        data = read_bytes(path, MAX_BYTES)
+    except OSError as error:
+        raise _core.ConfigError(f"cannot read {path}: {error.strerror}") from error
+    network = OnnxNetwork(data, str(path))
+    if METADATA in network.metadata:
+        manifest = manifests.read_onnx(network.metadata[METADATA], f"{path}: metadata {METADATA}")
+    elif task is None:
+        raise _core.ConfigError(
+            f"{path} does not say for which task it is; name it with --task, or write the file with "
+            "polypod.policy.save_onnx"
+        )
+    else:
+        name = task_of(task)
+        sim = VectorEnv(name, robots=None if robots is None else list(robots), seed=0, threads=1).sim
+        manifest = _manifest_of(sim, sim.task_name, list(robots or sim.robots))
+    sizes = {"num_obs": network.num_obs, "num_actions": network.num_actions}
+    expected = {
+        "num_obs": sum(entry["size"] for entry in manifest["observation_layout"]),
+        "num_actions": len(manifest["canonical_joint_names"]),
+    }
+    if sizes != expected:
+        raise _core.ConfigError(
+            f"{path} takes observations of {sizes['num_obs']} numbers and gives actions of {sizes['num_actions']}; "
+            f"{manifest['task']} has {expected['num_obs']} and {expected['num_actions']}"
+        )
+    policy = {**sizes, "class_name": "ONNX", "hidden_dims": [], "activation": ""}
+    return LoadedPolicy(network, {**manifest, "policy": policy}, path, hashlib.sha256(data).hexdigest())
+
+
+def _manifest_of(sim: _core.VecSim, task: str, robots: Sequence[str]) -> dict[str, Any]:
+    """See `polypod.training.manifest.OnnxManifest`."""
+    return onnx_manifest(
+        {
+            "task": task,
+            "robot_sources": [run_dir.source(robot) for robot in robots],
+            "robots": sim.robots,
+            "overrides": [],
+            "step_dt": sim.step_dt,
+            "canonical_joint_names": sim.canonical_joint_names,
+            "observation_layout": [{"term": term, "size": size} for term, size in sim.observation_layout],
+        }
+    )
+
+
+def onnx_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a training's manifest that an ONNX file holds."""
+    return {"format": 1, **{key: manifest[key] for key in manifests.ONNX_KEYS}}

@@ -1,0 +1,195 @@
+"""What rsl_rl can do is switched on in train configs: asymmetric critics, recurrent networks, RND, distillation."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import polypod
+from common import SHORT
+from polypod.evaluation import evaluate_checkpoint
+from polypod.evaluation.policies import NetworkPolicy
+from polypod.policy import load
+from polypod.training import config, run_dir, session
+from polypod.training.runner import Runner
+
+CRITIC = (
+    'observations.critic=[{term="base_lin_vel"}, {term="contact_friction"}, {term="feet_contact_force"}, '
+    '{term="joint_pos_rel", history_length=2}]'
+)
+WIDTH = 3 + 2 + 4 + 24
+TINY = {"num_envs": 16, "robots": ["spot", "unitree_a1"], "seed": 5, "device": "cpu", "logger": "none"}
+BASE = (*SHORT, "train.run.num_steps_per_env=8", "train.actor.hidden_dims=[16]", "train.critic.hidden_dims=[16]")
+
+
+def train(folder: Path, *overrides: str, iterations: int = 2, **arguments) -> Path:
+    """Trains a little; returns the last checkpoint."""
+    options = {**TINY, "max_iterations": iterations, "overrides": [*BASE, *overrides], **arguments}
+    assert session.train(session.Options(log_dir=folder, **options)) == 0
+    return run_dir.find_checkpoint(folder, "latest")
+
+
+def resume(folder: Path, **arguments) -> None:
+    """Goes on for one more iteration."""
+    options = {"resume": "latest", "max_iterations": 1, "device": "cpu", "logger": "none", **arguments}
+    assert session.train(session.Options(log_dir=folder, **options)) == 0
+
+
+def test_an_asymmetric_critic(tmp_path):
+    """The critic sees both groups, the policy its own; an evaluation and a resume need no more."""
+    path = train(tmp_path, CRITIC, 'train.obs_groups.critic=["policy", "critic"]')
+    state = run_dir.load_checkpoint(path)
+    assert state["actor_state_dict"]["mlp.0.weight"].shape == (16, 48)
+    assert state["critic_state_dict"]["mlp.0.weight"].shape == (16, 48 + WIDTH)
+    manifest = run_dir.read_manifest(path)
+    assert manifest["train_config"]["run"]["learner"] == "rsl_rl"
+    assert manifest["train_config"]["obs_groups"]["critic"] == ["policy", "critic"]
+    assert manifest["policy"]["num_obs"] == 48
+    assert evaluate_checkpoint(path, num_envs=4, steps=5, threads=1).robots.keys() == {"spot", "unitree_a1"}
+
+
+def test_an_asymmetric_critic_resumes_bit_for_bit(tmp_path):
+    overrides = (CRITIC, 'train.obs_groups.critic=["policy", "critic"]', "train.critic.obs_normalization=true")
+    whole = run_dir.load_checkpoint(train(tmp_path / "whole", *overrides, iterations=3))
+    train(tmp_path / "parts", *overrides, iterations=2)
+    resume(tmp_path / "parts")
+    parts = run_dir.load_checkpoint(run_dir.find_checkpoint(tmp_path / "parts", "latest"))
+    for network in ("actor_state_dict", "critic_state_dict"):
+        for key, value in whole[network].items():
+            assert torch.equal(value, parts[network][key]), key
+
+
+def test_mirror_images_of_all_groups(tmp_path):
+    path = train(tmp_path, CRITIC, 'train.obs_groups.critic=["policy", "critic"]', "train.run.symmetry=true")
+    assert path.exists()
+
+
+def test_a_policy_that_remembers_is_exported_alone(tmp_path, cli):
+    """The graph of observations to actions; what is folded for a robot has no memory."""
+    path = train(tmp_path, "observations.policy.joint_pos_rel.history_length=3", iterations=1)
+    assert load(path).act(np.zeros((2, 72), dtype=np.float32)).shape == (2, 12)
+    assert cli("export", "--checkpoint", str(path), "--formats", "onnx", "--out", "out").returncode == 0
+    assert load(tmp_path / "out" / "policy.onnx").manifest["policy"]["num_obs"] == 72
+    for line in (("export", "--fold"), ("sim2sim", "--num-envs", "1", "--steps", "1")):
+        done = cli(line[0], "--checkpoint", str(path), *line[1:])
+        assert done.returncode == 2
+        assert "no history, and joint_pos_rel remember" in done.stderr
+
+
+def test_a_network_of_joints_takes_no_memory(tmp_path):
+    options = session.Options(
+        log_dir=tmp_path,
+        **TINY,
+        task="velocity_flat_universal",
+        train_config="flat_urma",
+        max_iterations=1,
+        overrides=["observations.policy.joint_pos_rel.history_length=3", "train.run.symmetry=false"],
+    )
+    with pytest.raises(polypod.ConfigError, match="UrmaModel takes no history, and joint_pos_rel remember"):
+        session.train(options)
+
+
+@pytest.mark.parametrize("kind", ["gru", "lstm"])
+def test_recurrent_networks(tmp_path, kind, cli):
+    recurrent = [
+        f"train.{network}.{key}"
+        for network in ("actor", "critic")
+        for key in ("class_name=RNNModel", f"rnn_type={kind}", "rnn_hidden_dim=12", "rnn_num_layers=1")
+    ]
+    path = train(tmp_path, *recurrent)
+    manifest = run_dir.read_manifest(path)
+    assert manifest["policy"]["rnn_type"] == kind
+    first, again = (evaluate_checkpoint(path, num_envs=4, steps=20, threads=1) for _ in range(2))
+    assert first.robots == again.robots, "an evaluation begins without memories"
+    done = cli("export", "--checkpoint", str(path))
+    assert done.returncode == 2
+    assert "is recurrent, which this version does not export" in done.stderr
+    assert cli("play", "--checkpoint", str(path), "--headless", "--seconds", "0.5").returncode == 0
+
+
+def test_a_recurrent_policy_forgets_at_the_end_of_episodes(tmp_path):
+    recurrent = ("class_name=RNNModel", "rnn_type=gru", "rnn_hidden_dim=12", "rnn_num_layers=1")
+    path = train(tmp_path, *(f"train.actor.{key}" for key in recurrent), iterations=1)
+    policy = load(path).runner()
+    assert isinstance(policy, NetworkPolicy)
+    rows = np.random.default_rng(0).standard_normal((2, 48), dtype=np.float32)
+    first = policy(rows)
+    second = policy(rows)
+    assert not np.allclose(first, second), "it remembers"
+    policy.reset(np.array([True, False]))
+    third = policy(rows)
+    np.testing.assert_array_equal(third[0], first[0])
+    assert not np.allclose(third[1], first[1])
+
+
+def test_random_network_distillation(tmp_path):
+    path = train(tmp_path, "train.rnd={weight=10.0, predictor_hidden_dims=[8], target_hidden_dims=[8]}")
+    assert "rnd_state_dict" in run_dir.load_checkpoint(path)
+    resume(tmp_path)
+
+
+def terms(*names: str) -> str:
+    """A group of these terms in TOML."""
+    return f"[{', '.join(f'{{term = {name!r}}}' for name in names)}]"
+
+
+def test_a_student_learns_what_its_teacher_does(tmp_path, monkeypatch):
+    """The teacher saw velocities; the student, with a memory of what its sensors say, comes near to it."""
+    teacher = train(tmp_path / "teacher", iterations=1)
+    sensed = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "joint_vel_rel", "last_action")
+    whole, student = (terms("base_lin_vel", *sensed), terms(*sensed))
+    losses = []
+
+    def recorded(self, observations):
+        loss = original(self, observations)
+        losses.append(loss["behavior"])
+        return loss
+
+    original = Runner._update
+    monkeypatch.setattr(Runner, "_update", recorded)
+    path = train(
+        tmp_path / "student",
+        f"observations.teacher={whole}",
+        f"observations.policy={student}",
+        f'train.distillation={{teacher="{teacher}", gradient_length=4}}',
+        "train.algorithm.num_learning_epochs=4",
+        iterations=10,
+    )
+    assert losses[-1] < 0.5 * losses[0]
+    assert run_dir.read_manifest(path)["policy"]["num_obs"] == 45
+    assert evaluate_checkpoint(path, num_envs=4, steps=5, threads=1).robots
+    resume(tmp_path / "student")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (['train.obs_groups.critic=["policy", "critc"]', CRITIC], "has no group 'critc', but policy, critic"),
+        (['train.obs_groups.critic=["policy", "policy"]'], "must name groups, each once"),
+        (["train.obs_groups.critic=[]"], "must name groups"),
+        (['train.obs_groups.actor=["critic"]'], "a policy sees the group policy alone"),
+        (["train.actor.class_name=RNNModel"], "rnn_type is missing"),
+        (["train.actor.rnn_type=gru"], "rnn_type is of recurrent networks"),
+        (["train.rnd={weight=0.0}"], "must be greater than 0"),
+        (["train.rnd={wait=1.0}"], "unknown key 'wait'; did you mean 'weight'"),
+        (['train.distillation={teacher="none.pt", gradient_length=4}'], "cannot read"),
+        (['train.distillation={teacher="none.pt", loss_type="l1"}'], "not one of mse, huber"),
+    ],
+)
+def test_mistakes_are_named(overrides, said, tmp_path):
+    options = session.Options(log_dir=tmp_path, **TINY, max_iterations=1, overrides=[*BASE, *overrides])
+    with pytest.raises(polypod.ConfigError, match=said):
+        session.train(options)
+    assert not list(tmp_path.glob("rsl_rl/*/*"))
+
+
+@pytest.mark.parametrize(
+    "override",
+    ['obs_groups.critic=["policy", "critic"]', "rnd={weight=1.0}", 'distillation={teacher="x.pt"}'],
+)
+def test_the_native_learner_says_what_it_does_not_do(override):
+    loaded = config.load("flat", [override])
+    assert loaded.with_learner_resolved("auto", "cpu").run.learner == "rsl_rl"
+    with pytest.raises(polypod.ConfigError, match="the native learner"):
+        loaded.with_learner_resolved("native", "cpu")
