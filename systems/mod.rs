@@ -36,6 +36,7 @@ mod disturb;
 mod faults;
 mod finite;
 mod gather;
+mod groups;
 mod load;
 mod logs;
 mod mirror;

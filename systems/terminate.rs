@@ -4,7 +4,7 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::reward::BodiesInContact;
+use super::groups::BodiesInContact;
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam};
 use super::{ControlStep, PipelineSet};

@@ -37,7 +37,7 @@ const ROOMS: [&str; 30] = [
 ];
 
 /// The files of `systems/` from the ground up; `mod` holds what they share, the schedules and sets.
-const SYSTEMS: [&str; 26] = [
+const SYSTEMS: [&str; 27] = [
     "view",
     "terms",
     "faults",
@@ -54,6 +54,7 @@ const SYSTEMS: [&str; 26] = [
     "physics",
     "mirror",
     "sense",
+    "groups",
     "terminate",
     "logs",
     "gather",

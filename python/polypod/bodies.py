@@ -95,7 +95,7 @@ class Body:
 
     @property
     def mass(self) -> float:
-        """Kg."""
+        """Of all links, kg."""
         return sum(link.mass for link in self.links)
 
 
@@ -236,7 +236,9 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
     rest = 1.0 - 2 * (sum(shares.values()) + shares["hip"]) - (2 * sum(arm.values()) if arms else 0.0)
     chest = leg * rng.uniform(0.45, 0.65)
     pelvis = (0.2 * leg, width, 0.16 * leg)
-    links, joints = [], []
+    links: list[Link] = []
+    joints: list[Joint] = []
+    add = joints.append
     if torso:
         links.append(Link("base", 0.35 * rest * mass, "box", pelvis))
     else:
@@ -252,33 +254,27 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
         links.append(Link(names[1], shares["hip"] * mass, "sphere", (0.05 * leg,)))
         links.append(_rod(names[2], shares["thigh"] * mass, thigh, 0.07 * leg))
         links.append(_rod(names[3], shares["shank"] * mass, shank, 0.05 * leg))
-        joints.append(
-            Joint(f"{place}_HIP_YAW", "base", names[0], (0.0, y * width / 2, -0.1 * leg), "z", -0.8, 0.8, "legs")
-        )
-        joints.append(Joint(f"{place}_HIP_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", -0.6, 0.6, "legs"))
-        joints.append(Joint(f"{place}_HIP_PITCH", names[1], names[2], (0.0, 0.0, 0.0), "y", -2.0, 1.0, "legs", flexion))
-        joints.append(Joint(f"{place}_KNEE", names[2], names[3], (0.0, 0.0, -thigh), "y", 0.0, 2.4, "legs", bend))
+        add(Joint(f"{place}_HIP_YAW", "base", names[0], (0.0, y * width / 2, -0.1 * leg), "z", -0.8, 0.8, "legs"))
+        add(Joint(f"{place}_HIP_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", -0.6, 0.6, "legs"))
+        add(Joint(f"{place}_HIP_PITCH", names[1], names[2], (0.0, 0.0, 0.0), "y", -2.0, 1.0, "legs", flexion))
+        add(Joint(f"{place}_KNEE", names[2], names[3], (0.0, 0.0, -thigh), "y", 0.0, 2.4, "legs", bend))
         tilt = -flexion - bend
         end = names[5]
         if ankle_roll:
             links.append(Link(names[4], shares["ankle"] * mass, "sphere", (0.03 * leg,)))
             links.append(Link(names[5], shares["sole"] * mass, "box", sole, foot))
-            joints.append(
-                Joint(f"{place}_ANKLE_PITCH", names[3], names[4], (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt)
-            )
-            joints.append(Joint(f"{place}_ANKLE_ROLL", names[4], end, (0.0, 0.0, 0.0), "x", -0.5, 0.5, "ankles"))
+            add(Joint(f"{place}_ANKLE_PITCH", names[3], names[4], (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt))
+            add(Joint(f"{place}_ANKLE_ROLL", names[4], end, (0.0, 0.0, 0.0), "x", -0.5, 0.5, "ankles"))
         else:
             links.append(Link(end, (shares["ankle"] + shares["sole"]) * mass, "box", sole, foot))
-            joints.append(
-                Joint(f"{place}_ANKLE_PITCH", names[3], end, (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt)
-            )
+            add(Joint(f"{place}_ANKLE_PITCH", names[3], end, (0.0, 0.0, -shank), "y", -1.1, 0.8, "ankles", tilt))
     if arms:
         shoulders, top = "base", chest - 0.12 * leg
         if torso:
             shoulders = "torso"
             box = (0.2 * leg, width, 0.9 * chest)
             links.append(Link("torso", 0.65 * rest * mass, "box", box, (0.0, 0.0, 0.5 * chest)))
-            joints.append(Joint("TORSO_YAW", "base", "torso", (0.0, 0.0, 0.08 * leg), "z", -1.5, 1.5, "legs"))
+            add(Joint("TORSO_YAW", "base", "torso", (0.0, 0.0, 0.08 * leg), "z", -1.5, 1.5, "legs"))
             top = 0.9 * chest
         for place, y in (("L", 1), ("R", -1)):
             names = [f"{place}_{part}" for part in ("shoulder", "upper_arm", "forearm")]
@@ -287,14 +283,10 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
             links.append(_rod(names[1], arm["upper"] * mass, upper_arm, 0.04 * leg))
             links.append(_rod(names[2], arm["fore"] * mass, forearm, 0.035 * leg))
             at = (0.0, y * beside, top)
-            joints.append(Joint(f"{place}_SHOULDER_PITCH", shoulders, names[0], at, "y", -2.5, 2.5, "arms", 0.2))
+            add(Joint(f"{place}_SHOULDER_PITCH", shoulders, names[0], at, "y", -2.5, 2.5, "arms", 0.2))
             low, high = (-0.3, 1.6) if y > 0 else (-1.6, 0.3)
-            joints.append(
-                Joint(f"{place}_SHOULDER_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", low, high, "arms", 0.1 * y)
-            )
-            joints.append(
-                Joint(f"{place}_ELBOW", names[1], names[2], (0.0, 0.0, -upper_arm), "y", -2.2, 0.1, "arms", -0.4)
-            )
+            add(Joint(f"{place}_SHOULDER_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", low, high, "arms", 0.1 * y))
+            add(Joint(f"{place}_ELBOW", names[1], names[2], (0.0, 0.0, -upper_arm), "y", -2.2, 0.1, "arms", -0.4))
     # like machines: too soft at the ankles to stand without a policy
     stiffness = {"legs": 0.7, "ankles": 0.25} | ({"arms": 0.08} if arms else {})
     return Body(name, "humanoid" if arms else "biped", links, joints, [], leg, "biped", stiffness)
@@ -312,18 +304,15 @@ def _hexapod(name: str, rng: np.random.Generator) -> Body:
     base = 1.0 - 6 * sum(shares.values())
     links = [Link("base", base * mass, "box", (length, width, height))]
     joints: list[Joint] = []
+    part = links.append
     feet = []
     lift = -0.3
     places = (("LF", 1, 1), ("LM", 0, 1), ("LH", -1, 1), ("RF", 1, -1), ("RM", 0, -1), ("RH", -1, -1))
     for place, x, y in places:
-        names = [f"{place}_{part}" for part in ("coxa", "femur", "tibia", "foot")]
-        links.append(Link(names[0], shares["coxa"] * mass, "cylinder", (0.06 * leg, coxa), (coxa / 2, 0.0, 0.0), "x"))
-        links.append(
-            Link(names[1], shares["femur"] * mass, "cylinder", (0.06 * leg, femur), (femur / 2, 0.0, 0.0), "x")
-        )
-        links.append(
-            Link(names[2], shares["tibia"] * mass, "cylinder", (0.04 * leg, tibia), (tibia / 2, 0.0, 0.0), "x")
-        )
+        names = [f"{place}_{piece}" for piece in ("coxa", "femur", "tibia", "foot")]
+        part(Link(names[0], shares["coxa"] * mass, "cylinder", (0.06 * leg, coxa), (coxa / 2, 0.0, 0.0), "x"))
+        part(Link(names[1], shares["femur"] * mass, "cylinder", (0.06 * leg, femur), (femur / 2, 0.0, 0.0), "x"))
+        part(Link(names[2], shares["tibia"] * mass, "cylinder", (0.04 * leg, tibia), (tibia / 2, 0.0, 0.0), "x"))
         at = (x * length / 2, y * width / 2, 0.0)
         # legs point away from the body, those at the ends along it too
         yaw = y * (math.pi / 2 - x * spread)
@@ -376,12 +365,12 @@ def urdf(body: Body) -> str:
             ]
         x, y, z = link.inertia()
         turned = ' rpy="0 1.5707963267948966 0"' if link.along == "x" else ""
+        inertia = f'ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" ixy="0" ixz="0" iyz="0"'
         shape = f'<origin xyz="{_numbers(link.at)}"{turned}/><geometry>{_shape(link)}</geometry>'
         out += [
             f'  <link name="{link.name}">',
             f'    <inertial><origin xyz="{_numbers(link.at)}"/><mass value="{_number(link.mass)}"/>',
-            f'      <inertia ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" '
-            'ixy="0" ixz="0" iyz="0"/></inertial>',
+            f"      <inertia {inertia}/></inertial>",
             f"    <visual>{shape}</visual>",
             f"    <collision>{shape}</collision>",
             "  </link>",

@@ -7,54 +7,15 @@ use serde::Deserialize;
 use super::motion_terms::is_moving;
 use super::norm;
 use crate::dynamics::elementary::{exp, tanh_positive};
-use crate::robot::BodyGroup;
+use crate::systems::groups::BodiesInContact;
 use crate::systems::terms::Registry;
 use crate::systems::view::RobotView;
-
-/// A group of contact bodies, as configs name it.
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-pub(in crate::systems) enum Group {
-    Base,
-    Torso,
-    Hip,
-    Thigh,
-    Shank,
-    Foot,
-    Arm,
-    Head,
-}
-
-impl Group {
-    #[inline(always)]
-    pub(in crate::systems) fn holds(self, group: BodyGroup) -> bool {
-        let own = match self {
-            Group::Base => BodyGroup::Base,
-            Group::Torso => BodyGroup::Torso,
-            Group::Hip => BodyGroup::Hip,
-            Group::Thigh => BodyGroup::Thigh,
-            Group::Shank => BodyGroup::Shank,
-            Group::Foot => BodyGroup::Foot,
-            Group::Arm => BodyGroup::Arm,
-            Group::Head => BodyGroup::Head,
-        };
-        own == group
-    }
-}
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AirTimeThreshold {
     /// Flight that neither earns nor costs, s.
     threshold: f32,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(in crate::systems) struct BodiesInContact {
-    /// Normal force that counts, N.
-    pub(in crate::systems) threshold: f32,
-    pub(in crate::systems) bodies: Vec<Group>,
 }
 
 #[derive(Deserialize)]

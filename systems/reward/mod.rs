@@ -5,8 +5,6 @@ mod gait_terms;
 mod joint_terms;
 mod motion_terms;
 
-pub(super) use contact_terms::BodiesInContact;
-
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 

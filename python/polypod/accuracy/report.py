@@ -54,11 +54,7 @@ class Report:
 
 
 def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
-    """Runs every comparison for the robots named, or for all; those of standing for robots that stand.
-
-    Raises:
-        UnknownNameError: for a robot that does not exist.
-    """
+    """Runs every comparison for the robots named, or all; of standing for those that stand. Raises UnknownNameError."""
     robots = [robot.load(name) for name in names or robot.names()]
     report = Report(reference.version(), [], [], [], [], [], [], [], [], [])
     for each in robots:

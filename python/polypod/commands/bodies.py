@@ -14,8 +14,7 @@ class Bodies:
     """Draw bodies that nobody built, as a library of robots: `polypod bodies generate FOLDER --count 1000`."""
 
     action: Annotated[Literal["generate"], tyro.conf.Positional]
-    """generate: draw lengths, let masses, gains and poses follow, write a URDF and a TOML for each body and tasks of
-    all."""
+    """generate: draw lengths, let masses, gains and poses follow, write URDFs, TOMLs and tasks of all."""
     folder: Annotated[Path, tyro.conf.Positional]
     """Where to. Name it in POLYPOD_PATH to use it."""
     count: Annotated[int, arg(metavar="N")] = 100
