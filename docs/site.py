@@ -1,4 +1,4 @@
-"""What MkDocs does to the pages of the repository: README.md becomes the front page, links out of docs/ lead to GitHub."""
+"""What MkDocs does to the pages: README.md becomes the front page, links out of docs/ lead to the repository."""
 
 import re
 from pathlib import Path
