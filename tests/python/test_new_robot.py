@@ -91,7 +91,7 @@ def test_by_name_with_tasks_of_its_own(cli, tmp_path, fox, monkeypatch):
     done = cli("robot", "new", str(fox), "--out", "mine/configs/robots/swift_fox.toml")
     assert done.returncode == 0, done.stderr
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "mine"))
-    assert "Velocity-Flat-Swift-Fox-v0" in cli("list").stdout
+    assert "Velocity-Flat-Swift-Fox-v0" in cli("list", "tasks").stdout
     done = cli("train", *QUICK, "--task", "Velocity-Flat-Swift-Fox-v0")
     assert done.returncode == 0, done.stderr
     (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_2.pt")
