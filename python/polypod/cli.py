@@ -122,7 +122,9 @@ def _check_seed(command: Any) -> None:
         raise _core.ConfigError(f"--seed {seed} must be from 0 to 2^64 - 1")
 
 
-_DESCRIPTION = "Trains one locomotion policy over many legged robots, on ordinary CPUs."
+_DESCRIPTION = """Trains one locomotion policy over many legged robots, on ordinary CPUs.
+
+-V, --version  Show the version and exit."""
 
 
 def _run(command: Any) -> int:
