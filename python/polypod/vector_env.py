@@ -447,14 +447,15 @@ def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
     Of several robots the wider limits count. A joint without limits turns half a turn to either side.
     """
     low, high = np.zeros(sim.num_actions), np.zeros(sim.num_actions)
-    for robot, numbers in json.loads(sim.robot_info()).items():
+    for numbers in json.loads(sim.robot_info()).values():
         scale = numbers["action_scale"]
-        for slot, (_, joint) in enumerate(sim.joint_map(robot)):
+        places = zip(numbers["columns"], numbers["joint_of_slot"], numbers["slot_signs"], strict=True)
+        for column, joint, sign in places:
+            ends = zip((numbers["lower"][joint], numbers["upper"][joint]), (-np.pi, np.pi), strict=True)
             pose = numbers["default_pose"][joint]
-            for bounds, limit, choose in ((low, numbers["lower"][joint], min), (high, numbers["upper"][joint], max)):
-                turn = np.pi if choose is max else -np.pi
-                reach = limit - pose if limit is not None and np.isfinite(limit) else turn
-                bounds[slot] = choose(bounds[slot], reach / scale)
+            turns = [turn if end is None or not np.isfinite(end) else end - pose for end, turn in ends]
+            reach = sorted(sign * turn / scale for turn in turns)
+            low[column], high[column] = min(low[column], reach[0]), max(high[column], reach[1])
     return low.astype(np.float32), high.astype(np.float32)
 
 

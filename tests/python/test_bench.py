@@ -77,7 +77,7 @@ def test_json_has_the_promised_figures(
 
 
 def test_bad_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "--quick", "--robot", "unitree_a2"]) == 2
+    assert cli.main(["bench", "--quick", "--robot", "nobodys_robot"]) == 2
     assert "unitree_a" in capsys.readouterr().err
     assert cli.main(["bench", "--threads", "0"]) == 2
     assert "--threads" in capsys.readouterr().err

@@ -22,8 +22,10 @@ class Mirror:
             ConfigError: when the robots of the run have different mirrors.
         """
         sim = env.unwrapped.sim
-        mask, robots = sim.action_mask, sim.robots
-        actions = {name: (sim.action_mirror(name), mask[sim.env_ids(name)[0]].tolist()) for name in robots}
+        mask, blocks = sim.action_mask, {name: sim.env_ids(name) for name in sim.robots}
+        # a worker's share may have no env of a robot
+        robots = [name for name, (start, stop) in blocks.items() if start < stop]
+        actions = {name: (sim.action_mirror(name), mask[blocks[name][0]].tolist()) for name in robots}
         self._actions = _tensors(_common(actions), device)
         self._observations = {}
         for group in sim.observation_groups:
