@@ -82,7 +82,9 @@ class Bench:
 
         threads = checked_threads(self.step_threads, "--step-threads")
         num_envs, seed = positive(self.num_envs, "--num-envs"), DEFAULT_SEED if self.seed is None else self.seed
-        options = learners.Options(self.train_config, num_envs, threads, seed)
+        is_walk = self.walk and self.workers is None and not self.learner
+        train_config = self.train_config or ("quick" if is_walk else "flat_universal")
+        options = learners.Options(train_config, num_envs, threads, seed)
         progress = functools.partial(print, file=sys.stderr, flush=True)
         if self.workers is not None:
             from polypod.bench import workers
