@@ -36,7 +36,7 @@ FOLDERS = tuple(f"{folder}/" for folder in ("assets", "benches", "configs", "doc
 
 TASK_TABLES = {"commands", "curriculum", "events", "observations", "physics", "rewards", "scene", "sensors", "sim"}
 TASK_TABLES |= {"terminations"}
-TRAIN_TABLES = {"run", "algorithm", "actor", "critic", "obs_groups", "rnd", "distillation"}
+TRAIN_TABLES = {"anneal", "run", "algorithm", "actor", "critic", "obs_groups", "rnd", "distillation"}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -117,3 +117,25 @@ def test_a_file_extends_the_one_that_it_hides(tmp_path, monkeypatch):
 def test_a_missing_file(tmp_path):
     with pytest.raises(polypod.ConfigError, match="cannot read"):
         config.load(str(tmp_path / "none.toml"))
+
+
+def test_goals_move_linearly_from_start_to_end() -> None:
+    base = config.load("flat").as_dict()
+    base["run"]["max_iterations"] = 100
+    base["algorithm"] |= {"entropy_coef": 0.01, "desired_kl": 0.02}
+    assert config.parse(base, "test").goals(99) == (0.01, 0.02)
+    fading = config.parse({**base, "anneal": {"start": 0.5, "entropy_coef": 0.0, "desired_kl": 0.01}}, "test")
+    assert fading.goals(0) == fading.goals(49) == (0.01, 0.02)
+    assert fading.goals(74) == pytest.approx((0.005, 0.015))
+    assert fading.goals(99) == fading.goals(1000) == (0.0, 0.01)
+    assert config.parse(fading.as_dict(), "test") == fading
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"start": 1.5}, {"start": -0.1}, {"entropy_coef": -1.0}, {"desired_kl": 0.0}, {"desired_kl": float("nan")}],
+)
+def test_goals_out_of_range_are_refused(wrong) -> None:
+    base = config.load("quick").as_dict()
+    with pytest.raises(polypod.ConfigError, match=rf"\[anneal\] {next(iter(wrong))}"):
+        config.parse({**base, "anneal": base["anneal"] | wrong}, "test")
