@@ -19,6 +19,7 @@ from polypod.training import config, run_dir
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 from polypod.training.session import DEFAULT_SEED, runner_of
+from polypod.training.workers import Workers
 
 CUDA = "cuda:0"
 ITERATIONS = 3
@@ -61,8 +62,18 @@ class Silent(Reporter):
 
 
 @contextlib.contextmanager
-def training(options: Options, learner: str, device: str, precision: str = "off") -> Iterator[Runner]:
-    """A new training in a folder that goes when the context ends. Raises ConfigError like `polypod train`."""
+def training(
+    options: Options, learner: str, device: str, precision: str = "off", workers: Workers | None = None
+) -> Iterator[Runner]:
+    """A new training in a folder that goes when the context ends. Raises ConfigError like `polypod train`.
+
+    Args:
+        options: what to train.
+        learner: what learns.
+        device: where it does.
+        precision: `mixed_precision`.
+        workers: those that have the other envs; None: there are none.
+    """
     train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
@@ -72,11 +83,12 @@ def training(options: Options, learner: str, device: str, precision: str = "off"
     if options.threads is not None:
         torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
-    env = polypod.make(run.task, run.num_envs, seed=options.seed, threads=options.threads)
+    share = None if workers is None else workers.share(run.num_envs, run.learner)
+    env = polypod.make(run.task, run.num_envs, seed=options.seed, threads=options.threads, share=share)
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
         path = Path(folder)
         run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")
-        runner = runner_of(VecEnv(env, device, log_extras=False), train_config, path, device, Silent())
+        runner = runner_of(VecEnv(env, device, log_extras=False), train_config, path, device, Silent(), workers)
         runner.logger.open("none", 0, print)
         yield runner
 

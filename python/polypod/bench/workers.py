@@ -4,26 +4,18 @@ The same cores are shared out among more and more workers. What is measured is w
 they wait for one another, and the bytes that they send.
 """
 
-import contextlib
 import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-import torch
-
-import polypod
 from polypod import _core
-from polypod.bench.learners import Options, Silent, heading
+from polypod.bench.learners import Options, heading, training
 from polypod.bench.report import Progress
-from polypod.rsl_rl import VecEnv
-from polypod.training import config, run_dir
-from polypod.training.session import runner_of
+from polypod.training import config
 from polypod.training.workers import Workers
 
 ITERATIONS = 8
@@ -110,19 +102,8 @@ def _work(asked: Mapping[str, Any]) -> None:
     """What a worker does; worker 0 prints the figures."""
     workers = Workers.join(False)
     options = Options(asked["train_config"], asked["num_envs"], asked["threads"], asked["seed"])
-    train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
-    train_config = train_config.with_mixed_precision_resolved("cpu").with_learner_resolved("native", "cpu")
-    run = train_config.run
-    torch.set_num_threads(options.threads or 1)
-    torch.manual_seed(options.seed)
-    share = workers.share(run.num_envs, "native")
-    env = polypod.make(run.task, run.num_envs, seed=options.seed, threads=options.threads, share=share)
     times = []
-    with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
-        path = Path(folder)
-        run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")
-        runner = runner_of(VecEnv(env, "cpu", log_extras=False), train_config, path, "cpu", Silent(), workers)
-        runner.logger.open("none", 0, print)
+    with training(options, "native", "cpu", workers=workers) as runner:
         observations = runner.env.get_observations()
         for iteration in range(ITERATIONS + 1):
             begin, used, waited, sent = time.perf_counter(), time.process_time(), workers.waited, workers.sent
