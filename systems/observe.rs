@@ -139,7 +139,10 @@ fn spread(slots: &[SlotJoint], columns: usize, numbers: &mut [f32]) {
 }
 
 impl ObservationTerm {
-    /// Observes an env's numbers: `write` is handed those of its robot, in a batch of so many columns of joints.
+    /// Observes an env's numbers: `write` is handed those of its robot, in a batch of so many columns of joints. `row` holds the
+    /// term's numbers as they were observed in the step before. What a new episode remembers is its first numbers.
+    ///
+    /// `treat` is called from here and from no closure, so that it is compiled for the instruction set of its caller.
     #[inline(always)]
     fn observe(
         &self,
@@ -149,31 +152,20 @@ impl ObservationTerm {
         rng: &mut EnvRng,
         write: impl FnOnce(&mut [f32]),
     ) {
-        self.remember(row, is_new, |newest| {
-            let own = match self.spec.kind {
-                TermKind::PerJoint => newest.len() / columns * robot.slots.len(),
-                _ => newest.len(),
-            };
-            write(&mut newest[..own]);
-            self.treat(&mut newest[..own], rng);
-            if own != newest.len() {
-                spread(&robot.slots, columns, newest);
-            }
-        });
-    }
-
-    /// Moves what the term remembers on by a step and has `write` fill in the newest numbers. `row` holds the term's numbers as they
-    /// were observed in the step before. What a new episode remembers is its first numbers.
-    #[inline(always)]
-    fn remember(&self, row: &mut [f32], is_new: bool, write: impl FnOnce(&mut [f32])) {
-        if self.history == 1 {
-            write(row);
-            return;
-        }
         let size = self.size / self.history;
-        row.copy_within(size.., 0);
+        if self.history > 1 {
+            row.copy_within(size.., 0);
+        }
         let (older, newest) = row.split_at_mut(self.size - size);
-        write(newest);
+        let own = match self.spec.kind {
+            TermKind::PerJoint => size / columns * robot.slots.len(),
+            _ => size,
+        };
+        write(&mut newest[..own]);
+        self.treat(&mut newest[..own], rng);
+        if own != size {
+            spread(&robot.slots, columns, newest);
+        }
         if is_new {
             older.chunks_exact_mut(size).for_each(|numbers| numbers.copy_from_slice(newest));
         }
