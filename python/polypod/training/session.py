@@ -92,7 +92,7 @@ def train(options: Options) -> int:
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
     """
-    is_cuda = options.device != "cpu" and torch.cuda.is_available()
+    is_cuda = options.device != "cpu" and options.learner != "native" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
     try:
         run, runner = train_with(options, workers)
@@ -256,7 +256,7 @@ def new_plan(options: Options) -> Plan:
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
-    ).with_mixed_precision_resolved(device)
+    ).with_mixed_precision_resolved(torch.device(device).type)
     train_config = train_config.with_teacher_located()
     terms = None if options.terms is None else python_terms.load(options.terms)
     train_config = train_config.with_learner_resolved(
