@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from polypod import _core
-from polypod.networks.masked import ACTION_MASK
+from polypod.networks.masked import ACTION_MASK, MaskedGaussian
 from polypod.rsl_rl import VecEnv
 from polypod.training.config import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
 from polypod.training.symmetry import Mirror
@@ -221,7 +221,11 @@ class Update:
             enabled=algorithm.mixed_precision == "on",
             cache_enabled=False,  # a graph reads the weights anew
         ):
-            actor(observations, stochastic_output=True)
+            distribution = actor.distribution
+            if isinstance(distribution, MaskedGaussian):
+                distribution.mask = observations[ACTION_MASK]
+            # as the actor's forward, which would draw actions too
+            distribution.update(actor.mlp(actor.get_latent(observations)))
             log_prob = actor.get_output_log_prob(actions)
             values = critic(observations).squeeze(1)
             entropy = actor.output_entropy[:n].mean()
