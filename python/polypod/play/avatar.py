@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from polypod.extras import package
 from polypod.play import turns
-from polypod.play.looks import Color, Look
+from polypod.play.looks import Color, Look, Model
 from polypod.play.mesh import Array, joined, rotation
 from polypod.play.raster import COMMAND, FORCE, FORCE_LENGTH
 from polypod.play.scene import Contact, RobotFrame
@@ -26,7 +26,7 @@ LEAST = 0.02
 """Shorter arrows are not shown, m."""
 CLOSE = 0.01
 """An arrow whose length is off by less than this is not drawn anew, m."""
-NAME_HEIGHT = 0.11
+NAME_HEIGHT = 0.09
 """Of a robot's name, m."""
 _FONT = 44
 """Pixels."""
@@ -36,7 +36,7 @@ _NONE = np.array([[[0.0, 0.0, 0.0], [1e-4, 0.0, 0.0]]], dtype=np.float32)
 class Avatar:
     """Nodes of one robot below a node of the scene."""
 
-    def __init__(self, scene: Any, root: str, robot: RobotFrame, looks: Sequence[Look], color: Color) -> None:
+    def __init__(self, scene: Any, root: str, robot: RobotFrame, looks: Sequence[Look | Model], color: Color) -> None:
         """Adds the nodes.
 
         Args:
@@ -52,27 +52,31 @@ class Avatar:
             scene.add_frame(f"{root}/{link}", show_axes=False) if link else self._base
             for link in range(len(robot.position))
         ]
-        for number, look in enumerate(_joined(looks)):
-            parent = f"{root}/{look.link}" if look.link else root
+        models = [look for look in looks if isinstance(look, Model)]
+        pieces = _joined([look for look in looks if isinstance(look, Look)])
+        for model in models:
+            scene.add_glb(f"{self._node(model.link)}/model", model.glb)
+        for number, look in enumerate(pieces):
             scene.add_mesh_simple(
-                f"{parent}/look{number}",
+                f"{self._node(look.link)}/look{number}",
                 look.mesh.vertices.astype(np.float32),
                 look.mesh.triangles(),
                 color=look.color,
                 flat_shading=not look.smooth,
             )
-        top = max(
-            (float(look.mesh.vertices[:, 2].max()) for look in looks if look.link == 0 and len(look.mesh.vertices)),
-            default=0.1,
-        )
+        tops = [model.top for model in models if model.link == 0]
+        top = max([*tops, *(float(look.mesh.vertices[:, 2].max()) for look in pieces if look.link == 0)], default=0.1)
         # level with the world, at the base
         self._level = scene.add_frame(f"{root}/level", show_axes=False)
-        self._name = _plate(scene, f"{root}/level/name", robot.name, color, top + 0.34)
+        self._name = _plate(scene, f"{root}/level/name", robot.name, color, top + 0.32)
         self._command = _Arrow(scene, f"{root}/level/command", COMMAND, (0.0, 0.0, top + 0.2))
         self._velocity = _Arrow(scene, f"{root}/level/velocity", VELOCITY, (0.0, 0.0, top + 0.12))
         self._forces: dict[int, _Arrow] = {}
         self._scan: Any = None
         self.shows_forces = self.shows_velocity = self.shows_scan = True
+
+    def _node(self, link: int) -> str:
+        return f"{self.root}/{link}" if link else self.root
 
     def show_base(self, robot: RobotFrame) -> None:
         """Moves the robot as a whole."""
@@ -109,7 +113,7 @@ class Avatar:
             touching.add(contact.body)
             arrow = self._forces.get(contact.body)
             if arrow is None:
-                parent = f"{self.root}/{contact.link}" if contact.link else self.root
+                parent = self._node(contact.link)
                 place = (float(contact.center[0]), float(contact.center[1]), float(contact.center[2]))
                 arrow = self._forces[contact.body] = _Arrow(self._scene, f"{parent}/force{contact.body}", FORCE, place)
             back = turns.inverse(robot.quaternion[contact.link])

@@ -43,6 +43,17 @@ class Look:
     smooth: bool = True
 
 
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """All pieces of a robot's link as one file."""
+
+    link: int
+    glb: bytes
+    """Binary glTF, in the link's frame."""
+    top: float
+    """Largest z, m."""
+
+
 def accent(index: int) -> Color:
     """The colour of the robot at a place among others: orange, then as far from the last ones as there are."""
     hue = (0.08 + 0.375 * index) % 1.0

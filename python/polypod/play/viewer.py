@@ -13,7 +13,7 @@ from polypod.files import write_bytes
 from polypod.play import descriptions, looks
 from polypod.play.avatar import Avatar
 from polypod.play.ground import Ground
-from polypod.play.looks import Look
+from polypod.play.looks import Look, Model
 from polypod.play.player import Player
 from polypod.play.raster import OBSTACLE
 from polypod.play.scene import Frame
@@ -204,7 +204,7 @@ class Viewer:
                 name = f"{WORLD}/obstacles/{at}_{number}"
                 scene.add_mesh_simple(name, vertices, obstacle.triangles(), color=OBSTACLE, flat_shading=True)
         self._avatars = []
-        known: dict[str, list[Look]] = {}
+        known: dict[str, list[Look | Model]] = {}
         colors = {robot: looks.accent(place) for place, robot in enumerate(self.player.sim.robots)}
         for index, robot in enumerate(frame.robots):
             if robot.name not in known:
@@ -214,14 +214,14 @@ class Viewer:
         self.show_names(self.shows_names)
         self.show(frame)
 
-    def _looks(self, robot: str, color: looks.Color) -> list[Look]:
+    def _looks(self, robot: str, color: looks.Color) -> list[Look | Model]:
         outline = self.player.outlines[robot]
         if self._meshes:
             try:
-                return descriptions.looks(robot, outline["links"], self.player.rest(robot))
+                return [*descriptions.models(robot, outline["links"], self.player.rest(robot))]
             except _core.ConfigError as error:
                 self.warnings.append(f"{robot} is shown by its collision shapes: {error}")
-        return looks.of_shapes(outline, color)
+        return [*looks.of_shapes(outline, color)]
 
     def _hits(self, scan: npt.NDArray[np.float32] | None, index: int) -> npt.NDArray[np.float32] | None:
         """Where a robot's height scanner sees the ground, as the robot is drawn."""
