@@ -12,7 +12,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import play_task
-from polypod.evaluation.policies import reset
+from polypod.evaluation.policies import Policy, reset
 from polypod.play import mesh
 from polypod.play.mesh import Array
 from polypod.play.scene import Scene
@@ -109,6 +109,12 @@ class Player(Scene):
         else:
             self.sim.set_command(np.tile(np.asarray(command, dtype=np.float32), (self.sim.num_envs, 1)))
 
+    def use(self, policy: Policy) -> None:
+        """Begins new episodes with another policy for the same observations, all of them as this player's first ones."""
+        self._policy = policy
+        self.sim.reset(self.sim.seed)
+        reset(self._policy, np.ones(self.sim.num_envs, dtype=np.bool_))
+
     def push(self, velocity: Sequence[float], env: int | None = None) -> None:
         """Adds a velocity [3] to the base of a robot or, with None, of all, world axes, m/s."""
         added = np.zeros((self.sim.num_envs, 3), dtype=np.float32)
@@ -188,10 +194,15 @@ def _ranges(task: dict[str, Any]) -> Array:
     return np.array([ranges[key] for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")], dtype=np.float64)
 
 
+def aligned_starts(task: dict[str, Any]) -> list[str]:
+    """Changes to a task with which robots begin at their envs' origins, looking along x."""
+    start = task.get("events", {}).get("reset_base", {})
+    return [f"events.reset_base.{key}=[0.0, 0.0]" for key in _ALIGNED if key in start]
+
+
 def _defaults(task: dict[str, Any], *, aligned: bool) -> list[str]:
     """What a player changes unless it is told otherwise: aligned starts, and each robot on a tile of its own."""
-    start = task.get("events", {}).get("reset_base", {})
-    changes = [f"events.reset_base.{key}=[0.0, 0.0]" for key in _ALIGNED if key in start] if aligned else []
+    changes = aligned_starts(task) if aligned else []
     if "terrain" in task["scene"]:
         changes.append('scene.terrain.columns="contiguous"')
     return changes
