@@ -487,6 +487,33 @@ class VecSim:
     def set_command(self, command: npt.NDArray[np.float32] | None) -> None:
         """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller. None releases them."""
 
+    def push(self, velocity: npt.NDArray[np.float32]) -> None:
+        """Adds a velocity to the base of each robot, as a push does; observations follow with the next step.
+
+        Args:
+            velocity: float32 [num_envs, 3], world axes, m/s; zeros leave a robot alone.
+
+        Raises:
+            TypeError: for another dtype.
+            ValueError: for another shape.
+            ConfigError: for a number that is not finite or beyond 100 m/s.
+        """
+
+    def reward_terms(self, robot: str) -> list[str]:
+        """Names of the reward terms of the robot's set, in order. Raises UnknownNameError."""
+
+    def reward_sums(self, robot: str) -> npt.NDArray[np.float32]:
+        """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`, summed over the episode so far. A copy.
+
+        What they grow by in a step adds up to `reward`. Raises UnknownNameError.
+        """
+
+    def height_scan(self) -> npt.NDArray[np.float32]:
+        """[num_envs, rays, 3], where the rays of the height scanners hit the ground, in the world, m. A copy.
+
+        There are no rays where the task has no height scanner.
+        """
+
     def log(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call, per robot and term; empty when none ended."""
 

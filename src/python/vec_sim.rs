@@ -584,6 +584,30 @@ impl VecSim {
         self.publish_commands(py)
     }
 
+    fn push(&mut self, py: Python<'_>, velocity: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let velocity = array::<f32, numpy::Ix2>("velocity", velocity, "float32", &[n, 3])?;
+        let velocity = velocity.as_slice()?;
+        self.sim.run(py, |sim| sim.push(velocity))?.map_err(|error| to_python(py, error))
+    }
+
+    fn reward_terms(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<&str>> {
+        Ok(self.sim.reward_terms(self.robot_index(py, robot)?))
+    }
+
+    fn reward_sums<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let index = self.robot_index(py, robot)?;
+        let (envs, terms) = (self.sim.env_ids(index).len(), self.sim.reward_terms(index).len());
+        let sums = self.sim.run(py, |sim| sim.reward_sums(index))?;
+        PyArray1::from_vec(py, sums).reshape([envs, terms])
+    }
+
+    fn height_scan<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let points = self.sim.run(py, Sim::height_scan)?;
+        let (envs, rays) = (self.sim.num_envs(), points.len() / (3 * self.sim.num_envs()).max(1));
+        PyArray1::from_vec(py, points).reshape([envs, rays, 3])
+    }
+
     fn log(&mut self, py: Python<'_>) -> PyResult<BTreeMap<String, f64>> {
         self.sim.run(py, |sim| {
             sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {

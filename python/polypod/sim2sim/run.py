@@ -40,6 +40,8 @@ MARGIN = 30.0
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
+Watch = Callable[[str, str, Array], None]
+"""Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 + joints]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,6 +125,7 @@ def compare(
     robots: Sequence[str] | None = None,
     options: Options | None = None,
     progress: Progress = lambda robot, done, total: None,
+    watch: Watch | None = None,
 ) -> Comparison:
     """Runs the policy of a checkpoint in both simulators.
 
@@ -134,6 +137,7 @@ def compare(
         robots: names or paths of configs; None: those that the policy was trained on.
         options: see `Options`.
         progress: told how far the run is.
+        watch: shown all states; None: nobody is.
 
     Raises:
         ConfigError: for a checkpoint, robot or option that cannot be used, for a task with obstacles, and where
@@ -161,12 +165,12 @@ def compare(
     for name in known:
         _check_steps(physics, episode.step_dt, name)
     when = measured()
-    in_polypod = _run_polypod(episode, loaded.runner(), progress)
+    in_polypod = _run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         model = onnx_graph.robot_model(network, interface, {})
         policy = OnnxPolicy(model.SerializeToString())
-        theirs = _run_mujoco(episode, name, source, interface, policy, progress)
+        theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(polypod=in_polypod[name], mujoco=theirs)
     return Comparison(
         command=_command(checkpoint, robots, options),
@@ -298,7 +302,7 @@ class _Sums:
         )
 
 
-def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[str, Figures]:
+def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
     sim = episode.sim
     velocity, rate, command = (
         _columns(sim, source) for source in ("center_of_mass_velocity", "base_angular_velocity", "velocity_command")
@@ -320,6 +324,9 @@ def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[
                 fell=sim.terminated.copy(),
             ),
         )
+        if watch is not None:
+            for name in sim.robots:
+                watch("polypod", name, sim.qpos(name))
         progress("polypod", step + 1, episode.steps)
     return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
 
@@ -343,6 +350,7 @@ def _run_mujoco(
     interface: RobotInterface,
     policy: OnnxPolicy,
     progress: Progress,
+    watch: Watch | None,
 ) -> Figures:
     robot = accuracy_robot.of(episode.sim, name, source)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ("base", "torso")]
@@ -364,6 +372,8 @@ def _run_mujoco(
     for step in range(episode.steps):
         wanted = commands.at(step, heading_of(twin.qpos))
         sums.add(wanted, twin.step(wanted, sums.active))
+        if watch is not None:
+            watch("mujoco", name, twin.qpos)
         progress(name, step + 1, episode.steps)
     return sums.figures(slice(None))
 
