@@ -360,6 +360,13 @@ class VecSim:
         the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
         """
 
+    def command_ranges(self) -> dict[str, dict[str, list[float]]]:
+        """Per robot the ranges that its commands are drawn from: the task's, within the robot's own limits.
+
+        {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
+        and yaw rate, rad/s, base frame.
+        """
+
     def robot_shapes(self) -> str:
         """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.
 
