@@ -37,7 +37,7 @@ NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 MLP = "MLPModel"
 RNN = "RNNModel"
 URMA = "polypod.networks:UrmaModel"
-ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
+JOINT_GAUSSIAN = "polypod.networks:JointGaussian"
 MASKED_MLP = "polypod.networks:MaskedMLPModel"
 MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
 """Class names as rsl_rl resolves them."""
@@ -139,7 +139,7 @@ class ActorConfig(CriticConfig):
         network = super().model_cfg(sim)
         distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
         if self.class_name == URMA:
-            distribution |= {"class_name": ROLE_GAUSSIAN, "joint_names": network["joint_names"]}
+            distribution["class_name"] = JOINT_GAUSSIAN
         return {**network, "distribution_cfg": distribution}
 
 
@@ -357,12 +357,13 @@ class TrainConfig:
 
 def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
-    if sim is None or sim.action_mask.all():
+    # a network of joints reads off the observation which joints a robot has
+    if sim is None or sim.action_mask.all() or model["class_name"] == URMA:
         return model
     if model["class_name"] != MLP:
         raise _core.ConfigError(
             f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
-            f'use class_name = "{MLP}"'
+            f'use class_name = "{MLP}" or "{URMA}"'
         )
     joint_of_number: list[int] = []
     for term in (term for group in groups for term in terms_of(sim, group)):
