@@ -38,10 +38,10 @@ STD_RANGE = (0.01, 2.0)
 """Of actions; URMA has 2 at most."""
 _FIRST_FOCUS = 5.0
 """Deviation of the first attention over a robot's joints: each head begins by looking at one joint or two."""
-_FIRST_FREQUENCY = 0.7
-"""Deviation of the first weights of a code. Joints that differ by a deviation in three numbers have a correlation of
-exp(-0.7^2 x 3 / 2) = 0.5, a left and a right joint or a hip and a knee far less."""
-_OUTSIDE = -1e4
+_FIRST_FREQUENCY = 1.0
+"""Deviation of the first weights of a code: joints that differ by one deviation in n numbers have codes with a
+correlation of exp(-n / 2)."""
+OUTSIDE = -1e4
 """Attention to joints that a robot lacks, before the softmax."""
 
 
@@ -181,7 +181,7 @@ class JointNetwork(torch.nn.Module):
         # of deviation 1
         code = math.sqrt(2.0) * torch.sin(self.code(joints.relative).float())
         attention = joints.at_places(self.attention(description) + self.focus(code))
-        shares = attention.masked_fill(~joints.present.unsqueeze(-1), _OUTSIDE).softmax(dim=1)
+        shares = attention.masked_fill(~joints.present.unsqueeze(-1), OUTSIDE).softmax(dim=1)
         values = joints.at_places(self.value(state))
         gathered = torch.matmul(shares.transpose(1, 2).to(values.dtype), values).flatten(1)
         body = self.body(torch.cat([gathered, self._general(observations)], dim=1))
@@ -241,7 +241,7 @@ class JointNetwork(torch.nn.Module):
 
     def _joints(self, observations: torch.Tensor) -> _Joints:
         mask, features = self._mask(observations), self._features(observations)
-        batch, slots = mask.shape
+        batch, slots = len(observations), self.num_joints
         counts = mask.sum(dim=1)
         place_of_row = sample_of_row = slot_of_row = None
         present = mask
