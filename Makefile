@@ -33,7 +33,7 @@ NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 # The bundled policies, and how they are filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
 SHIPPED_ROUGH := $(wildcard assets/policies/rough_universal/model_*.pt)
-FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 5 --size 480 270 --set scene.terrain.max_init_terrain_level=1
+FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 6 --size 640 360 --set scene.terrain.max_init_terrain_level=1
 FOUR := unitree_go1,spot,anymal_c,unitree_b2
 FILM_FOUR := --robots $(FOUR) --size 560 260
 # Folder of a run for the film of a training.
