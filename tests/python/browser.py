@@ -33,6 +33,7 @@ class Page:
     """A page, until the end of a `with`."""
 
     def __init__(self, url: str, size: tuple[int, int] = (960, 600)) -> None:
+        """Opens a page of this width and height, pixels."""
         from websockets.sync.client import connect
 
         assert PROGRAM is not None
@@ -53,7 +54,9 @@ class Page:
         self._session: str | None = None
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        self._call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False)
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
+        )
         self._call("Page.enable")
         self._call("Page.navigate", url=url)
         while self.run("location.href + document.readyState") != f"{url}/complete":

@@ -136,7 +136,7 @@ def test_a_recording_holds_every_control_step(tmp_path):
     recording = msgspec.msgpack.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
     assert recording["durationSeconds"] == pytest.approx(0.2)
     names = {message.get("name", "") for _, message in recording["messages"]}
-    assert any(name.startswith("/world/0_spot/1/") for name in names)
+    assert any(name.startswith("/world/0_spot/2/") for name in names)
     moves = {time for time, message in recording["messages"] if message.get("name") == "/world/0_spot"}
     assert len(moves) >= 10
 

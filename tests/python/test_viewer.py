@@ -30,6 +30,7 @@ class Client:
     """A page as viser's is: nodes move when a picture is drawn, all else that is new is seen one picture later."""
 
     def __init__(self, url):
+        """Connects as a page does."""
         import viser
         from websockets.sync.client import connect
 
@@ -84,6 +85,7 @@ class Client:
         return position
 
     def close(self):
+        """Ends the connection."""
         self._socket.close()
 
 
@@ -370,7 +372,7 @@ def test_chromium_draws_a_robot_and_its_name_together():
     def jump():
         for number in range(100_000):
             (robot,) = frame.robots
-            moved = dataclasses.replace(robot, position=robot.position + [0.0, 0.4 * (number % 2), 0.0])
+            moved = dataclasses.replace(robot, position=robot.position + np.array([0.0, 0.4 * (number % 2), 0.0]))
             viewer.show(dataclasses.replace(frame, robots=[moved]))
             if stop.wait(PICTURE):
                 return

@@ -61,8 +61,8 @@ def models(robot: str, links: Sequence[str], rest: tuple[Array, Array]) -> list[
         raise _core.ConfigError(f"robot_descriptions.{name} cannot be had: {line}") from error
     parents = _parents(tree)
     poses: dict[str, Array] = {}
-    for link in tree.iter("link"):
-        _pose(link.get("name", ""), parents, poses)
+    for element in tree.iter("link"):
+        _pose(element.get("name", ""), parents, poses)
     if links[0] not in poses:
         raise _core.ConfigError(f"{urdf}: there is no link {links[0]!r}")
     base = np.linalg.inv(poses[links[0]])
@@ -76,12 +76,12 @@ def models(robot: str, links: Sequence[str], rest: tuple[Array, Array]) -> list[
     folders = [Path(module.PACKAGE_PATH), Path(module.PACKAGE_PATH).parent, Path(module.REPOSITORY_PATH), urdf.parent]
     folders.append(Path(module.REPOSITORY_PATH).parent)
     parts: dict[str, list[tuple[Any, Array]]] = {}
-    for link in tree.iter("link"):
-        holder = _holder(link.get("name", ""), parents, own)
+    for element in tree.iter("link"):
+        holder = _holder(element.get("name", ""), parents, own)
         if holder is None:
             continue
-        place = np.linalg.inv(own[holder]) @ base @ poses[link.get("name", "")]
-        for visual in link.iter("visual"):
+        place = np.linalg.inv(own[holder]) @ base @ poses[element.get("name", "")]
+        for visual in element.iter("visual"):
             geometry = _geometry(visual, folders, urdf)
             if geometry is not None:
                 parts.setdefault(holder, []).append((geometry, place @ _origin(visual)))
@@ -157,7 +157,7 @@ def _parents(tree: ElementTree.Element) -> dict[str, tuple[str, Array]]:
 
 def _pose(link: str, parents: dict[str, tuple[str, Array]], poses: dict[str, Array]) -> Array:
     """[4, 4], of a link in the root's frame, joints at zero."""
-    chain = []
+    chain: list[str] = []
     while link not in poses and link in parents and len(chain) <= len(parents):
         chain.append(link)
         link = parents[link][0]

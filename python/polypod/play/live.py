@@ -3,9 +3,10 @@
 import dataclasses
 import queue
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod import _core
 from polypod.play.player import Player
@@ -18,7 +19,7 @@ HOLD = 4.0
 """So long all robots follow one drawn command, s."""
 PUSH = 1.0
 """Velocity of a push, m/s."""
-PICTURES = 60.0
+PICTURES = 30.0
 """Most frames that are shown in a second."""
 FROM_TASK, TOGETHER, OWN = "drawn by the task", "drawn, one for all robots", "my own"
 SOURCES = (FROM_TASK, TOGETHER, OWN)
@@ -171,7 +172,7 @@ class Live:
         self._command()
         self.changed()
 
-    def steer(self, command: Sequence[float]) -> None:
+    def steer(self, command: npt.ArrayLike) -> None:
         """The user's own command, within the task's ranges; commands are his from then on."""
         low, high = self.player.ranges.T
         self.own = np.clip(np.asarray(command, dtype=np.float64), low, high)

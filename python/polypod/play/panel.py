@@ -157,7 +157,9 @@ class Panel:
         choice = live.choice or Choice(policies[0])
         with gui.add_folder("Policy, task and robots"):
             policy = gui.add_dropdown("policy", list(policies), initial_value=choice.policy)
-            task = gui.add_dropdown("task", ["the policy's own", *tasks], initial_value=choice.task or "the policy's own")
+            task = gui.add_dropdown(
+                "task", ["the policy's own", *tasks], initial_value=choice.task or "the policy's own"
+            )
             robot = gui.add_dropdown("robots", self._robots(), initial_value=choice.robot or ALL)
 
         def opened() -> None:
@@ -260,6 +262,7 @@ class Panel:
                 self.live.later(lambda: action(handle.value))
 
         handle.on_update(updated)
+
 
 def _wide(ranges: Any) -> list[tuple[float, float]]:
     """Ranges of sliders: where a task has one value only there is still something to slide along."""

@@ -42,7 +42,7 @@ class Player(Scene):
         self,
         checkpoint: Path,
         robots: Sequence[str] | None = None,
-        command: Sequence[float] | None = None,
+        command: npt.ArrayLike | None = None,
         *,
         task: str | None = None,
         envs_per_robot: int = 1,
@@ -67,7 +67,8 @@ class Player(Scene):
             ConfigError: for a checkpoint, robot, task or override that cannot be used.
         """
         policy = load(checkpoint, task, robots)
-        self._policy, manifest = policy.runner(), policy.manifest
+        self._policy: Policy = policy.runner()
+        manifest = policy.manifest
         sources = list(manifest["robot_sources"] if robots is None else robots)
         name = play_task(task or manifest["task"])
         changes = [*manifest["overrides"], *overrides]
@@ -99,7 +100,7 @@ class Player(Scene):
             self.command(command)
             self.sim.reset()
 
-    def command(self, command: Sequence[float] | None) -> None:
+    def command(self, command: npt.ArrayLike | None) -> None:
         """From now on all robots are to follow this: forward and left velocity, m/s, and yaw rate, rad/s.
 
         None lets the task draw commands again.
@@ -110,12 +111,12 @@ class Player(Scene):
             self.sim.set_command(np.tile(np.asarray(command, dtype=np.float32), (self.sim.num_envs, 1)))
 
     def use(self, policy: Policy) -> None:
-        """Begins new episodes with another policy for the same observations, all of them as this player's first ones."""
+        """Takes another policy for the same observations, and begins new episodes as this player's first ones were."""
         self._policy = policy
         self.sim.reset(self.sim.seed)
         reset(self._policy, np.ones(self.sim.num_envs, dtype=np.bool_))
 
-    def push(self, velocity: Sequence[float], env: int | None = None) -> None:
+    def push(self, velocity: npt.ArrayLike, env: int | None = None) -> None:
         """Adds a velocity [3] to the base of a robot or, with None, of all, world axes, m/s."""
         added = np.zeros((self.sim.num_envs, 3), dtype=np.float32)
         added[slice(None) if env is None else env] = np.asarray(velocity, dtype=np.float32)

@@ -1,5 +1,6 @@
 """One `polypod play` from its options to its last line."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -117,7 +118,7 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
     first = Choice(given, options.task, robot)
 
     def build(choice: Choice) -> Player:
-        robots = None if choice.robot is None else [choice.robot]
+        robots: Sequence[str] | None = None if choice.robot is None else [choice.robot]
         if choice == first or (choice.policy == given and robots is None):
             robots = options.robots
         changed = dataclasses.replace(
@@ -139,10 +140,8 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
     elif player.alone and player.sim.num_envs > 1:
         live.command_by(TOGETHER)
     panel.refresh()
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         live.run(seconds)
-    except KeyboardInterrupt:
-        pass
     return live.player
 
 

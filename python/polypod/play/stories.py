@@ -4,7 +4,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -142,7 +142,7 @@ def _pushes(options: Options) -> Iterator["Image"]:
 
 
 def _beside_mujoco(options: Options) -> Iterator["Image"]:
-    """polypod in the upper half, MuJoCo in the lower one, from the same states under the same policy."""
+    """The same policy from the same states: in polypod in the upper half, in MuJoCo in the lower one."""
     from polypod.sim2sim import Options as Comparison
     from polypod.sim2sim import compare
 

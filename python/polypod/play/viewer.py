@@ -132,7 +132,7 @@ class Viewer:
             avatar.show_name(visible)
 
     def follow(self, what: int | str) -> None:
-        """Lets the view go with a robot of the frame, with `GROUP`, or with `NOTHING`; pages get the opening shot of it."""
+        """Lets the view go with a robot of the frame, `GROUP` or `NOTHING`, and begins with the opening shot of it."""
         self.followed = what
         if what == NOTHING:
             return
