@@ -120,6 +120,12 @@ def test_a_robot_acts_in_company_as_it_does_alone_and_what_it_lacks_is_zero():
     env.close()
 
 
+def test_a_robot_without_joints_takes_no_actions():
+    observations = observations_of(3, 5)
+    observations[:, GENERAL:] = 0.0
+    assert (actions_of(build(5, obs_normalization=True), observations) == 0.0).all()
+
+
 def test_no_slot_has_a_column_of_its_own():
     """In another order of the slots, the same joints take the same actions."""
     joints, rows = 14, 6

@@ -239,7 +239,7 @@ class JointNetwork(torch.nn.Module):
 
     def _joints(self, observations: torch.Tensor) -> _Joints:
         mask, features = self._mask(observations), self._features(observations)
-        batch, slots = len(observations), self.num_joints
+        batch, slots = observations.shape[0], self.num_joints
         counts = mask.sum(dim=1)
         place_of_row = sample_of_row = slot_of_row = None
         present = mask
@@ -253,7 +253,7 @@ class JointNetwork(torch.nn.Module):
             place_of_row = sample_of_row * most + ranks.flatten().index_select(0, slot_of_row)
             rows = features.flatten(0, 1).index_select(0, slot_of_row)
             features = rows.new_zeros(batch * most, rows.shape[1]).index_copy(0, place_of_row, rows)
-            features = features.reshape(batch, most, -1)
+            features = features.reshape(batch, most, rows.shape[1])
             present = torch.arange(most, device=mask.device) < counts.unsqueeze(1)
         states, numbers = features[..., : self.num_states], features[..., self.num_states :]
         states = self.moments["states"](states * self.state_scale)
