@@ -1,6 +1,8 @@
 """The network of joints: the same weights for any bodies in one batch, and a network like any other to all tools."""
 
 import dataclasses
+import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +120,12 @@ def test_a_robot_acts_in_company_as_it_does_alone_and_what_it_lacks_is_zero():
     env.close()
 
 
+def test_a_robot_without_joints_takes_no_actions():
+    observations = observations_of(3, 5)
+    observations[:, GENERAL:] = 0.0
+    assert (actions_of(build(5, obs_normalization=True), observations) == 0.0).all()
+
+
 def test_no_slot_has_a_column_of_its_own():
     """In another order of the slots, the same joints take the same actions."""
     joints, rows = 14, 6
@@ -129,8 +137,14 @@ def test_no_slot_has_a_column_of_its_own():
     network = build(joints)
     torch.testing.assert_close(actions_of(network, permuted), actions_of(network, observations)[:, order])
     critic = networks.UrmaModel(
-        batch_of(observations), {"critic": ["policy"]}, "critic", 1, joint_dim=16, num_heads=4,
-        observation_layout=layout_of(joints), joint_names=[""] * joints,
+        batch_of(observations),
+        {"critic": ["policy"]},
+        "critic",
+        1,
+        joint_dim=16,
+        num_heads=4,
+        observation_layout=layout_of(joints),
+        joint_names=[""] * joints,
     )
     torch.testing.assert_close(critic(batch_of(permuted)), critic(batch_of(observations)))
 
@@ -348,6 +362,20 @@ def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small)
     assert found["actions"].shape == (2, 38)
     assert (found["actions"] != 0.0).sum() == 2 * 18
     assert found["joint_pos_target"].shape == (2, 18)
+    # the loop of the example runs it
+    deployed = robot_loop().Policy(str(exported.files[0].parent / "policy_small_hexapod.onnx"))
+    zeros = np.zeros(18)
+    state = robot_loop().State(zeros, zeros, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+    targets = [deployed.act(state, (0.5, 0.0, 0.0)) for _ in range(2)]
+    assert (targets[0] != targets[1]).all()
+
+
+def robot_loop():
+    path = Path(__file__).parents[2] / "examples" / "deploy" / "robot_loop.py"
+    spec = importlib.util.spec_from_file_location("robot_loop", path)
+    module = sys.modules["robot_loop"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_mixed_precision_is_close():

@@ -236,8 +236,10 @@ def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target:
     def layers(modules: torch.nn.Sequential, value: str, name: str) -> str:
         for index, layer in enumerate(modules):
             output = f"{name}_{index}"
-            is_linear = isinstance(layer, torch.nn.Linear)
-            value = linear(layer, value, output) if is_linear else _add_activation(graph, layer, value, output)
+            if isinstance(layer, torch.nn.Linear):
+                value = linear(layer, value, output)
+            else:
+                value = _add_activation(graph, layer, value, output)
         return value
 
     def number(name: str, value: float) -> str:

@@ -8,12 +8,11 @@ the body's state and the joint's key. Here each head shares its attention among 
 
 Joints must be told apart before anything can be learned about them. What tells joints of one robot apart is how their
 descriptions differ from each other, so every description is compared with those of the other joints, and sines of the
-comparison are the joint's code. Codes of different joints are nearly orthogonal for any robot, so that each joint begins
-with a reading and a key of its own, and codes of corresponding joints of different robots are nearly the same.
+comparison are the joint's code. Codes of different joints are nearly orthogonal for any robot, so that each joint
+begins with a reading and a key of its own, and codes of corresponding joints of different robots are nearly the same.
 """
 
 import math
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -46,8 +45,7 @@ OUTSIDE = -1e4
 
 
 class _Joints(NamedTuple):
-    """The joints of a batch. `rows` are those that the layers work on: all real ones, and where that is cheaper
-    others."""
+    """The joints of a batch, one row each: the real ones alone, or all places where that is as cheap."""
 
     states: torch.Tensor
     """[rows, numbers], scaled."""
@@ -69,7 +67,7 @@ class _Joints(NamedTuple):
         if self.place_of_row is not None:
             places = rows.new_zeros(self.present.numel(), rows.shape[1])
             rows = places.index_copy(0, self.place_of_row, rows)
-        return rows.unflatten(0, self.present.shape)
+        return rows.reshape(*self.present.shape, rows.shape[1])
 
     def of_rows(self, samples: torch.Tensor) -> torch.Tensor:
         """[batch, n] to [rows, n]."""
@@ -82,8 +80,8 @@ class _Joints(NamedTuple):
         """[rows] to [batch, slots], exactly zero where a robot has no joint."""
         batch = self.present.shape[0]
         if self.slot_of_row is None:
-            return rows.unflatten(0, self.present.shape) * self.present
-        return rows.new_zeros(batch * slots).index_copy(0, self.slot_of_row, rows).unflatten(0, (batch, slots))
+            return rows.reshape(self.present.shape) * self.present
+        return rows.new_zeros(batch * slots).index_copy(0, self.slot_of_row, rows).reshape(batch, slots)
 
 
 class JointNetwork(torch.nn.Module):
@@ -208,7 +206,7 @@ class JointNetwork(torch.nn.Module):
             return
         rows = self._features(observations).flatten(0, 1)
         rows = rows.index_select(0, self._mask(observations).flatten().nonzero().squeeze(1))
-        states, numbers = rows.split([self.num_states, self.num_descriptions], dim=1)
+        states, numbers = rows[:, : self.num_states], rows[:, self.num_states :]
         self._moments("states").update(states * self.state_scale)
         self._moments("numbers").update(numbers)
         self._moments("logarithms").update(_logarithms(numbers))
@@ -231,22 +229,23 @@ class JointNetwork(torch.nn.Module):
 
     def _mask(self, observations: torch.Tensor) -> torch.Tensor:
         """[batch, slots], where there is a joint: its description holds more than zeros."""
-        numbers = self._block(observations, "description").unflatten(1, (self.num_descriptions, self.num_joints))
+        numbers = self._block(observations, "description").reshape(-1, self.num_descriptions, self.num_joints)
         return (numbers != 0.0).any(dim=1)
 
     def _features(self, observations: torch.Tensor) -> torch.Tensor:
         """[batch, slots, states and numbers of descriptions], as they are observed."""
         features = torch.cat([self._block(observations, "state"), self._block(observations, "description")], dim=1)
-        return features.unflatten(1, (self.num_states + self.num_descriptions, self.num_joints)).transpose(1, 2)
+        return features.reshape(-1, self.num_states + self.num_descriptions, self.num_joints).transpose(1, 2)
 
     def _joints(self, observations: torch.Tensor) -> _Joints:
         mask, features = self._mask(observations), self._features(observations)
-        batch, slots = len(observations), self.num_joints
+        batch, slots = observations.shape[0], self.num_joints
         counts = mask.sum(dim=1)
         place_of_row = sample_of_row = slot_of_row = None
         present = mask
         # a graph has all slots: what it leaves out must not depend on the example that it is traced with
-        fewest, most = (slots, slots) if torch.jit.is_tracing() else (int(n) for n in torch.stack(counts.aminmax()))
+        tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+        fewest, most = (slots, slots) if tracing else (int(number) for number in torch.stack(counts.aminmax()))
         if fewest < slots:
             ranks = mask.cumsum(dim=1) - 1
             slot_of_row = mask.flatten().nonzero().squeeze(1)
@@ -254,9 +253,9 @@ class JointNetwork(torch.nn.Module):
             place_of_row = sample_of_row * most + ranks.flatten().index_select(0, slot_of_row)
             rows = features.flatten(0, 1).index_select(0, slot_of_row)
             features = rows.new_zeros(batch * most, rows.shape[1]).index_copy(0, place_of_row, rows)
-            features = features.unflatten(0, (batch, most))
+            features = features.reshape(batch, most, rows.shape[1])
             present = torch.arange(most, device=mask.device) < counts.unsqueeze(1)
-        states, numbers = features.split([self.num_states, self.num_descriptions], dim=2)
+        states, numbers = features[..., : self.num_states], features[..., self.num_states :]
         states = self.moments["states"](states * self.state_scale)
         there, counted = present.unsqueeze(-1).to(states.dtype), counts.clamp(min=1).view(-1, 1, 1).to(states.dtype)
         absolute = self.moments["numbers"](numbers) * there
