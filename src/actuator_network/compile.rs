@@ -3,7 +3,7 @@
 //! Every node is either understood, or what it gives is marked with the reason why not. Only what the network's first output is computed
 //! from must be understood: the states that an LSTM hands out and takes in are kept by the simulator.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
 use super::onnx::{Graph, Node, Tensor, ValueInfo};
@@ -42,6 +42,12 @@ struct Compiler {
     features: usize,
     memory: usize,
     lstm_layers: usize,
+    /// How often each name of the graph is read.
+    uses: HashMap<String, usize>,
+    /// Features that go by several names, by their first number: no node overwrites them.
+    shared: HashSet<usize>,
+    /// Features that are `|x|` or `1 + |x|` of others, by their first number: softsign is written so.
+    magnitudes: HashMap<usize, (Span, bool)>,
 }
 
 /// See [`read_onnx`](super::read_onnx).
@@ -54,7 +60,20 @@ pub(super) fn compile(graph: &Graph, inputs: usize, kind: NetworkKind) -> Result
     for tensor in &graph.initializers {
         values.insert(&tensor.name, constant(tensor));
     }
-    let mut compiler = Compiler { instructions: Vec::new(), features: inputs, memory: 0, lstm_layers: 0 };
+    let mut uses: HashMap<String, usize> = HashMap::new();
+    let read = graph.nodes.iter().flat_map(|node| &node.inputs);
+    for name in read.chain(graph.outputs.iter().map(|output| &output.name)) {
+        *uses.entry(name.clone()).or_default() += 1;
+    }
+    let mut compiler = Compiler {
+        instructions: Vec::new(),
+        features: inputs,
+        memory: 0,
+        lstm_layers: 0,
+        uses,
+        shared: HashSet::new(),
+        magnitudes: HashMap::new(),
+    };
     let mut given = graph.inputs.iter().filter(|input| !graph.initializers.iter().any(|t| t.name == input.name));
     let input = given.next().ok_or_else(|| NetworkError::new("graph", "has no input", "export the network again"))?;
     values.insert(&input.name, Value::Features(Span { first: 0, len: inputs }, check_input(input, inputs)?));
@@ -97,9 +116,33 @@ pub(super) fn compile(graph: &Graph, inputs: usize, kind: NetworkKind) -> Result
         }
         _ => {}
     }
-    let Compiler { instructions, features, memory, .. } = compiler;
+    let Compiler { mut instructions, features, memory, .. } = compiler;
+    leave_out_unread(&mut instructions, span);
     NetworkProgram::new(inputs, features, memory, span.first, instructions)
         .ok_or_else(|| NetworkError::new("graph", "cannot be put in order", "export the network again"))
+}
+
+/// Leaves out instructions whose result nobody reads. Cells remember and stay.
+fn leave_out_unread(instructions: &mut Vec<Instruction>, output: Span) {
+    let mut read = vec![output];
+    let mut kept = Vec::with_capacity(instructions.len());
+    while let Some(instruction) = instructions.pop() {
+        let (to, from): (Span, Vec<Span>) = match &instruction {
+            Instruction::Constant { to, .. } | Instruction::Recall { to, .. } => (*to, Vec::new()),
+            Instruction::Copy { from, to }
+            | Instruction::Affine { from, to, .. }
+            | Instruction::Map { from, to, .. }
+            | Instruction::Cell { gates: from, to, .. } => (*to, vec![*from]),
+            Instruction::Combine { a, b, to, .. } => (*to, vec![*a, *b]),
+        };
+        let overlaps = |span: &Span| span.first < to.first + to.len && to.first < span.first + span.len;
+        if matches!(instruction, Instruction::Cell { .. }) || read.iter().any(overlaps) {
+            read.extend(from);
+            kept.push(instruction);
+        }
+    }
+    kept.reverse();
+    *instructions = kept;
 }
 
 /// The number of axes of the input, whose last one must have the size that the robot's config gives.
@@ -211,9 +254,21 @@ impl Compiler {
         };
         if let Some(function) = function {
             let (from, axes) = features(node, &input(0)?)?;
-            let to = self.new_features(from.len, node)?;
+            let is_read_once = node.inputs.first().is_some_and(|name| self.uses.get(name) == Some(&1));
+            let in_place = is_read_once && !self.shared.contains(&from.first) && from.first > 0;
+            let to = if in_place { from } else { self.new_features(from.len, node)? };
             self.instructions.push(Instruction::Map { function, from, to });
+            if function == Function::Abs {
+                self.magnitudes.insert(to.first, (from, false));
+            }
             return Ok(vec![Value::Features(to, axes)]);
+        }
+        let moves = ["Identity", "Dropout", "Cast", "Transpose", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Gather", "Slice"];
+        if moves.contains(&node.operator.as_str())
+            && let Ok(Value::Features(span, _)) = input(0)
+            && node.inputs.first().is_some_and(|name| self.uses.get(name) != Some(&1))
+        {
+            self.shared.insert(span.first);
         }
         let value = match node.operator.as_str() {
             "Constant" => match node.attribute("value").and_then(|attribute| attribute.tensor.as_ref()) {
@@ -311,6 +366,14 @@ impl Compiler {
             _ => 0,
         };
         let width = len(a).max(len(b));
+        // softsign as torch spells it out: x / (1 + |x|)
+        if let (Operation::Div, Value::Features(x, axes), Value::Features(y, _)) = (operation, a, b)
+            && self.magnitudes.get(&y.first) == Some(&(*x, true))
+        {
+            let to = self.new_features(width, node)?;
+            self.instructions.push(Instruction::Map { function: Function::Softsign, from: *x, to });
+            return Ok(Value::Features(to, *axes));
+        }
         let axes = match (a, b) {
             (Value::Features(_, axes), Value::Features(_, other)) => *axes.max(other),
             (Value::Features(_, axes), _) | (_, Value::Features(_, axes)) => *axes,
@@ -338,6 +401,14 @@ impl Compiler {
             };
         }
         let to = self.new_features(width, node)?;
+        let is_one = |value: &Value| matches!(value, Value::Floats(values, _) if values.iter().all(|&x| x == 1.0));
+        if operation == Operation::Add {
+            for (span, other) in [(spans[0], b), (spans[1], a)] {
+                if let Some(&(of, false)) = self.magnitudes.get(&span.first).filter(|_| is_one(other)) {
+                    self.magnitudes.insert(to.first, (of, true));
+                }
+            }
+        }
         self.instructions.push(Instruction::Combine { operation, a: spans[0], b: spans[1], to });
         Ok(Value::Features(to, axes))
     }
@@ -396,6 +467,8 @@ impl Compiler {
         let to = self.new_features(hidden, node)?;
         self.instructions.push(Instruction::Cell { gates: of_gates, hidden: h, cell: c, to });
         self.lstm_layers += 1;
+        // its outputs are two names of the same numbers
+        self.shared.insert(to.first);
         let states = failed("gives a cell state, which is no torque", "let the torque follow from the layer's output");
         // all steps of the sequence, which is one long, then the last one
         Ok(vec![Value::Features(to, 4), Value::Features(to, 3), Value::Unknown(states)])

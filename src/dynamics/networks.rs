@@ -226,9 +226,9 @@ impl ActuatorNetwork {
         (2 * self.past + self.program.memory) * self.joints.len()
     }
 
-    /// Numbers that [`NetworkStep::features`] must hold.
+    /// Numbers that [`NetworkStep::features`] must hold: those of a block of joints.
     fn num_features(&self) -> usize {
-        self.program.features * self.joints.len()
+        self.program.features * JOINTS
     }
 }
 
@@ -291,6 +291,11 @@ impl<S: Real> Kernel<S> for NetworkStep<'_, S> {
     }
 }
 
+/// Joints that are computed together: their features stay in the first-level cache, and their sums in registers.
+const JOINTS: usize = 4;
+/// Outputs of a layer that are computed together.
+const OUTPUTS: usize = 4;
+
 /// Writes the efforts of a network's joints, and adds what is not a number to `broken` in lanes where an effort is not finite.
 #[inline(always)]
 fn drive_joints<S: Real>(
@@ -302,26 +307,20 @@ fn drive_joints<S: Real>(
     effort: &mut [S],
     broken: &mut S,
 ) {
-    let ActuatorNetwork { joints, inputs, effort_scale, past, program } = network;
+    let ActuatorNetwork { joints, past, .. } = network;
     let count = joints.len();
-    let (history, own) = memory.split_at_mut(2 * past * count);
-    let (errors, velocities) = history.split_at_mut(past * count);
-    for (input, to) in inputs.iter().zip(features.chunks_exact_mut(count)) {
-        let scale = S::broadcast(input.scale);
-        let remembered = if input.is_velocity { &*velocities } else { &*errors };
-        for (k, (&j, to)) in joints.iter().zip(to).enumerate() {
-            let x = match input.age {
-                0 if input.is_velocity => state.joint_velocity[j],
-                0 => target[j] - state.joint_position[j],
-                age => remembered[(age - 1) * count + k],
-            };
-            *to = x * scale;
-        }
+    let mut block = 0;
+    while block + JOINTS <= count {
+        drive_block::<S, JOINTS>(network, block, state, target, memory, features, effort, broken);
+        block += JOINTS;
     }
-    for instruction in &program.instructions {
-        evaluate(instruction, count, features, own);
+    while block < count {
+        drive_block::<S, 1>(network, block, state, target, memory, features, effort, broken);
+        block += 1;
     }
     if *past > 0 {
+        let (errors, rest) = memory.split_at_mut(past * count);
+        let velocities = &mut rest[..past * count];
         for remembered in [&mut *errors, &mut *velocities] {
             for at in (count..remembered.len()).rev() {
                 remembered[at] = remembered[at - count];
@@ -332,42 +331,76 @@ fn drive_joints<S: Real>(
             velocities[k] = state.joint_velocity[j];
         }
     }
+}
+
+/// The same of the `C` joints from joint `block` of the network on. Features are `[features, C]`.
+#[inline(always)]
+fn drive_block<S: Real, const C: usize>(
+    network: &ActuatorNetwork,
+    block: usize,
+    state: &State<S>,
+    target: &[S],
+    memory: &mut [S],
+    features: &mut [S],
+    effort: &mut [S],
+    broken: &mut S,
+) {
+    let ActuatorNetwork { joints, inputs, effort_scale, past, program } = network;
+    let count = joints.len();
+    let (history, own) = memory.split_at_mut(2 * past * count);
+    let (errors, velocities) = history.split_at(past * count);
+    let joints = &joints[block..block + C];
+    for (input, to) in inputs.iter().zip(features.chunks_exact_mut(C)) {
+        let scale = S::broadcast(input.scale);
+        let remembered = if input.is_velocity { velocities } else { errors };
+        for (k, (&j, to)) in joints.iter().zip(to).enumerate() {
+            let x = match input.age {
+                0 if input.is_velocity => state.joint_velocity[j],
+                0 => target[j] - state.joint_position[j],
+                age => remembered[(age - 1) * count + block + k],
+            };
+            *to = x * scale;
+        }
+    }
+    for instruction in &program.instructions {
+        evaluate::<S, C>(instruction, count, block, features, own);
+    }
     let scale = S::broadcast(*effort_scale);
-    for (&j, &result) in joints.iter().zip(&features[program.output * count..]) {
+    for (&j, &result) in joints.iter().zip(&features[program.output * C..]) {
         effort[j] = result * scale;
         *broken = *broken + (effort[j] - effort[j]);
     }
 }
 
-/// Outputs and joints that are computed together: so many sums stay in registers.
-const OUTPUTS: usize = 4;
-const JOINTS: usize = 4;
-
+/// `memory` is that of the program, `[numbers, count]`, and holds the block's joints from `block` on.
 #[inline(always)]
-fn evaluate<S: Real>(instruction: &Instruction, count: usize, features: &mut [S], memory: &mut [S]) {
-    let all = |span: &Span| span.first * count..(span.first + span.len) * count;
+fn evaluate<S: Real, const C: usize>(
+    instruction: &Instruction,
+    count: usize,
+    block: usize,
+    features: &mut [S],
+    memory: &mut [S],
+) {
+    let all = |span: &Span| span.first * C..(span.first + span.len) * C;
     match instruction {
         Instruction::Constant { values, to } => {
-            for (&value, to) in values.iter().zip(features[all(to)].chunks_exact_mut(count)) {
+            for (&value, to) in values.iter().zip(features[all(to)].chunks_exact_mut(C)) {
                 to.fill(S::broadcast(value));
             }
         }
-        Instruction::Copy { from, to } if from.len == to.len => features.copy_within(all(from), to.first * count),
+        Instruction::Copy { from, to } if from.len == to.len => features.copy_within(all(from), to.first * C),
         Instruction::Copy { from, to } => {
             for at in to.first..to.first + to.len {
-                features.copy_within(all(from), at * count);
+                features.copy_within(all(from), at * C);
             }
         }
         Instruction::Affine { from, to, weights } => {
-            let (inputs, outputs) = features.split_at_mut(to.first * count);
-            affine(weights, to.len, count, &inputs[all(from)], outputs);
+            let (inputs, outputs) = features.split_at_mut(to.first * C);
+            affine::<S, C>(weights, to.len, &inputs[all(from)], outputs);
         }
-        Instruction::Map { function, from, to } => {
-            let (from, to) = (from.first * count, to.first * count..(to.first + to.len) * count);
-            map(*function, features, from, to);
-        }
+        Instruction::Map { function, from, to } => map(*function, features, from.first * C, all(to)),
         Instruction::Combine { operation, a, b, to } => {
-            let (a, b) = (a.first * count, b.first * count);
+            let (a, b) = (a.first * C, b.first * C);
             for (i, at) in all(to).enumerate() {
                 let (x, y) = (features[a + i], features[b + i]);
                 features[at] = match operation {
@@ -379,75 +412,55 @@ fn evaluate<S: Real>(instruction: &Instruction, count: usize, features: &mut [S]
             }
         }
         Instruction::Recall { memory: at, to } => {
-            features[all(to)].copy_from_slice(&memory[at * count..(at + to.len) * count]);
+            for (number, to) in features[all(to)].chunks_exact_mut(C).enumerate() {
+                to.copy_from_slice(&memory[(at + number) * count + block..][..C]);
+            }
         }
         Instruction::Cell { gates, hidden, cell, to } => {
-            let n = to.len * count;
-            for i in 0..n {
-                let gate = |which: usize| features[gates.first * count + which * n + i];
-                let (input, output, forget, candidate) = (gate(0), gate(1), gate(2), gate(3));
-                let c = &mut memory[cell * count + i];
-                *c = sigmoid(forget).mul_add(*c, sigmoid(input) * tanh(candidate));
-                let h = sigmoid(output) * tanh(*c);
-                memory[hidden * count + i] = h;
-                features[to.first * count + i] = h;
+            for unit in 0..to.len {
+                for k in 0..C {
+                    let gate = |which: usize| features[(gates.first + which * to.len + unit) * C + k];
+                    let (input, output, forget, candidate) = (gate(0), gate(1), gate(2), gate(3));
+                    let c = &mut memory[(cell + unit) * count + block + k];
+                    *c = sigmoid(forget).mul_add(*c, sigmoid(input) * tanh(candidate));
+                    let h = sigmoid(output) * tanh(*c);
+                    memory[(hidden + unit) * count + block + k] = h;
+                    features[(to.first + unit) * C + k] = h;
+                }
             }
         }
     }
 }
 
-/// `outputs = weights inputs + bias` of all joints: `inputs` and `outputs` are `[features, joints]`.
+/// `outputs = weights inputs + bias`; `inputs` and `outputs` are `[features, C]`.
 #[inline(always)]
-fn affine<S: Real>(weights: &[f32], rows: usize, count: usize, inputs: &[S], outputs: &mut [S]) {
+fn affine<S: Real, const C: usize>(weights: &[f32], rows: usize, inputs: &[S], outputs: &mut [S]) {
     let mut row = 0;
     while row + OUTPUTS <= rows {
-        affine_rows::<S, OUTPUTS>(weights, rows, count, inputs, outputs, row);
+        affine_rows::<S, OUTPUTS, C>(weights, rows, inputs, outputs, row);
         row += OUTPUTS;
     }
     while row < rows {
-        affine_rows::<S, 1>(weights, rows, count, inputs, outputs, row);
+        affine_rows::<S, 1, C>(weights, rows, inputs, outputs, row);
         row += 1;
     }
 }
 
 #[inline(always)]
-fn affine_rows<S: Real, const R: usize>(
+fn affine_rows<S: Real, const R: usize, const C: usize>(
     weights: &[f32],
     rows: usize,
-    count: usize,
     inputs: &[S],
     outputs: &mut [S],
     row: usize,
-) {
-    let mut joint = 0;
-    while joint + JOINTS <= count {
-        affine_block::<S, R, JOINTS>(weights, rows, count, inputs, outputs, row, joint);
-        joint += JOINTS;
-    }
-    while joint < count {
-        affine_block::<S, R, 1>(weights, rows, count, inputs, outputs, row, joint);
-        joint += 1;
-    }
-}
-
-#[inline(always)]
-fn affine_block<S: Real, const R: usize, const C: usize>(
-    weights: &[f32],
-    rows: usize,
-    count: usize,
-    inputs: &[S],
-    outputs: &mut [S],
-    row: usize,
-    joint: usize,
 ) {
     let (weights, bias) = weights.split_at(weights.len() - rows);
     let mut sums = [[S::zero(); C]; R];
     for (r, sums) in sums.iter_mut().enumerate() {
         *sums = [S::broadcast(bias[row + r]); C];
     }
-    for (weights, inputs) in weights.chunks_exact(rows).zip(inputs.chunks_exact(count)) {
+    for (weights, inputs) in weights.chunks_exact(rows).zip(inputs.chunks_exact(C)) {
         let weights: &[f32] = &weights[row..row + R];
-        let inputs: &[S] = &inputs[joint..joint + C];
         for r in 0..R {
             let weight = S::broadcast(weights[r]);
             for c in 0..C {
@@ -455,8 +468,8 @@ fn affine_block<S: Real, const R: usize, const C: usize>(
             }
         }
     }
-    for (r, sums) in sums.iter().enumerate() {
-        outputs[(row + r) * count + joint..][..C].copy_from_slice(sums);
+    for (sums, to) in sums.iter().zip(outputs[row * C..].chunks_exact_mut(C)) {
+        to.copy_from_slice(sums);
     }
 }
 
@@ -511,22 +524,24 @@ mod tests {
     }
 
     #[test]
-    fn blocks_of_any_size_give_the_sums_of_single_numbers() {
+    fn blocks_give_the_sums_of_single_numbers() {
         let (inputs, rows) = (7, 6);
         let weights: Vec<f32> = (0..(inputs + 1) * rows).map(|i| ((i * 37 % 19) as f32 - 9.0) / 7.0).collect();
-        for count in [1, 3, 4, 9, 12] {
-            let x: Vec<f32> = (0..inputs * count).map(|i| ((i * 53 % 23) as f32 - 11.0) / 5.0).collect();
-            let lanes: Vec<Portable> = x.iter().map(|&x| Portable::broadcast(x)).collect();
-            let mut found = vec![Portable::zero(); rows * count];
-            affine(&weights, rows, count, &lanes, &mut found);
+        let x: Vec<f32> = (0..inputs * JOINTS).map(|i| ((i * 53 % 23) as f32 - 11.0) / 5.0).collect();
+        let lanes: Vec<Portable> = x.iter().map(|&x| Portable::broadcast(x)).collect();
+        let mut found = vec![Portable::zero(); rows * JOINTS];
+        affine::<_, JOINTS>(&weights, rows, &lanes, &mut found);
+        for joint in 0..JOINTS {
+            let alone: Vec<f32> = x.iter().skip(joint).step_by(JOINTS).copied().collect();
+            let mut single = vec![0.0; rows];
+            affine::<f32, 1>(&weights, rows, &alone, &mut single);
             for row in 0..rows {
-                for joint in 0..count {
-                    let mut sum = weights[inputs * rows + row];
-                    for k in 0..inputs {
-                        sum = weights[k * rows + row].mul_add(x[k * count + joint], sum);
-                    }
-                    assert_eq!(found[row * count + joint].lane_f32(3).to_bits(), sum.to_bits(), "{count} {row} {joint}");
+                let mut sum = weights[inputs * rows + row];
+                for k in 0..inputs {
+                    sum = weights[k * rows + row].mul_add(alone[k], sum);
                 }
+                assert_eq!(found[row * JOINTS + joint].lane_f32(3).to_bits(), sum.to_bits(), "{row} {joint}");
+                assert_eq!(single[row].to_bits(), sum.to_bits(), "{row} {joint}");
             }
         }
     }

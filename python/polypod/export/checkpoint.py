@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -248,7 +248,7 @@ def compare(
     module: torch.nn.Module,
     sizes: dict[str, int],
     outputs: Sequence[str],
-    memory: dict[str, states.Shape],
+    memory: Mapping[str, states.Shape] = {},
 ) -> float:
     """Largest difference of an ONNX graph from its torch module on random inputs, relative to numbers beyond 1."""
     random = np.random.default_rng(0)

@@ -49,15 +49,21 @@ class RobotPolicy(torch.nn.Module):
         """`inputs` in the order of `RobotInterface.inputs`, each [batch, size], then the states."""
         sensors, memory = inputs[: len(self.inputs)], inputs[len(self.inputs) :]
         history, memory = (memory[0], memory[1:]) if self.has_history else (None, memory)
-        observation, *after = self.observe(*sensors, history=history)
+        observation, *after = self._observe(sensors, history)
         found = self.network(observation, *memory)
         actions, *later = (found,) if isinstance(found, torch.Tensor) else found
         if not self.is_whole:
             actions = actions * self.mask
         return self.default_pose + actions @ self.spread, actions, *after, *later
 
-    def observe(self, *inputs: torch.Tensor, history: torch.Tensor | None = None) -> tuple[torch.Tensor, ...]:
-        """The observation, [batch, num_obs], and with a history the next one."""
+    def observe(self, *inputs: torch.Tensor) -> torch.Tensor:
+        """The observation, [batch, num_obs], of an episode that begins."""
+        rows = inputs[0].shape[0]
+        remembered = sum(term.size - term.width for term in self.terms if term.inputs)
+        return self._observe(inputs, torch.zeros(rows, 1 + remembered) if self.has_history else None)[0]
+
+    def _observe(self, inputs: tuple[torch.Tensor, ...], history: torch.Tensor | None) -> tuple[torch.Tensor, ...]:
+        """The observation, and with a history the next one."""
         of = dict(zip(self.inputs, inputs, strict=True))
         do = _Operations(self, inputs[0].shape[0])
         columns, after, start = [], [], 1
@@ -116,6 +122,8 @@ def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> b
         # torch advises against TorchScript; those who load it in C++ still want it
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", DeprecationWarning)
+        # recurrent layers check sizes, which are constants here
+        warnings.simplefilter("ignore", torch.jit.TracerWarning)
         traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
         buffer = io.BytesIO()
         torch.jit.save(traced, buffer)

@@ -297,8 +297,7 @@ class _Sums:
 
 def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[str, Figures]:
     sim = episode.sim
-    velocity, rate = (_columns(sim, source)[0] for source in ("center_of_mass_velocity", "base_angular_velocity"))
-    _, command, width = _columns(sim, "velocity_command")
+    command, width = _columns(sim, "velocity_command")
     given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
     reset(policy)
     sums = _Sums(sim.num_envs, episode.step_dt)
@@ -311,12 +310,11 @@ def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[
         given = np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
         observation[:, command] = given
         sim.step(policy(observation))
-        seen = sim.observation
         sums.add(
             commands,
             Observed(
-                velocity=seen[:, velocity][:, :2].astype(np.float64),
-                yaw_rate=seen[:, rate][:, 2].astype(np.float64),
+                velocity=sim.state("base_lin_vel")[:, :2].astype(np.float64),
+                yaw_rate=sim.state("base_ang_vel")[:, 2].astype(np.float64),
                 fell=sim.terminated.copy(),
             ),
         )
@@ -324,13 +322,13 @@ def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[
     return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
 
 
-def _columns(sim: _core.VecSim, source: str) -> tuple[slice, slice, int]:
-    """Where the observation holds the term that is computed from `source`: its newest numbers, all, and how many are new."""
+def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
+    """Where the observation holds the term that is computed from `source`, and how many of its numbers are new."""
     start = 0
     for term in terms_of(sim):
         end = start + term.size
         if term.source == source:
-            return slice(end - term.width, end), slice(start, end), term.width
+            return slice(start, end), term.width
         start = end
     raise _core.ConfigError(
         f"task {sim.task_name} observes no term that is computed from {source}; add one to observations.policy"
