@@ -367,6 +367,30 @@ class VecSim:
         and yaw rate, rad/s, base frame.
         """
 
+    def network_torques(
+        self,
+        robot: str,
+        error: npt.NDArray[np.float32],
+        velocity: npt.NDArray[np.float32],
+        memory: npt.NDArray[np.float32] | None = None,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Torques of the robot's actuator networks in one physics step, and what the networks remember after it.
+
+        Args:
+            robot: its name.
+            error: [n, joints], target less position of the robot's own joints, rad.
+            velocity: [n, joints], rad/s.
+            memory: [n, remembered], what the call before gave; None: zero, as after a reset.
+
+        Returns:
+            Torques [n, joints], N m, before the actuators' limits, zero for joints without a network; and the memory.
+
+        Raises:
+            ConfigError: for a robot that takes no part.
+            TypeError: for another dtype than float32.
+            ValueError: for other shapes.
+        """
+
     def robot_shapes(self) -> str:
         """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.
 

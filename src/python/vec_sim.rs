@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use bevy_ecs::prelude::Mut;
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyUntypedArray,
+    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2, PyUntypedArray,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -394,6 +394,38 @@ impl VecSim {
         };
         let robots = self.sim.morphologies().iter().zip(self.sim.velocity_commands());
         robots.map(|(robot, config)| (robot.name(), ranges(config).into_iter().collect())).collect()
+    }
+
+    #[pyo3(signature = (robot, error, velocity, memory=None))]
+    fn network_torques<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        error: &Bound<'py, PyAny>,
+        velocity: &Bound<'py, PyAny>,
+        memory: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f32>>)> {
+        let model = &self.sim.morphologies()[self.robot_index(py, robot)?];
+        let (joints, remembered) = (model.topology.num_joints(), model.num_remembered());
+        let rows = error.cast::<PyUntypedArray>().ok().and_then(|array| array.shape().first().copied()).unwrap_or(1);
+        let error: PyReadonlyArray2<'_, f32> = array("error", error, "float32", &[rows, joints])?;
+        let velocity: PyReadonlyArray2<'_, f32> = array("velocity", velocity, "float32", &[rows, joints])?;
+        let mut after = match memory {
+            Some(memory) => {
+                let memory: PyReadonlyArray2<'_, f32> = array("memory", memory, "float32", &[rows, remembered])?;
+                memory.as_slice()?.to_vec()
+            }
+            None => vec![0.0_f32; rows * remembered],
+        };
+        let (error, velocity): (&[f32], &[f32]) = (error.as_slice()?, velocity.as_slice()?);
+        let mut torques = Vec::with_capacity(rows * joints);
+        for row in 0..rows {
+            let of_row = row * joints..(row + 1) * joints;
+            let memory = &mut after[row * remembered..(row + 1) * remembered];
+            torques.extend(model.network_torques(&error[of_row.clone()], &velocity[of_row], memory));
+        }
+        let shaped = |numbers, width| PyArray1::from_vec(py, numbers).reshape([rows, width]);
+        Ok((shaped(torques, joints)?, shaped(after, remembered)?))
     }
 
     fn robot_shapes(&self, py: Python<'_>) -> PyResult<String> {
