@@ -161,7 +161,7 @@ pub(super) fn reset_envs(
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
                 *left = rng.uniform(event.range_s);
             }
-            let config = &task.config.commands.base_velocity;
+            let config = &task.commands[usize::from(tags[i].0)];
             if !commands[i].pinned {
                 draw_command(config, &mut commands[i], rng);
                 steer(config, &mut commands[i], heading(&pose.rotation));

@@ -93,7 +93,9 @@ class Policy:
             np.array(said[key].split(","), dtype=np.float64)
             for key in ("joint_stiffness", "joint_damping", "default_joint_pos", "joint_pos_lower", "joint_pos_upper")
         )
-        self.last_action = np.zeros((1, len(said["action_joint_names"].split(","))), dtype=np.float32)
+        # a policy of several bodies has actions that this robot lacks, which stay 0
+        (actions,) = (output for output in self.session.get_outputs() if output.name == "actions")
+        self.last_action = np.zeros((1, actions.shape[1]), dtype=np.float32)
 
     def act(self, state: State, command: tuple[float, float, float]) -> Array:
         """Position targets of the next control step, rad; forward and left velocity, m/s, and yaw rate, rad/s."""

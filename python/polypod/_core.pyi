@@ -210,12 +210,21 @@ class Learner:
     def set_episodes(self, rewards: npt.NDArray[np.float32], lengths: npt.NDArray[np.float32]) -> None:
         """Takes over what `episodes` gives. Raises ConfigError for other sizes."""
 
-    def rollout(self) -> dict[str, npt.NDArray[Any]]:
+    def rollout(self, sim: VecSim, into: dict[str, npt.NDArray[Any]] | None = None) -> dict[str, npt.NDArray[Any]]:
         """Returns the samples of the iteration as flat arrays by steps, envs and numbers.
 
-        `observations`, `actions`, `means`, `rewards` (as they came), `ends` (0 none, 1 terminated, 2 time-out),
-        `log_probs`, `values`, `returns`, `advantages` (brought to one scale), and `order`: the samples, step * num_envs
-        + env, as the mini-batches take them.
+        float32: `observations`, `actions`, `means`, `rewards` (as they came), `log_probs`, `values`, `returns`,
+        `advantages` (brought to one scale). uint8: `ends` (0 none, 1 terminated, 2 time-out). uint32: `places`, the
+        number of each sample in its block of envs; `order`, the samples, step * num_envs + env, as the mini-batches
+        take them; and `batch_sizes`, how many each takes.
+
+        Args:
+            sim: the simulation that the learner was made for.
+            into: arrays to write into, such as views of memory that a GPU reads; those that are not there are made.
+
+        Raises:
+            ConfigError: for another simulation, and for arrays of other sizes.
+            TypeError: for arrays of another kind.
         """
 
 class VecSim:
@@ -349,6 +358,13 @@ class VecSim:
 
         `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
         the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
+        """
+
+    def command_ranges(self) -> dict[str, dict[str, list[float]]]:
+        """Per robot the ranges that its commands are drawn from: the task's, within the robot's own limits.
+
+        {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
+        and yaw rate, rad/s, base frame.
         """
 
     def robot_shapes(self) -> str:

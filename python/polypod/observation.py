@@ -105,6 +105,7 @@ def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:
             "size": term.size,
             "kind": term.kind,
             "magnitude": term.magnitude,
+            "source": term.source,
             "blocks": [dataclasses.asdict(block) for block in term.blocks],
         }
         for term in terms

@@ -10,6 +10,7 @@ use crate::robot::{CANONICAL_JOINT_NAMES, Place, Side, Slot};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::randomization::{RandomizationConfig, VariationConfig};
+use super::task::VelocityCommandConfig;
 use super::suggest::did_you_mean;
 use super::values;
 
@@ -37,6 +38,9 @@ pub struct RobotConfig {
     pub default_pose: BTreeMap<String, f64>,
     /// Groups of actuators; every canonical joint is in exactly one.
     pub actuators: BTreeMap<String, ActuatorConfig>,
+    /// What the robot may be told to do.
+    #[serde(default, skip_serializing_if = "CommandLimitsConfig::is_empty")]
+    pub commands: CommandLimitsConfig,
     /// How an episode begins.
     #[serde(default)]
     pub reset: ResetConfig,
@@ -157,6 +161,37 @@ impl BodiesConfig {
     }
 }
 
+/// Limits of the commands that a robot is given, by the command's name.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CommandLimitsConfig {
+    /// A velocity of the base.
+    pub base_velocity: VelocityLimitsConfig,
+}
+
+impl CommandLimitsConfig {
+    /// Whether the task alone decides.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Limits of velocity commands, base frame. A task draws from the part of its own ranges that lies within them.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VelocityLimitsConfig {
+    /// Forward speed, m/s. Default: the task's range.
+    #[serde(deserialize_with = "values::optional_command_range", skip_serializing_if = "Option::is_none")]
+    pub lin_vel_x: Option<[f64; 2]>,
+    /// Speed to the left, m/s. Default: the task's range.
+    #[serde(deserialize_with = "values::optional_command_range", skip_serializing_if = "Option::is_none")]
+    pub lin_vel_y: Option<[f64; 2]>,
+    /// Yaw rate, rad/s. Default: the task's range.
+    #[serde(deserialize_with = "values::optional_command_range", skip_serializing_if = "Option::is_none")]
+    pub ang_vel_z: Option<[f64; 2]>,
+}
+
 /// How an episode begins.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
@@ -218,6 +253,31 @@ pub struct RangeConfig {
 }
 
 impl RobotConfig {
+    /// The velocity commands that this robot is given: those of `task`, within the robot's limits.
+    ///
+    /// # Errors
+    /// A range of the task has nothing in common with the robot's limits.
+    pub fn velocity_commands(&self, task: &VelocityCommandConfig) -> Result<VelocityCommandConfig, ConfigError> {
+        let limits = &self.commands.base_velocity;
+        let within = |key: &str, range: [f64; 2], limit: Option<[f64; 2]>| {
+            let [low, high] = limit.unwrap_or(range);
+            let common = [range[0].max(low), range[1].min(high)];
+            if common[0] <= common[1] {
+                return Ok(common);
+            }
+            let at = format!("commands.base_velocity.{key}");
+            let problem = format!("the task's {range:?} has nothing in common with the robot's {:?}", [low, high]);
+            let remedy = format!("change the task's {at}, or robot_overrides.{}.{at}", self.name);
+            self.invalid(&at, problem, remedy)
+        };
+        Ok(VelocityCommandConfig {
+            lin_vel_x: within("lin_vel_x", task.lin_vel_x, limits.lin_vel_x)?,
+            lin_vel_y: within("lin_vel_y", task.lin_vel_y, limits.lin_vel_y)?,
+            ang_vel_z: within("ang_vel_z", task.ang_vel_z, limits.ang_vel_z)?,
+            ..task.clone()
+        })
+    }
+
     /// Joint angles of the default pose in these slots, canonical directions, rad.
     ///
     /// # Errors

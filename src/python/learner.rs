@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use numpy::{PyArray1, PyReadonlyArray1};
+use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::exceptions::{Guarded, to_python, unsigned, value_error, whole};
 use super::vec_sim::VecSim;
-use polypod::learner::{self, LearnerError, NetworkState, Normalizer, RewardScale, Which, Worker};
+use polypod::learner::{self, LearnerError, NetworkState, Normalizer, RewardScale, RolloutArrays, Which, Worker};
 
 /// Numbers as NumPy arrays of one dimension.
 type Arrays<'py, T> = Vec<Bound<'py, PyArray1<T>>>;
@@ -227,24 +227,60 @@ impl Learner {
     }
 
     /// The samples of the iteration.
-    fn rollout<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let samples = self.learner.look(py, learner::Learner::rollout)?;
-        let dict = PyDict::new(py);
-        let numbers = [
-            ("observations", samples.observations),
-            ("actions", samples.actions),
-            ("means", samples.means),
-            ("rewards", samples.rewards),
-            ("log_probs", samples.log_probs),
-            ("values", samples.values),
-            ("returns", samples.returns),
-            ("advantages", samples.advantages),
-        ];
-        for (name, numbers) in numbers {
-            dict.set_item(name, PyArray1::from_vec(py, numbers))?;
-        }
-        dict.set_item("ends", PyArray1::from_vec(py, samples.ends))?;
-        dict.set_item("order", PyArray1::from_vec(py, samples.order))?;
-        Ok(dict)
+    #[pyo3(signature = (sim, into=None))]
+    fn rollout<'py>(
+        &self,
+        py: Python<'py>,
+        sim: &VecSim,
+        into: Option<Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let into = into.unwrap_or_else(|| PyDict::new(py));
+        let (settings, samples) = (self.learner.settings(), self.learner.num_own_samples());
+        let (of_obs, of_actions) = (samples * settings.num_obs, samples * settings.num_actions);
+        let mut observations = array_of::<f32>(&into, "observations", of_obs)?;
+        let mut actions = array_of::<f32>(&into, "actions", of_actions)?;
+        let mut means = array_of::<f32>(&into, "means", of_actions)?;
+        let mut rewards = array_of::<f32>(&into, "rewards", samples)?;
+        let mut ends = array_of::<u8>(&into, "ends", samples)?;
+        let mut log_probs = array_of::<f32>(&into, "log_probs", samples)?;
+        let mut values = array_of::<f32>(&into, "values", samples)?;
+        let mut returns = array_of::<f32>(&into, "returns", samples)?;
+        let mut advantages = array_of::<f32>(&into, "advantages", samples)?;
+        let mut places = array_of::<u32>(&into, "places", samples)?;
+        let arrays = RolloutArrays {
+            observations: observations.as_slice_mut()?,
+            actions: actions.as_slice_mut()?,
+            means: means.as_slice_mut()?,
+            rewards: rewards.as_slice_mut()?,
+            ends: ends.as_slice_mut()?,
+            log_probs: log_probs.as_slice_mut()?,
+            values: values.as_slice_mut()?,
+            returns: returns.as_slice_mut()?,
+            advantages: advantages.as_slice_mut()?,
+            places: places.as_slice_mut()?,
+        };
+        let learner = &self.learner;
+        let written = sim.sim().look(py, |sim| sim.write_rollout(learner, arrays))?;
+        written.map_err(|error| to_python(py, error))?;
+        into.set_item("order", PyArray1::from_vec(py, self.learner.look(py, learner::Learner::order)?))?;
+        into.set_item("batch_sizes", PyArray1::from_vec(py, self.learner.batch_sizes()))?;
+        Ok(into)
     }
+}
+
+/// The array of this name, a new one where there is none.
+fn array_of<'py, T: Element + Default>(
+    arrays: &Bound<'py, PyDict>,
+    name: &str,
+    numbers: usize,
+) -> PyResult<PyReadwriteArray1<'py, T>> {
+    let array = match arrays.get_item(name)? {
+        Some(array) => array.cast_into::<PyArray1<T>>()?,
+        None => {
+            let array = PyArray1::zeros(arrays.py(), numbers, false);
+            arrays.set_item(name, &array)?;
+            array
+        }
+    };
+    Ok(array.try_readwrite()?)
 }

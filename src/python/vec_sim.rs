@@ -17,7 +17,7 @@ use super::exceptions::{
 };
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
-use polypod::config::POLICY_GROUP;
+use polypod::config::{POLICY_GROUP, VelocityCommandConfig};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
@@ -386,6 +386,14 @@ impl VecSim {
 
     fn robot_info(&self, py: Python<'_>) -> PyResult<String> {
         self.json_of_robots(py, MorphologyModel::describe)
+    }
+
+    fn command_ranges(&self) -> BTreeMap<&str, BTreeMap<&str, [f64; 2]>> {
+        let ranges = |config: &VelocityCommandConfig| {
+            [("lin_vel_x", config.lin_vel_x), ("lin_vel_y", config.lin_vel_y), ("ang_vel_z", config.ang_vel_z)]
+        };
+        let robots = self.sim.morphologies().iter().zip(self.sim.velocity_commands());
+        robots.map(|(robot, config)| (robot.name(), ranges(config).into_iter().collect())).collect()
     }
 
     fn robot_shapes(&self, py: Python<'_>) -> PyResult<String> {

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::{TermKind, TermSpec};
-use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
+use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params};
 use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -80,6 +80,8 @@ pub(in crate::systems) struct IntervalEvent {
 pub struct CompiledTask {
     /// The config it was made from.
     pub config: TaskConfig,
+    /// Velocity commands of each morphology: the task's, within the robot's limits.
+    pub commands: Vec<VelocityCommandConfig>,
     /// Slots of the batch.
     pub num_joints: usize,
     /// Length of a control step, s.
@@ -208,7 +210,10 @@ impl CompiledTask {
             let ends = build(file, &element, params)?;
             terminations.push(TerminationTerm { name: name.clone(), time_out: *time_out, ends });
         }
+        let velocity = &config.commands.base_velocity;
+        let commands = morphologies.0.iter().map(|robot| robot.config.velocity_commands(velocity));
         let mut task = Self {
+            commands: commands.collect::<Result<_, _>>()?,
             num_joints,
             step_dt,
             max_episode_length: config.sim.max_episode_length(),

@@ -81,8 +81,7 @@ def test_a_network_of_joints_takes_no_memory(tmp_path):
     options = session.Options(
         log_dir=tmp_path,
         **TINY,
-        task="velocity_flat_universal",
-        train_config="flat_urma",
+        train_config="flat_joints",
         max_iterations=1,
         overrides=["observations.policy.joint_pos_rel.history_length=3", "train.run.symmetry=false"],
     )

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 import polypod
-from polypod.training import config
+from polypod.training import config, session
 
 
 @pytest.mark.parametrize("name", ["flat", "flat_universal", "rough", "quick"])
@@ -139,3 +139,12 @@ def test_goals_out_of_range_are_refused(wrong) -> None:
     base = config.load("quick").as_dict()
     with pytest.raises(polypod.ConfigError, match=rf"\[anneal\] {next(iter(wrong))}"):
         config.parse({**base, "anneal": base["anneal"] | wrong}, "test")
+
+
+def test_the_learners_device_decides_mixed_precision(monkeypatch):
+    asked = []
+    monkeypatch.setattr(session, "_device", lambda *_: "cuda:0")
+    monkeypatch.setattr(config, "_computes_in_bfloat16", lambda kind: asked.append(kind) or True)
+    with pytest.raises(polypod.ConfigError, match="the native learner runs on the CPU, not on cuda"):
+        session.new_plan(session.Options(train_config="quick", learner="native"))
+    assert asked == ["cuda"]

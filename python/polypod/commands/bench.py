@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from polypod import _core
 from polypod.commands.arguments import Count, arg, checked_threads, positive, write_json
@@ -22,6 +22,8 @@ class Bench:
     """Measure instead the time and the samples until all robots walk."""
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
     """Measure instead trainings with so many workers, which share the same cores: for example 1,2,4."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What --workers measures: the native learner on the CPU, or rsl_rl on the machine's GPUs."""
     train_config: str = "quick"
     """What --learner, --walk and --workers train."""
     seeds: int = 3
@@ -89,7 +91,7 @@ class Bench:
         if self.workers is not None:
             from polypod.bench import workers
 
-            result = workers.measure(options, _counts(self.workers), progress)
+            result = workers.measure(options, _counts(self.workers), progress, self.device)
             print(workers.table(result))
         elif self.learner:
             result = learners.measure(options, progress)

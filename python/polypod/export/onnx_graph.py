@@ -5,6 +5,7 @@ depends on its version. `checkpoint.export_checkpoint` compares every graph with
 """
 
 import functools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,6 +21,7 @@ from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
 from polypod.extras import package
 from polypod.networks import JointNetwork
 from polypod.networks.onnx_network import OnnxNetwork
+from polypod.networks.urma import LOG_FLOOR, OUTSIDE, RELATIVE_FLOOR
 from polypod.observation import Treatment
 
 OPSET = 17
@@ -220,46 +222,112 @@ def _add_layers(graph: Graph, layers: Sequence[torch.nn.Module], source: str, ta
 
 
 def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target: str) -> None:
-    """Adds what `JointNetwork.forward` does, with the layers of all joints written out."""
-    joints, joint_dim = network.num_joints, network.state.out_features
-
-    def shape(name: str, *sizes: int) -> str:
-        return graph.constant(name, np.array(sizes, dtype=np.int64))
-
-    def of_each_joint(name: str, matrix: torch.Tensor, offset: torch.Tensor) -> str:
-        weight, bias = graph.constant(f"{name}_weight", _numpy(matrix)), graph.constant(f"{name}_bias", _numpy(offset))
-        encoded = graph.node("Gemm", source, weight, bias, output=f"{name}_encoded")
-        active = _add_activation(graph, network.activation, encoded, f"{name}_active")
-        return graph.node("Reshape", active, shape(f"{name}_shape", 0, joints, joint_dim), output=name)
+    """Adds what `JointNetwork.forward` gives as means, for all slots; see there for what each step is for."""
+    slots, last, of_joints = network.num_joints, _index(graph, "last_axis", 2), _index(graph, "joint_axis", 1)
 
     def linear(layer: torch.nn.Linear, value: str, name: str) -> str:
-        weight = graph.constant(f"{name}_weight", _numpy(layer.weight.t()))
-        product = graph.node("MatMul", value, weight, output=f"{name}_product")
+        product = graph.node(
+            "MatMul", value, graph.constant(f"{name}_weight", _numpy(layer.weight.t())), output=f"{name}_product"
+        )
+        if layer.bias is None:
+            return product
         return graph.node("Add", product, graph.constant(f"{name}_bias", _numpy(layer.bias)), output=name)
 
-    descriptions = of_each_joint("descriptions", *network.description_layer())
-    states = of_each_joint("states", *network.state_layer())
-    by_place = graph.constant("attention_by_place", _numpy(network.place_attention(network.place)))
-    attention = linear(network.attention, descriptions, "attention_by_description")
-    attention = graph.node("Add", attention, by_place, output="attention")
-    weights = graph.node("Softmax", attention, output="attention_weights", axis=1)
-    heads = graph.node("Transpose", weights, output="attention_heads", perm=[0, 2, 1])
-    gathered = graph.node("MatMul", heads, states, output="gathered_heads")
-    flat = shape("gathered_shape", 0, network.attention.out_features * joint_dim)
-    gathered = graph.node("Reshape", gathered, flat, output="gathered")
-    general = graph.node(
-        "Gather", source, shape("general_columns", *network.general.tolist()), output="general", axis=1
+    def layers(modules: torch.nn.Sequential, value: str, name: str) -> str:
+        for index, layer in enumerate(modules):
+            output = f"{name}_{index}"
+            if isinstance(layer, torch.nn.Linear):
+                value = linear(layer, value, output)
+            else:
+                value = _add_activation(graph, layer, value, output)
+        return value
+
+    def number(name: str, value: float) -> str:
+        return graph.constant(name, np.array(value, dtype=np.float32))
+
+    def affine(value: str, scale: torch.Tensor, offset: torch.Tensor, name: str) -> str:
+        scaled = graph.node("Mul", value, graph.constant(f"{name}_scale", _numpy(scale)), output=f"{name}_scaled")
+        return graph.node("Add", scaled, graph.constant(f"{name}_offset", _numpy(offset)), output=name)
+
+    def normalized(value: str, name: str, magnitude: torch.Tensor | None = None) -> str:
+        moments = network.moments[name]
+        if isinstance(moments, EmpiricalNormalization):
+            scale = 1.0 / (moments.std + moments.eps)
+            return affine(value, scale * (1.0 if magnitude is None else magnitude), -moments.mean * scale, name)
+        if magnitude is not None:
+            return graph.node("Mul", value, graph.constant(f"{name}_magnitude", _numpy(magnitude)), output=name)
+        return value
+
+    def gathered(columns: torch.Tensor, name: str) -> str:
+        indices = graph.constant(f"{name}_columns", columns.cpu().numpy())
+        return graph.node("Gather", source, indices, output=f"{name}_observed", axis=1)
+
+    def of_each_joint(columns: torch.Tensor, name: str) -> str:
+        shape = graph.constant(f"{name}_shape", np.array([0, len(columns) // slots, slots], dtype=np.int64))
+        rows = graph.node("Reshape", gathered(columns, name), shape, output=f"{name}_by_number")
+        return graph.node("Transpose", rows, output=f"{name}_by_joint", perm=[0, 2, 1])
+
+    def total(value: str, axis: str, name: str) -> str:
+        return graph.node("ReduceSum", value, axis, output=name, keepdims=1)
+
+    def per_joint(value: str, name: str) -> str:
+        return graph.node("Div", total(value, of_joints, f"{name}_total"), joints, output=name)
+
+    states = normalized(of_each_joint(network.state_columns, "state"), "states", network.state_scale)
+    numbers = of_each_joint(network.description_columns, "description")
+    sizes = graph.node("Abs", numbers, output="description_sizes")
+    present = graph.node("Sign", total(sizes, last, "description_size"), output="present")
+    joints = graph.node("Max", total(present, of_joints, "joints_found"), number("one", 1.0), output="joints")
+    absolute = graph.node("Mul", normalized(numbers, "numbers"), present, output="absolute")
+    apart = graph.node("Sub", absolute, per_joint(absolute, "mean_joint"), output="apart_of_all")
+    apart = graph.node("Mul", apart, present, output="apart")
+    spread = graph.node(
+        "Sqrt", per_joint(graph.node("Mul", apart, apart, output="apart_squared"), "variance"), output="spread"
     )
-    whole = graph.node("Concat", gathered, general, output="body_0", axis=1)
-    _add_layers(graph, list(network.body), whole, "body", "body_layer")
-    decoder = graph.constant("decoder_weight", _numpy(network.decoder.weight.t()))
-    view = graph.node("MatMul", "body", decoder, output="view")
-    view = graph.node("Unsqueeze", view, shape("last_axis", 2), output="view_column")
-    read = graph.node("MatMul", descriptions, view, output="read_by_description")
-    read = graph.node("Add", read, linear(network.reflex, states, "reflex"), output="read_column")
-    read = graph.node("Reshape", read, shape("actions_shape", 0, joints), output="read")
-    by_place = graph.constant("decoder_by_place", _numpy((network.place @ network.place_decoder.weight).t()))
-    graph.node("Add", read, graph.node("MatMul", "body", by_place, output="read_by_place"), output=target)
+    spread = graph.node("Add", spread, number("relative_floor", RELATIVE_FLOOR), output="spread_floored")
+    relative = graph.node("Div", apart, spread, output="relative")
+    logarithms = graph.node("Add", sizes, number("log_floor", LOG_FLOOR), output="description_floored")
+    logarithms = normalized(graph.node("Log", logarithms, output="description_logarithms"), "logarithms")
+    logarithms = graph.node("Mul", logarithms, present, output="logarithms_present")
+    described = graph.node("Concat", absolute, logarithms, relative, output="described", axis=2)
+
+    description = layers(network.describe, described, "describe")
+    state = graph.node(
+        "Add",
+        linear(network.state, states, "state_read"),
+        linear(network.state_by_description, description, "state_by_description"),
+        output="state_sum",
+    )
+    state = _add_activation(graph, network.activation, state, "state")
+    code = graph.node("Sin", linear(network.code, relative, "code_angle"), output="code_sine")
+    code = graph.node("Mul", code, number("code_scale", math.sqrt(2.0)), output="code")
+    attention = graph.node(
+        "Add", linear(network.attention, description, "attention"), linear(network.focus, code, "focus"), output="looks"
+    )
+    outside = graph.node("Sub", present, "one", output="less_present")
+    outside = graph.node("Mul", outside, number("outside", -OUTSIDE), output="outside_of_body")
+    attention = graph.node("Add", attention, outside, output="looks_at_body")
+    shares = graph.node("Softmax", attention, output="shares", axis=1)
+    heads = graph.node("Transpose", shares, output="heads", perm=[0, 2, 1])
+    pooled = graph.node("MatMul", heads, linear(network.value, state, "value"), output="pooled_heads")
+    flat = np.array([0, network.attention.out_features * network.value.out_features], dtype=np.int64)
+    pooled = graph.node("Reshape", pooled, graph.constant("pooled_shape", flat), output="pooled")
+    if len(network.general_columns):
+        general = normalized(gathered(network.general_columns, "general"), "general")
+        pooled = graph.node("Concat", pooled, general, output="body_0", axis=1)
+    _add_layers(graph, list(network.body), pooled, "body", "body_layer")
+
+    request = graph.node("Unsqueeze", _add_gemm(graph, network.request, "body", "request"), last, output="requested")
+    keys = graph.node("Concat", code, description, output="keys_unscaled", axis=2)
+    keys = graph.node("Mul", keys, number("key_scale", network.code.out_features**-0.5), output="keys")
+    read = graph.node("MatMul", keys, request, output="read")
+    read = graph.node("Add", read, layers(network.reflex, state, "reflex"), output="read_with_reflex")
+    read = graph.node("Mul", read, present, output="read_present")
+    graph.node("Reshape", read, graph.constant("slots", np.array([0, slots], dtype=np.int64)), output=target)
+
+
+def _index(graph: Graph, name: str, value: int) -> str:
+    return graph.constant(name, np.array([value], dtype=np.int64))
 
 
 def _add_gemm(graph: Graph, layer: torch.nn.Linear, value: str, output: str) -> str:

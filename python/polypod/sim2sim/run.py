@@ -244,15 +244,16 @@ class _Episode:
         if options.command is not None:
             self.commands = Commands.constant(options.command, self.sim.num_envs)
         else:
-            config = task["commands"]["base_velocity"]
-            self.commands = Commands.draw(config, self.sim.num_envs, self.steps, self.step_dt, options.seed)
+            self.commands = Commands.draw(
+                task["commands"]["base_velocity"], _ranges(self.sim), self.steps, self.step_dt, options.seed
+            )
         self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
         self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
 
     def commands_of(self, name: str) -> Commands:
         """The commands of one robot's envs."""
         envs = slice(*self.sim.env_ids(name))
-        fields = ("linear", "heading", "turning", "holds_heading", "standing")
+        fields = ("linear", "heading", "turning", "holds_heading", "standing", "turn_range")
         return dataclasses.replace(self.commands, **{key: getattr(self.commands, key)[:, envs] for key in fields})
 
     def delays(self, robot: accuracy_robot.Robot) -> Array:
@@ -265,6 +266,16 @@ class _Episode:
             fewest, most = robot.actuators.delay[joints[0]]
             delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
         return delays
+
+
+def _ranges(sim: _core.VecSim) -> dict[str, Array]:
+    """Ranges of the commands, each [2, envs]."""
+    ranges = sim.command_ranges()
+    envs = [(robot, stop - start) for robot in sim.robots for start, stop in [sim.env_ids(robot)]]
+    return {
+        key: np.concatenate([np.tile(np.array(ranges[robot][key])[:, None], count) for robot, count in envs], axis=1)
+        for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    }
 
 
 def heights(sim: _core.VecSim) -> reference.Heights | None:

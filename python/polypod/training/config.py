@@ -37,7 +37,7 @@ NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 MLP = "MLPModel"
 RNN = "RNNModel"
 URMA = "polypod.networks:UrmaModel"
-ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
+JOINT_GAUSSIAN = "polypod.networks:JointGaussian"
 MASKED_MLP = "polypod.networks:MaskedMLPModel"
 MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
 """Class names as rsl_rl resolves them."""
@@ -139,7 +139,7 @@ class ActorConfig(CriticConfig):
         network = super().model_cfg(sim)
         distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
         if self.class_name == URMA:
-            distribution |= {"class_name": ROLE_GAUSSIAN, "joint_names": network["joint_names"]}
+            distribution["class_name"] = JOINT_GAUSSIAN
         return {**network, "distribution_cfg": distribution}
 
 
@@ -237,18 +237,21 @@ class TrainConfig:
         mode = "on" if _computes_in_bfloat16(device_type) else "off"
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
 
-    def with_learner_resolved(self, learner: str | None, device_type: str) -> "TrainConfig":
-        """The config with "auto" decided: the native learner for perceptrons on a CPU, else rsl_rl.
+    def with_learner_resolved(
+        self, learner: str | None, device_type: str, is_among_workers: bool = False
+    ) -> "TrainConfig":
+        """The config with "auto" decided: the native learner for perceptrons, else rsl_rl.
 
         Args:
             learner: what is to learn instead of what the config says; None: that.
             device_type: cpu or cuda.
+            is_among_workers: whether others learn with it.
 
         Raises:
             ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
         """
         config = self.with_run(learner=learner)
-        why_not = config._why_not_native(device_type)
+        why_not = config._why_not_native(device_type, is_among_workers)
         if config.run.learner == "auto":
             config = config.with_run(learner="rsl_rl" if why_not else "native")
         if config.run.learner == "native" and why_not:
@@ -259,10 +262,10 @@ class TrainConfig:
             )
         return config
 
-    def _why_not_native(self, device_type: str) -> str | None:
+    def _why_not_native(self, device_type: str, is_among_workers: bool) -> str | None:
         """What keeps the native learner from this config."""
-        if device_type != "cpu":
-            return f"runs on the CPU, not on {device_type}"
+        if device_type != "cpu" and is_among_workers:
+            return f"learns on {device_type} in one process, and there are several workers"
         if self.rnd is not None:
             return "has no random network distillation, and the train config has [rnd]"
         if self.distillation is not None:
@@ -354,12 +357,13 @@ class TrainConfig:
 
 def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
-    if sim is None or sim.action_mask.all():
+    # a network of joints reads off the observation which joints a robot has
+    if sim is None or sim.action_mask.all() or model["class_name"] == URMA:
         return model
     if model["class_name"] != MLP:
         raise _core.ConfigError(
             f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
-            f'use class_name = "{MLP}"'
+            f'use class_name = "{MLP}" or "{URMA}"'
         )
     joint_of_number: list[int] = []
     for term in (term for group in groups for term in terms_of(sim, group)):
