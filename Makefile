@@ -97,7 +97,7 @@ films: $(VENV)/.extension ## Film a push, a stranger and MuJoCo for docs/viewer.
 	$(BIN)/polypod film walk docs/media/ninth.webp --robots unitree_aliengo --seconds 2.4 --fps 8 --size 400 240
 	$(BIN)/polypod film mujoco docs/media/mujoco.webp $(FILM_FOUR) --seconds 3.2 --fps 8 --size 560 400
 ifneq ($(RUN),)
-	$(BIN)/polypod film training docs/media/training.webp --checkpoint $(RUN) --robots $(FOUR) --seconds 2 --fps 8 --size 560 260 --parts 5
+	$(BIN)/polypod film training docs/media/training.webp --checkpoint $(RUN) --robots $(FOUR) --seconds 2 --fps 8 --size 480 240 --parts 5
 endif
 
 test: test-rust test-python ## Run the tests of Rust and of Python

@@ -50,7 +50,8 @@ fn a_push_adds_its_velocity_and_the_robot_moves() {
 fn a_push_that_is_none_is_refused() {
     let mut sim = sim("velocity_flat", &[]);
     let before = sim.robot_states(0);
-    for (numbers, problem) in [(vec![0.0; 14], "14 numbers"), (vec![f32::NAN; 15], "x of env 0"), (vec![200.0; 15], "200")]
+    for (numbers, problem) in
+        [(vec![0.0; 14], "14 numbers"), (vec![f32::NAN; 15], "x of env 0"), (vec![200.0; 15], "200")]
     {
         let error = sim.push(&numbers).unwrap_err().to_string();
         assert!(error.contains(problem), "{error}");

@@ -10,8 +10,9 @@ from PIL import Image, ImageSequence
 import polypod.cli
 from common import FLAT_POLICY, ROUGH_POLICY
 from polypod import _core
-from polypod.play import raster, stories
+from polypod.play import Player, raster, stories
 from polypod.play.stories import Options
+from polypod.policy import load
 
 SIZE = (320, 160)
 SHORT = ("--seconds", "0.4", "--warm-up", "0.4", "--fps", "10", "--size", *map(str, SIZE))
@@ -74,6 +75,21 @@ def test_a_training_from_its_beginning_to_its_end(tmp_path, titles, run):
     _, first, second = np.split(np.stack(frames)[:, 30:], 3)
     # the same checkpoint under two names, in pictures that are not lossless
     assert np.abs(first - second).mean() < 1.0
+
+
+def test_every_part_of_a_training_begins_alike():
+    """In the same poses and under the same command, as the player itself did."""
+    player = Player(FLAT_POLICY, ["spot", "unitree_a1"], command=(0.4, 0.1, 0.2), threads=1)
+    first = {robot: player.sim.qpos(robot) for robot in player.sim.robots}
+    observation = player.sim.observation.copy()
+    for _ in range(2):
+        for _ in range(10):
+            player.step()
+        player.use(load(FLAT_POLICY).runner())
+        for robot, qpos in first.items():
+            np.testing.assert_array_equal(player.sim.qpos(robot), qpos)
+        np.testing.assert_array_equal(player.sim.observation, observation)
+        np.testing.assert_allclose(player.sim.command, np.tile([[0.4, 0.1, 0.2]], (2, 1)), rtol=1e-6)
 
 
 def test_iterations_are_spread_over_the_run(run):

@@ -352,6 +352,21 @@ def test_policy_task_and_robot_are_switched_in_place(live, viewer):
         client.close()
 
 
+@pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.1", "x y", "a" * 300, "\udcff"])
+def test_a_host_that_is_not_this_machine_is_refused(group, host):
+    with pytest.raises(_core.ConfigError, match="--host"):
+        Viewer(group, port=0, host=host)
+
+
+def test_the_page_is_for_this_machine_alone_unless_it_is_asked_for(group, viewer):
+    assert viewer.url.startswith("http://127.0.0.1:")
+    other = Viewer(group, port=0, host="0.0.0.0")
+    try:
+        assert other.url.startswith("http://localhost:")
+    finally:
+        other.close()
+
+
 def test_every_key_is_documented_and_does_something(live):
     from pathlib import Path
 

@@ -92,6 +92,7 @@ class Player(Scene):
         """Names or paths of the robots that the policy was made for."""
         self.sources = sources
         """Names or paths of the robots, in the order of `sim.robots`."""
+        self._commanded: npt.ArrayLike | None = None
         self._slots: Array | None = None
         self._gone = np.zeros(2)
         self.ranges = _ranges(self.config)
@@ -105,6 +106,7 @@ class Player(Scene):
 
         None lets the task draw commands again.
         """
+        self._commanded = command
         if command is None:
             self.sim.set_command(None)
         else:
@@ -114,6 +116,9 @@ class Player(Scene):
         """Takes another policy for the same observations, and begins new episodes as this player's first ones were."""
         self._policy = policy
         self.sim.reset(self.sim.seed)
+        if self._commanded is not None:
+            self.command(self._commanded)
+            self.sim.reset()
         reset(self._policy, np.ones(self.sim.num_envs, dtype=np.bool_))
 
     def push(self, velocity: npt.ArrayLike, env: int | None = None) -> None:

@@ -1,6 +1,7 @@
 """A simulation in the browser, by viser: live, or recorded into a file without a browser."""
 
 import contextlib
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,7 @@ class Viewer:
         if meshes:
             descriptions.check()
         self._meshes = meshes
+        _check_host(host)
         try:
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
         except (OSError, OverflowError) as error:
@@ -278,6 +280,19 @@ class Viewer:
         """A new page begins with what is followed in its middle."""
         with contextlib.suppress(AssertionError):
             client.camera.position, client.camera.look_at = self._opening()
+
+
+def _check_host(host: str) -> None:
+    """Raises ConfigError for an address that is not this machine's: viser's thread would end without a word."""
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.bind(address)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no name"
+        raise _core.ConfigError(
+            f"--host {host!r} cannot be opened: {reason}; use an address of this machine, or 0.0.0.0 for all"
+        ) from error
 
 
 def terrain_glb(ground: Ground) -> bytes:
