@@ -1,10 +1,14 @@
 """The tutorials run as they are written, from top to bottom, with small sizes in place of those of a real training."""
 
+import contextlib
+import io
 import itertools
+import json
 import re
 import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -88,3 +92,30 @@ def test_there_is_an_order():
     for page, following in itertools.pairwise(order):
         text = (ROOT / TUTORIALS / f"{page}.md").read_text(encoding="utf-8")
         assert f"({following}.md)" in text.rpartition("Next: ")[2]
+
+
+def test_the_notebook_runs(tmp_path, monkeypatch):
+    """Its cells run one after another, and print what stands in the file but for numbers."""
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pytest.importorskip("av", reason="needs the extra play")
+    pyplot.switch_backend("agg")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / TUTORIALS / "walk.ipynb").read_text(encoding="utf-8"))["cells"]
+    names = {"__name__": "__main__"}
+    printed = []
+    for number, cell in enumerate(cells):
+        if cell["cell_type"] != "code":
+            continue
+        assert cell["execution_count"], f"cell {number} was not executed; run the notebook and save it"
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "FigureCanvasAgg is non-interactive")
+            exec(compile("".join(cell["source"]), f"walk.ipynb cell {number}", "exec"), names)
+        texts = ["".join(output["text"]) for output in cell["outputs"] if output["output_type"] == "stream"]
+        assert {output["output_type"] for output in cell["outputs"]} <= {"stream", "display_data"}
+        assert re.sub(r"[\d.]+ m/s", "", shown.getvalue()) == re.sub(r"[\d.]+ m/s", "", "".join(texts))
+        printed.append(shown.getvalue())
+    errors = [float(number) for number in re.findall(r"([\d.]+) m/s", "".join(printed))]
+    assert len(errors) == 8
+    assert max(errors) < 0.1, "all robots follow the command"
+    pyplot.close("all")
