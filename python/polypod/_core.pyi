@@ -293,9 +293,13 @@ class VecSim:
     action_mask: npt.NDArray[np.bool_]
     """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
     task_name: str
+    """Full name of the task."""
     experiment_name: str
+    """Name of the directory that runs of the task lie in."""
     threads: int
+    """Worker threads."""
     seed: int
+    """Seed of every random stream."""
     observation_layout: list[tuple[str, int]]
     """(term, size) of the policy's observation, in order."""
     observation_groups: dict[str, tuple[int, int]]
@@ -659,11 +663,14 @@ class Simulation:
         """Links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it."""
 
     @property
-    def num_joints(self) -> int: ...
+    def num_joints(self) -> int:
+        """Number of joints that move."""
     @property
-    def num_links(self) -> int: ...
+    def num_links(self) -> int:
+        """Number of links, the base's included."""
     @property
-    def num_envs(self) -> int: ...
+    def num_envs(self) -> int:
+        """Number of envs."""
     @property
     def nq(self) -> int:
         """Columns of `qpos`: 7 + joints, or joints for a fixed base."""
@@ -685,7 +692,8 @@ class Simulation:
         """Simulated since construction, s."""
 
     @property
-    def threads(self) -> int: ...
+    def threads(self) -> int:
+        """Worker threads."""
     @property
     def warnings(self) -> list[str]:
         """What was assumed while reading the URDF; each names the file, the element and the remedy."""
