@@ -473,6 +473,17 @@ impl MorphologyModel {
         mirror
     }
 
+    /// The foot on the other side of each of a batch's `columns` of feet; those that the robot lacks stay as they are.
+    pub fn mirrored_feet(&self, columns: usize) -> Vec<usize> {
+        let mut mirror: Vec<usize> = (0..columns).collect();
+        for (leg, column) in self.roles.legs.iter().zip(&self.foot_columns) {
+            if let Some(other) = self.roles.legs.iter().position(|other| *other == leg.mirrored()) {
+                mirror[*column] = self.foot_columns[other];
+            }
+        }
+        mirror
+    }
+
     fn mirror(&self, slot: usize) -> (usize, f32) {
         // a limb without a counterpart is its own
         let other = self.roles.slots.binary_search(&self.slots[slot].slot.mirrored()).unwrap_or(slot);
