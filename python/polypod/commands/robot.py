@@ -46,7 +46,7 @@ class Robot:
         )
         if new.gain_factor > 1.0:
             print(f"  gains are {new.gain_factor:.2f} times what weight and leg length ask for: softer ones gave way")
-        if standing.carried < new_robot.CARRIED:
+        if standing.carried < new_robot.CARRIED and new.needs_policy is None:
             print(f"  the feet carry {standing.carried:.0%} of the weight: it lies on its belly or its knees")
         if new.needs_policy is not None:
             print(f"  {new.needs_policy}")
