@@ -10,8 +10,8 @@ use crate::robot::{CANONICAL_JOINT_NAMES, Place, Side, Slot};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::randomization::{RandomizationConfig, VariationConfig};
-use super::task::VelocityCommandConfig;
 use super::suggest::did_you_mean;
+use super::task::VelocityCommandConfig;
 use super::values;
 
 /// What a robot's URDF does not say: default pose, actuators, reset and randomisation. SI units.
