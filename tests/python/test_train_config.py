@@ -145,6 +145,6 @@ def test_the_learners_device_decides_mixed_precision(monkeypatch):
     asked = []
     monkeypatch.setattr(session, "_device", lambda *_: "cuda:0")
     monkeypatch.setattr(schema, "_computes_in_bfloat16", lambda kind: asked.append(kind) or True)
-    plan = session.new_plan(session.Options(train_config="quick"))
+    plan = session.new_plan(session.Options(train_config="quick", learner="rsl_rl"))
     assert asked == ["cuda"]
     assert plan.config.algorithm.mixed_precision == "on"
