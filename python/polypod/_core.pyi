@@ -293,9 +293,13 @@ class VecSim:
     action_mask: npt.NDArray[np.bool_]
     """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
     task_name: str
+    """Full name of the task."""
     experiment_name: str
+    """Name of the directory that runs of the task lie in."""
     threads: int
+    """Worker threads."""
     seed: int
+    """Seed of every random stream."""
     observation_layout: list[tuple[str, int]]
     """(term, size) of the policy's observation, in order."""
     observation_groups: dict[str, tuple[int, int]]
@@ -365,6 +369,30 @@ class VecSim:
 
         {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
         and yaw rate, rad/s, base frame.
+        """
+
+    def network_torques(
+        self,
+        robot: str,
+        error: npt.NDArray[np.float32],
+        velocity: npt.NDArray[np.float32],
+        memory: npt.NDArray[np.float32] | None = None,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Torques of the robot's actuator networks in one physics step, and what the networks remember after it.
+
+        Args:
+            robot: its name.
+            error: [n, joints], target less position of the robot's own joints, rad.
+            velocity: [n, joints], rad/s.
+            memory: [n, remembered], what the call before gave; None: zero, as after a reset.
+
+        Returns:
+            Torques [n, joints], N m, before the actuators' limits, zero for joints without a network; and the memory.
+
+        Raises:
+            ConfigError: for a robot that takes no part.
+            TypeError: for another dtype than float32.
+            ValueError: for other shapes.
         """
 
     def robot_shapes(self) -> str:
@@ -635,11 +663,14 @@ class Simulation:
         """Links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it."""
 
     @property
-    def num_joints(self) -> int: ...
+    def num_joints(self) -> int:
+        """Number of joints that move."""
     @property
-    def num_links(self) -> int: ...
+    def num_links(self) -> int:
+        """Number of links, the base's included."""
     @property
-    def num_envs(self) -> int: ...
+    def num_envs(self) -> int:
+        """Number of envs."""
     @property
     def nq(self) -> int:
         """Columns of `qpos`: 7 + joints, or joints for a fixed base."""
@@ -661,7 +692,8 @@ class Simulation:
         """Simulated since construction, s."""
 
     @property
-    def threads(self) -> int: ...
+    def threads(self) -> int:
+        """Worker threads."""
     @property
     def warnings(self) -> list[str]:
         """What was assumed while reading the URDF; each names the file, the element and the remedy."""
@@ -899,11 +931,11 @@ def draft_robot(
     feet: Mapping[str, str] = ...,
     gain_factor: float = ...,
 ) -> RobotDraft:
-    """A first config for the quadruped of the URDF file at `path`: roles, standing pose, gains, ranges.
+    """A first config for the robot of the URDF file at `path`: roles, standing pose, gains, ranges.
 
     `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
-    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`) where
-    geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
+    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`, `R`)
+    where geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

@@ -16,6 +16,7 @@ type Arrays<'py, T> = Vec<Bound<'py, PyArray1<T>>>;
 /// Weights, Adam's two moments, Adam's steps.
 type Network<'py> = (Arrays<'py, f32>, Arrays<'py, f32>, Arrays<'py, f32>, u64);
 
+#[doc = docstring!("Learner")]
 #[pyclass(module = "polypod._core")]
 pub(super) struct Learner {
     learner: Guarded<learner::Learner>,
@@ -101,6 +102,7 @@ impl Learner {
         Ok(Self { learner: Guarded::new(py, || learner, to_python)?, raised })
     }
 
+    #[doc = docstring!("Learner.collect")]
     fn collect(
         &mut self,
         py: Python<'_>,
@@ -115,6 +117,7 @@ impl Learner {
         Ok(episodes.into_iter().map(|episode| (episode.step, episode.env, episode.reward, episode.length)).collect())
     }
 
+    #[doc = docstring!("Learner.update")]
     fn update(&mut self, py: Python<'_>, sim: &VecSim, learning_rate: f64) -> PyResult<BTreeMap<&'static str, f64>> {
         let learner = &mut self.learner;
         let losses = sim.sim().look(py, |sim| learner.try_run(|learner| sim.learn(learner, learning_rate)))?;
@@ -127,6 +130,7 @@ impl Learner {
         ]))
     }
 
+    #[doc = docstring!("Learner.set_goals")]
     #[pyo3(signature = (entropy_coef, desired_kl))]
     fn set_goals(&mut self, py: Python<'_>, entropy_coef: f32, desired_kl: Option<f64>) -> PyResult<()> {
         if !(entropy_coef.is_finite() && desired_kl.is_none_or(|kl| kl > 0.0)) {
@@ -136,15 +140,18 @@ impl Learner {
         self.learner.run(py, |learner| learner.set_goals(entropy_coef, desired_kl))
     }
 
+    #[doc = docstring!("Learner.network")]
     fn network<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Network<'py>> {
         let NetworkState { weights, first, second, steps } = self.learner.network(which(name)?);
         Ok((arrays(py, weights), arrays(py, first), arrays(py, second), steps))
     }
 
+    #[doc = docstring!("Learner.action_std")]
     fn action_std<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         PyArray1::from_vec(py, self.learner.deviations())
     }
 
+    #[doc = docstring!("Learner.set_network")]
     fn set_network(
         &mut self,
         py: Python<'_>,
@@ -160,6 +167,7 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
+    #[doc = docstring!("Learner.normalizer")]
     fn normalizer<'py>(
         &self,
         py: Python<'py>,
@@ -171,6 +179,7 @@ impl Learner {
             .map(|of| (PyArray1::from_slice(py, &of.mean), PyArray1::from_slice(py, &of.variance), of.count)))
     }
 
+    #[doc = docstring!("Learner.set_normalizer")]
     fn set_normalizer(
         &mut self,
         py: Python<'_>,
@@ -185,7 +194,7 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
-    /// Discounted returns so far, and count, mean and variance of each robot's; `None` where rewards are not scaled.
+    #[doc = docstring!("Learner.reward_scale")]
     fn reward_scale<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyArray1<f32>>, Arrays<'py, f64>)> {
         self.learner.reward_scale().map(|scale| {
             let of_robots =
@@ -194,6 +203,7 @@ impl Learner {
         })
     }
 
+    #[doc = docstring!("Learner.set_reward_scale")]
     fn set_reward_scale(
         &mut self,
         py: Python<'_>,
@@ -209,12 +219,13 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
-    /// Returns and control steps of the present episodes.
+    #[doc = docstring!("Learner.episodes")]
     fn episodes<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
         let (rewards, lengths) = self.learner.episodes();
         (PyArray1::from_vec(py, rewards), PyArray1::from_vec(py, lengths))
     }
 
+    #[doc = docstring!("Learner.set_episodes")]
     fn set_episodes(
         &mut self,
         py: Python<'_>,
@@ -226,7 +237,7 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
-    /// The samples of the iteration.
+    #[doc = docstring!("Learner.rollout")]
     #[pyo3(signature = (sim, into=None))]
     fn rollout<'py>(
         &self,

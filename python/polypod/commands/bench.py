@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import Count, arg, checked_threads, positive, write_json
+from polypod.commands.arguments import Count, arg, positive, thread_count, write_json
 
 NUM_ENVS = 4096
 
@@ -58,12 +58,12 @@ class Bench:
             (self.largest, "--largest"),
         ):
             positive(value, flag)
-        checked_threads(self.threads, "--threads")
+        thread_count(self.threads, "--threads")
         options = bench.Options(
             robot=self.robot,
             num_envs=NUM_ENVS if self.num_envs is None else self.num_envs,
             threads=self.threads,
-            step_threads=checked_threads(self.step_threads, "--step-threads"),
+            step_threads=thread_count(self.step_threads, "--step-threads"),
             seed=self.seed or 0,
             quick=self.quick,
             largest=self.largest,
@@ -82,7 +82,7 @@ class Bench:
         from polypod.bench import learners, walking
         from polypod.training.session import DEFAULT_SEED
 
-        threads = checked_threads(self.step_threads, "--step-threads")
+        threads = thread_count(self.step_threads, "--step-threads")
         num_envs, seed = positive(self.num_envs, "--num-envs"), DEFAULT_SEED if self.seed is None else self.seed
         is_walk = self.walk and self.workers is None and not self.learner
         train_config = self.train_config or ("quick" if is_walk else "flat_universal")

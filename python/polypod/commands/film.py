@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from polypod.commands.arguments import Count, Name, Overrides, RobotNames, arg, check_names, checked_threads, names
+from polypod.commands.arguments import Count, Name, Overrides, RobotNames, arg, check_names, names, thread_count
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FilmOf:
                 fps=self.fps,
                 size=self.size,
                 seed=self.seed,
-                threads=checked_threads(self.threads, "--threads"),
+                threads=thread_count(self.threads, "--threads"),
                 overrides=list(self.set),
             ),
         )

@@ -12,8 +12,8 @@ from polypod.commands.arguments import (
     Velocity,
     arg,
     check_names,
-    checked_threads,
     names,
+    thread_count,
 )
 
 
@@ -83,7 +83,7 @@ class Play:
                 port=self.port,
                 meshes=self.meshes,
                 seed=self.seed,
-                threads=checked_threads(self.threads, "--threads"),
+                threads=thread_count(self.threads, "--threads"),
                 overrides=list(self.set),
             )
         )

@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.export import sources
+from polypod.export import sources, states
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
+from polypod.export.states import HISTORY, Shape
 from polypod.extras import package
 from polypod.networks import JointNetwork
-from polypod.networks.onnx_network import OnnxNetwork
+from polypod.networks.onnx_network import OnnxNetwork, output_of
 from polypod.networks.urma import LOG_FLOOR, OUTSIDE, RELATIVE_FLOOR
-from polypod.observation import Treatment
+from polypod.observation import Term, Treatment
 
 OPSET = 17
 """Of ONNX's default domain: old enough for the runtimes in use."""
@@ -38,6 +39,8 @@ class Graph:
         self.onnx = package("onnx", "exporting to ONNX", "export")
         self.name = name
         self.nodes: list[Any] = []
+        self.states: dict[str, Shape] = {}
+        """What it remembers, by the names of the inputs; their outputs are computed by nodes."""
         self.constants: list[Any] = []
         self.opsets = {"": OPSET}
         self.ir_version = IR_VERSION
@@ -62,6 +65,7 @@ class Graph:
             )
         self.ir_version = max(model.ir_version, self.ir_version)
         names = {network.input: source, network.output: target}
+        self.states |= network.states
         inner = self.onnx.compose.add_prefix_graph(model.graph, "network_", rename_inputs=False, rename_outputs=False)
         for node in inner.node:
             node.input[:] = [names.get(name, name) for name in node.input]
@@ -70,18 +74,23 @@ class Graph:
         self.constants += list(inner.initializer)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int], metadata: Mapping[str, str]) -> Any:
-        """The checked model; inputs and outputs are float32 [batch, size]."""
+        """The checked model; inputs and outputs are float32 [batch, size], and after them come the states."""
         helper = self.onnx.helper
 
-        def tensors(sizes: Mapping[str, int]) -> list[Any]:
+        def tensors(sizes: Mapping[str, int], memory: Mapping[str, Shape]) -> list[Any]:
             kind = self.onnx.TensorProto.FLOAT
-            documents = {**INPUTS, **OUTPUTS}
+            documents = {**INPUTS, **OUTPUTS, **states.MEANINGS}
+            shapes: dict[str, list[int | str]] = {name: ["batch", size] for name, size in sizes.items()}
+            for name, shape in memory.items():
+                shapes[name] = ["batch", *shape] if len(shape) == 1 else [shape[0], "batch", *shape[1:]]
             return [
-                helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=documents.get(name, ""))
-                for name, size in sizes.items()
+                helper.make_tensor_value_info(name, kind, shape, doc_string=documents.get(name, ""))
+                for name, shape in shapes.items()
             ]
 
-        graph = helper.make_graph(self.nodes, self.name, tensors(inputs), tensors(outputs), self.constants)
+        after = {output_of(name): shape for name, shape in self.states.items()}
+        ends = tensors(inputs, self.states), tensors(outputs, after)
+        graph = helper.make_graph(self.nodes, self.name, *ends, self.constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid(domain, version) for domain, version in self.opsets.items()],
@@ -89,7 +98,11 @@ class Graph:
             producer_name="polypod",
             producer_version=_core.__version__,
         )
-        helper.set_model_props(model, dict(metadata))
+        fed_back = {
+            "state_inputs": ",".join(self.states),
+            "state_outputs": ",".join(after),
+        }
+        helper.set_model_props(model, {**metadata, **(fed_back if self.states else {})})
         self.onnx.checker.check_model(model, full_check=True)
         return model
 
@@ -106,12 +119,19 @@ def robot_model(network: MLPModel | OnnxNetwork, robot: RobotInterface, metadata
     graph = Graph(f"policy_{robot.name}")
     inputs = robot.inputs()
     do = _Operations(graph, robot)
+    history = _History(graph, robot) if robot.states() else None
     columns = []
     for term in robot.terms:
         do.term = term.term
         column = sources.compute(do, term, term.inputs)
         # a constant is what the policy observes already
-        columns.append(_add_treatment(graph, term.treatment, column, term.term) if term.inputs else column)
+        if term.inputs:
+            column = _add_treatment(graph, term.treatment, column, term.term)
+            if history is not None and term.history_length > 1:
+                column = history.add(term, column)
+        columns.append(column)
+    if history is not None:
+        history.finish()
     observation = graph.node("Concat", *columns, output="obs", axis=1)
     if len(robot.columns) == robot.num_actions:
         _add_network(graph, network, observation, "actions")
@@ -122,6 +142,43 @@ def robot_model(network: MLPModel | OnnxNetwork, robot: RobotInterface, metadata
     graph.node("Gemm", "actions", spread, do.default_pose, output="joint_pos_target")
     outputs = {"joint_pos_target": len(robot.joint_names), "actions": robot.num_actions}
     return graph.model(inputs, outputs, metadata)
+
+
+class _History:
+    """What the terms of a folded graph remember, see `polypod.export.states`."""
+
+    def __init__(self, graph: Graph, robot: RobotInterface) -> None:
+        self.graph = graph
+        graph.states |= robot.states()
+        self.start = 1
+        flag = self._columns(HISTORY, 0, 1, "history_flag")
+        half = graph.constant("history_half", np.array(0.5, dtype=np.float32))
+        self.begun = graph.node("Greater", flag, half, output="history_begun")
+        zero, one = (graph.constant(f"history_{x:g}", np.array(x, dtype=np.float32)) for x in (0.0, 1.0))
+        # as many rows as the input has
+        self.after = [graph.node("Add", graph.node("Mul", flag, zero, output="history_none"), one, output="history_on")]
+
+    def add(self, term: Term, newest: str) -> str:
+        """The whole of a term, the oldest numbers first; a new episode remembers its first numbers."""
+        graph, name, past = self.graph, term.term, term.size - term.width
+        remembered = self._columns(HISTORY, self.start, self.start + past, f"{name}_remembered")
+        self.start += past
+        repeated = graph.node("Concat", *[newest] * (term.history_length - 1), output=f"{name}_repeated", axis=1)
+        older = graph.node("Where", self.begun, remembered, repeated, output=f"{name}_older")
+        whole = graph.node("Concat", older, newest, output=f"{name}_whole", axis=1)
+        self.after.append(self._columns(whole, term.width, term.size, f"{name}_kept"))
+        return whole
+
+    def finish(self) -> None:
+        """Gives back what is to be remembered."""
+        self.graph.node("Concat", *self.after, output=output_of(HISTORY), axis=1)
+
+    def _columns(self, source: str, start: int, end: int, output: str) -> str:
+        limits = [
+            self.graph.constant(f"{output}_{name}", np.array([value], dtype=np.int64))
+            for name, value in (("start", start), ("end", end), ("axis", 1))
+        ]
+        return self.graph.node("Slice", source, *limits, output=output)
 
 
 class _Operations:
@@ -204,6 +261,8 @@ def _add_network(graph: Graph, network: MLPModel | OnnxNetwork, source: str, tar
         mean = graph.constant("obs_mean", _numpy(normalizer.mean))
         scale = graph.constant("obs_std", _numpy(normalizer.std + normalizer.eps))
         value = graph.node("Div", graph.node("Sub", value, mean, output="obs_centred"), scale, output="obs_normalized")
+    if isinstance(network, RNNModel):
+        value = _add_recurrent_layers(graph, network, value)
     if isinstance(network.mlp, JointNetwork):
         _add_joint_network(graph, network.mlp, value, target)
     else:
@@ -219,6 +278,49 @@ def _add_layers(graph: Graph, layers: Sequence[torch.nn.Module], source: str, ta
             value = _add_gemm(graph, layer, value, output)
         else:
             value = _add_activation(graph, layer, value, output)
+
+
+def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
+    """Adds the recurrent layers, each fed with one step of a sequence; returns the name of the last one's output."""
+    rnn: Any = network.rnn.rnn
+    graph.states |= states.of_network(network)
+    is_lstm = isinstance(rnn, torch.nn.LSTM)
+    # torch has the gates of an LSTM as input, forget, cell, output, and ONNX as input, output, forget, cell; those of a
+    # GRU are reset, update, new, and update, reset, new
+    order = [0, 3, 1, 2] if is_lstm else [1, 0, 2]
+
+    def gates(name: str) -> npt.NDArray[np.float32]:
+        parts = np.split(_numpy(getattr(rnn, name)), len(order))
+        return np.concatenate([parts[gate] for gate in order])
+
+    axis = graph.constant("sequence_axis", np.array([0], dtype=np.int64))
+    value = graph.node("Unsqueeze", source, axis, output="sequence")
+    ends: dict[str, list[str]] = {name: [] for name in graph.states if name != HISTORY}
+    for layer in range(rnn.num_layers):
+        name = f"recurrent_{layer}"
+        weights = [
+            graph.constant(f"{name}_{key}", gates(f"weight_{key}_l{layer}")[np.newaxis]) for key in ("ih", "hh")
+        ]
+        bias = np.concatenate([gates(f"bias_{key}_l{layer}") for key in ("ih", "hh")])[np.newaxis]
+        begins = []
+        for state in ends:
+            limits = [
+                graph.constant(f"{name}_{state}_{key}", np.array([at], dtype=np.int64))
+                for key, at in (("start", layer), ("end", layer + 1), ("axis", 0))
+            ]
+            begins.append(graph.node("Slice", state, *limits, output=f"{name}_{state}"))
+            ends[state].append(f"{name}_{output_of(state)}")
+        inputs = [value, *weights, graph.constant(f"{name}_bias", bias), "", *begins]
+        outputs = [f"{name}_all", *(names[-1] for names in ends.values())]
+        extra = {} if is_lstm else {"linear_before_reset": 1}
+        operator = "LSTM" if is_lstm else "GRU"
+        graph.nodes.append(
+            graph.onnx.helper.make_node(operator, inputs, outputs, name=name, hidden_size=rnn.hidden_size, **extra)
+        )
+        value = ends["h_in"][-1]
+    for state, names in ends.items():
+        graph.node("Concat", *names, output=output_of(state), axis=0)
+    return graph.node("Squeeze", value, axis, output="recurrent")
 
 
 def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target: str) -> None:

@@ -1,17 +1,11 @@
 """Training with the native learner's rollouts on the CPU, and its update on a GPU."""
 
-from pathlib import Path
-
 import torch
 from tensordict import TensorDict
 
-from polypod.rsl_rl import VecEnv
-from polypod.training.config import TrainConfig
 from polypod.training.gpu_update import Samples, Update
 from polypod.training.native import NETWORKS, NativeRunner, array_of
-from polypod.training.report import Reporter
 from polypod.training.symmetry import Mirror
-from polypod.training.workers import Workers
 
 
 class GpuRunner(NativeRunner):
@@ -22,24 +16,15 @@ class GpuRunner(NativeRunner):
 
     _update_of: Update | None = None
 
-    def __init__(
-        self,
-        env: VecEnv,
-        config: TrainConfig,
-        run: Path,
-        device: str,
-        reporter: Reporter,
-        workers: Workers | None = None,
-    ) -> None:
-        """As `NativeRunner`, with one worker."""
-        super().__init__(env, config, run, device, reporter, workers)
-        sim, symmetry = env.unwrapped.sim, config.run.symmetry
-        mirror = (Mirror(env, device), symmetry) if symmetry else None
-        self._samples = Samples(sim, config.run.num_steps_per_env, torch.device(device))
+    def _prepare(self) -> None:
+        super()._prepare()
+        env, run = self.env, self.config.run
+        mirror = (Mirror(env, self.device), run.symmetry) if run.symmetry else None
+        self._samples = Samples(env.unwrapped.sim, run.num_steps_per_env, torch.device(self.device))
         self._no_moments = {
             name: [array_of(torch.zeros_like(parameter)) for parameter in self._parameters(name)] for name in NETWORKS
         }
-        self._update_of = Update(self.alg, env, self._samples, config.algorithm, mirror)
+        self._update_of = Update(self.alg, env, self._samples, self.config.algorithm, mirror)
         self._give()
 
     def _update(self, observations: TensorDict) -> dict[str, float]:

@@ -15,7 +15,7 @@ from torch import nn
 from polypod import _core
 from polypod.networks.masked import ACTION_MASK, MaskedGaussian
 from polypod.rsl_rl import VecEnv
-from polypod.training.config import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
+from polypod.training.schema import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
 from polypod.training.symmetry import Mirror
 
 RATE_STEP = 1.5

@@ -13,11 +13,7 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.rsl_rl import VecEnv
-from polypod.training.config import TrainConfig
-from polypod.training.report import Reporter
 from polypod.training.runner import Runner
-from polypod.training.workers import Workers
 
 NETWORKS = ("actor", "critic")
 
@@ -26,23 +22,14 @@ class NativeRunner(Runner):
     """A `Runner` whose iterations are computed by `polypod._core.Learner`."""
 
     draws = False
+    # samples and mirror images are the native learner's: rsl_rl stores none
+    storage = {"symmetry": False, "num_steps_per_env": 1}  # noqa: RUF012
 
-    def __init__(
-        self,
-        env: VecEnv,
-        config: TrainConfig,
-        run: Path,
-        device: str,
-        reporter: Reporter,
-        workers: Workers | None = None,
-    ) -> None:
-        """Builds the networks; `config` is one for the native learner."""
-        # samples and mirror images are the native learner's: rsl_rl stores none
-        super().__init__(env, config, run, device, reporter, workers, symmetry=False, num_steps_per_env=1)
-        sim, workers = env.unwrapped.sim, self.workers
-        self.cfg = self.logger.cfg = config.rsl_rl_cfg(sim)
+    def _prepare(self) -> None:
+        sim, workers = self.env.unwrapped.sim, self.workers
+        self.cfg = self.logger.cfg = self.config.rsl_rl_cfg(sim)
         peers = workers if workers.count > 1 else None
-        options = json.dumps(config.native_options())
+        options = json.dumps(self.config.native_options())
         self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
         self._give()
 

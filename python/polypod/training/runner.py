@@ -20,10 +20,10 @@ from polypod import _core
 from polypod.rsl_rl import VecEnv
 from polypod.training import run_dir
 from polypod.training.advantages import normalize_per_robot
-from polypod.training.config import TrainConfig
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
+from polypod.training.schema import TrainConfig
 from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers, slow_workers
 
@@ -66,6 +66,9 @@ class Runner(OnPolicyRunner):
     logger: TrainingLogger
     draws = True
     """Whether torch's random streams decide the actions and the order of the samples."""
+    storage: Mapping[str, Any] = {}
+    """Values of rsl_rl's configuration, other than those of the train config, that its networks and storage are built
+    with."""
 
     def __init__(
         self,
@@ -75,7 +78,6 @@ class Runner(OnPolicyRunner):
         device: str,
         reporter: Reporter,
         workers: Workers | None = None,
-        **changes: Any,
     ) -> None:
         """Builds networks and storage.
 
@@ -86,10 +88,9 @@ class Runner(OnPolicyRunner):
             device: where the learner is.
             reporter: what the user sees, of worker 0.
             workers: those that have the other envs; None: there are none.
-            changes: values of rsl_rl's configuration other than those of `config`.
         """
         self.workers = workers or Workers.alone()
-        cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **changes}
+        cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **self.storage}
         check_groups(env, cfg["obs_groups"])
         self._distils = cfg["algorithm"]["class_name"] == "Distillation"
         if cfg["symmetry"]:
@@ -123,6 +124,10 @@ class Runner(OnPolicyRunner):
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
             self.reward_scale = RewardScale(self.blocks, cfg["algorithm"]["gamma"], device, self.workers)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Builds what another learner than rsl_rl needs."""
 
     def _configure_multi_gpu(self) -> None:
         """Tells rsl_rl of the workers."""

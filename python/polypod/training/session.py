@@ -22,6 +22,7 @@ from polypod.training.gpu import GpuRunner
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
+from polypod.training.schema import RunConfig, TrainConfig
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
@@ -77,7 +78,7 @@ class Options:
 class Plan:
     """What to train, all questions settled."""
 
-    config: config.TrainConfig
+    config: TrainConfig
     robots: list[str] | None
     seed: int
     overrides: list[str]
@@ -338,7 +339,7 @@ def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.Pyt
     return terms
 
 
-def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
+def _iterations_to_do(options: Options, run_config: RunConfig, done: int) -> int:
     if options.resume is None:
         return run_config.max_iterations
     count = run_config.max_iterations - done if options.max_iterations is None else options.max_iterations
@@ -349,7 +350,7 @@ def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int)
     return count
 
 
-def _device(options: Options, train_config: config.TrainConfig) -> str:
+def _device(options: Options, train_config: TrainConfig) -> str:
     name, learner = options.device, options.learner or train_config.run.learner
     if name == "auto":
         is_native_team = learner == "native" and is_among_workers()
@@ -363,7 +364,7 @@ def _device(options: Options, train_config: config.TrainConfig) -> str:
 
 def runner_of(
     env: VecEnv,
-    train_config: config.TrainConfig,
+    train_config: TrainConfig,
     run: Path,
     device: str,
     reporter: Reporter,
