@@ -1,8 +1,11 @@
 """The page shows what is simulated, in step, and does what it is asked for."""
 
+import contextlib
 import dataclasses
+import http.client
 import threading
 import time
+import urllib.request
 from types import SimpleNamespace
 
 import numpy as np
@@ -395,6 +398,18 @@ def test_other_checkpoints_of_a_run_can_be_chosen(tmp_path):
 def test_a_host_that_is_not_this_machine_is_refused(group, host):
     with pytest.raises(_core.ConfigError, match="--host"):
         Viewer(group, port=0, host=host)
+
+
+def test_a_health_check_is_no_traceback(viewer, caplog, capfd):
+    address = viewer.url.removeprefix("http://")
+    connection = http.client.HTTPConnection(address, timeout=10)
+    connection.request("HEAD", "/")
+    with contextlib.suppress(http.client.HTTPException, OSError):
+        connection.getresponse()
+    connection.close()
+    with urllib.request.urlopen(viewer.url) as page:
+        assert b"<html" in page.read(2000).lower()
+    assert "Traceback" not in caplog.text + capfd.readouterr().err
 
 
 def test_the_page_is_for_this_machine_alone_unless_it_is_asked_for(group, viewer):

@@ -1,6 +1,7 @@
 """A simulation in the browser, by viser: live, or recorded into a file without a browser."""
 
 import contextlib
+import logging
 import socket
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,8 @@ class Viewer:
             descriptions.check()
         self._meshes = meshes
         _check_host(host)
+        # a health check or a scanner is no error of the server's, and would get a traceback each
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         try:
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
         except (OSError, OverflowError) as error:
