@@ -1,17 +1,21 @@
 """The page shows what is simulated, in step, and does what it is asked for."""
 
+import contextlib
 import dataclasses
+import http.client
 import threading
 import time
+import urllib.request
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import polypod.cli
 from browser import PROGRAM, Page
 from common import FLAT_POLICY, ROUGH_POLICY, SMALL_TERRAIN, size
-from polypod import _core
-from polypod.play import Player, mesh, turns
+from polypod import _core, bundled
+from polypod.play import Player, mesh, session, turns
 from polypod.play.live import FROM_TASK, OWN, TOGETHER, Choice, Live, columns_of
 from polypod.play.panel import KEYS, Panel
 from polypod.play.viewer import GROUP, NOTHING, Viewer
@@ -352,10 +356,60 @@ def test_policy_task_and_robot_are_switched_in_place(live, viewer):
         client.close()
 
 
+def test_terrain_and_obstacles_are_on_the_page():
+    """Those of the task, meshes among them, where the simulator has them."""
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    shape = f'{{ shape = "mesh", scale = [1.0, 1.0, 1.0], position = [2.0, 0.0, 0.0], vertices = {corners}'
+    obstacle = f"scene.obstacles=[{shape}, triangles = {faces} }}]"
+    player = Player(FLAT_POLICY, ["spot"], threads=1, overrides=[obstacle])
+    viewer = Viewer(player, port=0)
+    client = Client(viewer.url)
+    try:
+        wait_until(lambda: any(message["type"] == "ReplayDoneMessage" for w in client.windows for message in w))
+        client.picture()
+        assert client.nodes["/world/obstacles/0_0"]["type"] == "MeshMessage"
+        assert client.nodes["/world/ground"]["type"] == "GridMessage"
+        # it has a place about the env's origin: the robot alone is followed
+        assert viewer.followed == 0
+    finally:
+        client.close()
+        viewer.close()
+
+
+@pytest.mark.parametrize("arguments", [(), ("--command", "0.3", "0", "0"), ("--robots", "spot")])
+def test_the_command_serves_the_page(capsys, arguments):
+    line = ["play", "--checkpoint", str(FLAT_POLICY), "--seconds", "0.1", "--port", "0", "--threads", "1", *arguments]
+    assert polypod.cli.main(line) == 0
+    output = capsys.readouterr().out
+    assert "open http://127.0.0.1:" in output
+    assert "0.1 s" in output
+
+
+def test_other_checkpoints_of_a_run_can_be_chosen(tmp_path):
+    for number in (5, 100, 20):
+        (tmp_path / f"model_{number}.pt").touch()
+    names = list(session._policies(tmp_path / "model_20.pt"))
+    assert names == ["model_20.pt", "model_5.pt", "model_100.pt", "bundled: flat", "bundled: rough"]
+    assert list(session._policies(bundled.checkpoint("rough")))[:2] == ["bundled: rough", "bundled: flat"]
+
+
 @pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.1", "x y", "a" * 300, "\udcff"])
 def test_a_host_that_is_not_this_machine_is_refused(group, host):
     with pytest.raises(_core.ConfigError, match="--host"):
         Viewer(group, port=0, host=host)
+
+
+def test_a_health_check_is_no_traceback(viewer, caplog, capfd):
+    address = viewer.url.removeprefix("http://")
+    connection = http.client.HTTPConnection(address, timeout=10)
+    connection.request("HEAD", "/")
+    with contextlib.suppress(http.client.HTTPException, OSError):
+        connection.getresponse()
+    connection.close()
+    with urllib.request.urlopen(viewer.url) as page:
+        assert b"<html" in page.read(2000).lower()
+    assert "Traceback" not in caplog.text + capfd.readouterr().err
 
 
 def test_the_page_is_for_this_machine_alone_unless_it_is_asked_for(group, viewer):

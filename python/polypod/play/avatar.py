@@ -26,6 +26,8 @@ LEAST = 0.02
 """Shorter arrows are not shown, m."""
 CLOSE = 0.01
 """An arrow whose length is off by less than this is not drawn anew, m."""
+POINT = 0.02
+"""Size of a point of a height scan, m."""
 NAME_HEIGHT = 0.09
 """Of a robot's name, m."""
 _FONT = 44
@@ -127,12 +129,13 @@ class Avatar:
             if self._scan is not None:
                 self._scan.visible = False
             return
-        around = (points - base).astype(np.float32)
+        # a point is a disc that looks at the camera: half of it would be in the ground
+        around = (points - base + [0.0, 0.0, 0.5 * POINT]).astype(np.float32)
         if self._scan is None:
             colors = np.tile(np.array([[232, 90, 40]], dtype=np.uint8), (len(points), 1))
             name = f"{self.root}/level/scan"
             self._scan = self._scene.add_point_cloud(
-                name, around, colors, point_size=0.025, point_shape="circle", precision="float32"
+                name, around, colors, point_size=POINT, point_shape="circle", precision="float32"
             )
         self._scan.points, self._scan.visible = around, True
 

@@ -1,6 +1,7 @@
 """A simulation in the browser, by viser: live, or recorded into a file without a browser."""
 
 import contextlib
+import logging
 import socket
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ FOLLOW = 0.1
 """Share of its distance by which the view comes nearer to what it follows, per shown frame."""
 FIELD_OF_VIEW = 0.75
 """Of the opening shot, from its upper to its lower edge, rad."""
+DIMMED = 0.5
+"""Share of the terrain's brightness in films that it has on the page."""
 _JUMP = 1.5
 """A robot that is farther from where it was than this, m, has begun a new episode."""
 _MESSAGES = 1 << 16
@@ -61,6 +64,8 @@ class Viewer:
             descriptions.check()
         self._meshes = meshes
         _check_host(host)
+        # a health check or a scanner is no error of the server's, and would get a traceback each
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         try:
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
         except (OSError, OverflowError) as error:
@@ -251,7 +256,7 @@ class Viewer:
         """Position and target of a camera that sees what is followed, m; the target is at the origin."""
         if isinstance(self.followed, int):
             reach = self.player.reach[self._shown.robots[min(self.followed, len(self._shown.robots) - 1)].name]
-            direction, radius = np.array([0.72, 0.58, 0.42]), 1.6 * reach
+            direction, radius = np.array([0.72, 0.58, 0.42]), 2.0 * reach
         else:
             places = np.stack([robot.position[0] for robot in self._shown.robots]) - self._middle()
             reach = max(self.player.reach.values())
@@ -298,8 +303,8 @@ def _check_host(host: str) -> None:
 def terrain_glb(ground: Ground) -> bytes:
     """The terrain's own triangles as binary glTF, coloured by height."""
     trimesh = package("trimesh", "the viewer", "play")
-    # glTF's colours of vertices are linear
-    colors = (ground.colors(ground.vertices[:, 2]) / 255.0) ** 2.2
+    # glTF's colours of vertices are linear; the page's light would make light ground white
+    colors = DIMMED * (ground.colors(ground.vertices[:, 2]) / 255.0) ** 2.2
     rgba = np.full((len(colors), 4), 255, dtype=np.uint8)
     rgba[:, :3] = np.rint(255.0 * colors)
     # without normals, viewers shade flat
