@@ -41,7 +41,7 @@ def connected(address: str, purpose: str, module: str) -> tuple[Any, Any]:
         ray.init(where, ignore_reinit_error=True, log_to_driver=True, runtime_env={"env_vars": passed})
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise _core.ConfigError(
-            f"cannot reach the Ray cluster {address}: {error}; if it was started with a token, set RAY_AUTH_MODE=token; "
+            f"cannot reach the Ray cluster {address}: {error}; set RAY_AUTH_MODE=token if it was started with a token; "
             "see docs/cluster.md"
         ) from error
     return ray, part
