@@ -35,7 +35,11 @@ NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 # The bundled policies, and how they are filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
 SHIPPED_ROUGH := $(wildcard assets/policies/rough_universal/model_*.pt)
-FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 5 --size 480 270 --set scene.terrain.max_init_terrain_level=1
+FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 6 --size 640 360 --set scene.terrain.max_init_terrain_level=1
+FOUR := unitree_go1,spot,anymal_c,unitree_b2
+FILM_FOUR := --robots $(FOUR) --size 560 260
+# Folder of a run for the film of a training.
+RUN ?=
 FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 12 --size 720 300
 
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
@@ -43,7 +47,7 @@ ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
+.PHONY: help build train eval demo film films test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -85,11 +89,16 @@ demo: $(VENV)/.requirements
 	rm -rf "$(folder)"
 endif
 
-film: $(VENV)/.extension ## Film the eight robots anew for the README
-	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video docs/media/eight_robots.gif
+film: $(VENV)/.extension ## Film the robots on rough ground anew for the README and docs/terrain.md
+	$(BIN)/polypod play --checkpoint rough $(FILM_ROUGH) --video docs/media/rough_robots.webp
 
-film-rough: $(VENV)/.extension ## Film the eight robots on rough ground anew for docs/terrain.md
-	$(BIN)/polypod play --checkpoint $(SHIPPED_ROUGH) $(FILM_ROUGH) --video docs/media/rough_robots.gif
+films: $(VENV)/.extension ## Film a push, a stranger and MuJoCo for docs/viewer.md; RUN=<folder of a run> also a training
+	$(BIN)/polypod film push docs/media/push.webp $(FILM_FOUR) --seconds 4.8 --push 1.5 --fps 8
+	$(BIN)/polypod film walk docs/media/ninth.webp --robots unitree_aliengo --seconds 2.4 --fps 8 --size 400 240
+	$(BIN)/polypod film mujoco docs/media/mujoco.webp $(FILM_FOUR) --seconds 3.2 --fps 8 --size 560 400
+ifneq ($(RUN),)
+	$(BIN)/polypod film training docs/media/training.webp --checkpoint $(RUN) --robots $(FOUR) --seconds 2 --fps 8 --size 480 240 --parts 5
+endif
 
 test: test-rust test-python ## Run the tests of Rust and of Python
 

@@ -5,7 +5,7 @@ use bevy_ecs::prelude::*;
 
 use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet};
-use crate::components::{BasePose, Command, Env, EnvRng, Robot};
+use crate::components::{BasePose, Command, Env, EnvRng, Morphology, Robot};
 use crate::config::VelocityCommandConfig;
 use crate::dynamics::elementary::atan2;
 use crate::dynamics::lanes::Kernel;
@@ -26,16 +26,17 @@ impl Plugin for CommandPlugin {
 pub(super) fn update_commands(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
-    robots: Rows<&'static BasePose, Robot>,
+    robots: Rows<(&'static Morphology, &'static BasePose), Robot>,
     mut envs: Rows<(&'static mut Command, &'static mut EnvRng), Env>,
 ) -> Result {
-    let poses = robots.read()?;
+    let (tags, poses) = robots.read()?;
     let (commands, rngs) = envs.write()?;
-    let (config, step_dt) = (&task.config.commands.base_velocity, task.step_dt);
-    let rows = (poses, commands, rngs);
-    workers.vectorize_chunks(rows, poses.len(), |_, _, (poses, commands, rngs)| CommandRows {
-        config,
+    let (configs, step_dt) = (&task.commands[..], task.step_dt);
+    let rows = (tags, poses, commands, rngs);
+    workers.vectorize_chunks(rows, poses.len(), |_, _, (tags, poses, commands, rngs)| CommandRows {
+        configs,
         step_dt,
+        tags,
         poses,
         commands,
         rngs,
@@ -44,8 +45,10 @@ pub(super) fn update_commands(
 }
 
 struct CommandRows<'a> {
-    config: &'a VelocityCommandConfig,
+    /// By morphology.
+    configs: &'a [VelocityCommandConfig],
     step_dt: f32,
+    tags: &'a [Morphology],
     poses: &'a [BasePose],
     commands: &'a mut [Command],
     rngs: &'a mut [EnvRng],
@@ -56,8 +59,9 @@ impl Kernel<f32> for CommandRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { config, step_dt, poses, commands, rngs } = self;
-        for ((pose, command), rng) in poses.iter().zip(commands).zip(rngs) {
+        let Self { configs, step_dt, tags, poses, commands, rngs } = self;
+        for (((tag, pose), command), rng) in tags.iter().zip(poses).zip(commands).zip(rngs) {
+            let config = &configs[usize::from(tag.0)];
             if command.pinned {
                 continue;
             }

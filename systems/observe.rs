@@ -122,14 +122,18 @@ impl Kernel<f32> for Observation<'_> {
     }
 }
 
-/// Moves the numbers of a robot's own joints, which come first, to the batch's columns, and sets all others to zero. Columns
-/// are in the order of the robot's own joints: none is overwritten before it has moved.
-fn spread(slots: &[SlotJoint], columns: usize, numbers: &mut [f32]) {
+/// Moves the numbers of a robot's own joints or feet, which come first, to their columns of the batch's, and sets all others
+/// to zero. `own_columns` are in rising order: none is overwritten before it has moved.
+fn spread<I>(own_columns: I, columns: usize, numbers: &mut [f32])
+where
+    I: ExactSizeIterator<Item = usize> + DoubleEndedIterator + Clone,
+{
+    let count = own_columns.len();
     for block in (0..numbers.len() / columns).rev() {
         let mut end = (block + 1) * columns;
-        for (own, slot) in slots.iter().enumerate().rev() {
-            let to = block * columns + slot.column();
-            let value = numbers[block * slots.len() + own];
+        for (own, column) in own_columns.clone().enumerate().rev() {
+            let to = block * columns + column;
+            let value = numbers[block * count + own];
             numbers[to..end].fill(0.0);
             numbers[to] = value;
             end = to;
@@ -159,12 +163,16 @@ impl ObservationTerm {
         let (older, newest) = row.split_at_mut(self.size - size);
         let own = match self.spec.kind {
             TermKind::PerJoint => size / columns * robot.slots.len(),
+            TermKind::PerFoot => robot.foot_columns.len(),
             _ => size,
         };
         write(&mut newest[..own]);
         self.treat(&mut newest[..own], rng);
         if own != size {
-            spread(&robot.slots, columns, newest);
+            match self.spec.kind {
+                TermKind::PerFoot => spread(robot.foot_columns.iter().copied(), size, newest),
+                _ => spread(robot.slots.iter().map(SlotJoint::column), columns, newest),
+            }
         }
         if is_new {
             older.chunks_exact_mut(size).for_each(|numbers| numbers.copy_from_slice(newest));
@@ -191,7 +199,8 @@ impl ObservationTerm {
 }
 
 /// Adds an observation term that is read from a component of the entities of kind `K`, in a plugin's `build`. Tasks name it like any
-/// other term. One of the kind [`TermKind::PerJoint`] is handed the numbers of the robot's own joints to write.
+/// other term. One of the kind [`TermKind::PerJoint`] or [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to
+/// write.
 pub fn add_observation<C: Component, K: RowKind>(
     app: &mut App,
     name: &'static str,

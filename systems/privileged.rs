@@ -5,8 +5,6 @@ use super::view::RobotView;
 
 const ONE_NUMBER: &[Block] = &[Block::new(Per::Body, 1)];
 const TWO_NUMBERS: &[Block] = &[Block::new(Per::Body, 2)];
-/// Feet of a quadruped.
-const FEET: usize = 4;
 
 /// All terms of this file.
 pub(super) fn register(registry: &mut Registry) {
@@ -26,11 +24,11 @@ pub(super) fn register(registry: &mut Registry) {
         out.copy_from_slice(&std::array::from_fn::<f32, 3, _>(|k| own[k] - usual[k]));
     });
     let spec = TermSpec::new(PerFoot, "N", "largest normal force on each foot over the last three physics steps");
-    registry.observation("feet_contact_force", FEET, spec.with_magnitude(100.0), feet_contact_force);
+    registry.foot_observation("feet_contact_force", spec.with_magnitude(100.0), feet_contact_force);
     let spec = TermSpec::new(PerFoot, "s", "how long each foot has been in the air");
-    registry.observation("feet_air_time", FEET, spec, |_: &NoParams, r, out| out.copy_from_slice(&r.contacts.air_time));
+    registry.foot_observation("feet_air_time", spec, |_: &NoParams, r, out| out.copy_from_slice(&r.contacts.air_time));
     let spec = TermSpec::new(PerFoot, "m", "height of each foot's centre above the ground below it");
-    registry.observation("feet_height", FEET, spec.with_magnitude(0.1), |_: &NoParams, r, out| {
+    registry.foot_observation("feet_height", spec.with_magnitude(0.1), |_: &NoParams, r, out| {
         out.copy_from_slice(&r.feet.height);
     });
 }

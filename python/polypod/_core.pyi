@@ -364,6 +364,37 @@ class VecSim:
         the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
         """
 
+    def command_ranges(self) -> dict[str, dict[str, list[float]]]:
+        """Per robot the ranges that its commands are drawn from: the task's, within the robot's own limits.
+
+        {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
+        and yaw rate, rad/s, base frame.
+        """
+
+    def network_torques(
+        self,
+        robot: str,
+        error: npt.NDArray[np.float32],
+        velocity: npt.NDArray[np.float32],
+        memory: npt.NDArray[np.float32] | None = None,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Torques of the robot's actuator networks in one physics step, and what the networks remember after it.
+
+        Args:
+            robot: its name.
+            error: [n, joints], target less position of the robot's own joints, rad.
+            velocity: [n, joints], rad/s.
+            memory: [n, remembered], what the call before gave; None: zero, as after a reset.
+
+        Returns:
+            Torques [n, joints], N m, before the actuators' limits, zero for joints without a network; and the memory.
+
+        Raises:
+            ConfigError: for a robot that takes no part.
+            TypeError: for another dtype than float32.
+            ValueError: for other shapes.
+        """
+
     def robot_shapes(self) -> str:
         """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.
 
@@ -490,6 +521,33 @@ class VecSim:
 
     def set_command(self, command: npt.NDArray[np.float32] | None) -> None:
         """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller. None releases them."""
+
+    def push(self, velocity: npt.NDArray[np.float32]) -> None:
+        """Adds a velocity to the base of each robot, as a push does; observations follow with the next step.
+
+        Args:
+            velocity: float32 [num_envs, 3], world axes, m/s; zeros leave a robot alone.
+
+        Raises:
+            TypeError: for another dtype.
+            ValueError: for another shape.
+            ConfigError: for a number that is not finite or beyond 100 m/s.
+        """
+
+    def reward_terms(self, robot: str) -> list[str]:
+        """Names of the reward terms of the robot's set, in order. Raises UnknownNameError."""
+
+    def reward_sums(self, robot: str) -> npt.NDArray[np.float32]:
+        """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`, summed over the episode so far. A copy.
+
+        What they grow by in a step adds up to `reward`. Raises UnknownNameError.
+        """
+
+    def height_scan(self) -> npt.NDArray[np.float32]:
+        """[num_envs, rays, 3], where the rays of the height scanners hit the ground, in the world, m. A copy.
+
+        There are no rays where the task has no height scanner.
+        """
 
     def log(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call, per robot and term; empty when none ended."""
@@ -873,11 +931,11 @@ def draft_robot(
     feet: Mapping[str, str] = ...,
     gain_factor: float = ...,
 ) -> RobotDraft:
-    """A first config for the quadruped of the URDF file at `path`: roles, standing pose, gains, ranges.
+    """A first config for the robot of the URDF file at `path`: roles, standing pose, gains, ranges.
 
     `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
-    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`) where
-    geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
+    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`, `R`)
+    where geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

@@ -10,10 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.compat import tomllib
 from polypod.files import write_text
 from polypod.vector_env import make
 
 TASK = "velocity_flat_play"
+TASK_OF_OTHERS = "velocity_flat_legged_play"
+"""Of bodies that are no quadrupeds of twelve joints: it has their reward sets."""
 SECONDS = 4.0
 NUM_ENVS = 16
 SAG = 0.2
@@ -60,6 +63,12 @@ class NewRobot:
     standing: Standing
     gain_factor: float
     """On the gains that follow from weight and leg length."""
+    kind: str
+    """`biped`, `humanoid`, `quadruped`, `hexapod` ..."""
+    is_quadruped: bool
+    """Whether it has twelve joints in four legs, which the tasks of quadrupeds know."""
+    needs_policy: str | None
+    """Why it does not stand by itself, where it does not for a reason that gains do not change."""
 
 
 def new_robot(
@@ -70,18 +79,18 @@ def new_robot(
     feet: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> NewRobot:
-    """Drafts a config for the quadruped of a URDF file and lets it stand; stiffer where it gives way.
+    """Drafts a config for the robot of a URDF file and lets it stand; stiffer where it gives way.
 
     Args:
         urdf: the URDF file.
         out: the TOML to write; None: `<name>.toml` beside the URDF. Its stem is the robot's name.
         name: the robot's name; None: that of `out`, of the URDF, or of its file.
         package_dirs: ROS package -> folder, for `package://` names of meshes.
-        feet: leg (`LF`, `LH`, `RF`, `RH`) -> the link that is its foot, where geometry alone does not tell.
+        feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where geometry alone does not tell.
         force: write over a file that is there.
 
     Raises:
-        RobotError: where the URDF cannot be read or is no quadruped's.
+        RobotError: where the URDF cannot be read or is no legged robot's.
         ConfigError: where the file is there already, cannot be written, or has another name than the robot.
     """
     if name is None and out is not None:
@@ -100,10 +109,20 @@ def new_robot(
             write_text(path, draft["toml"])
         except OSError as error:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --out") from error
-        standing = stand(str(path))
-        if standing.holds:
+        standing = stand(path)
+        if standing.holds or draft["needs_policy"]:
             break
-    return NewRobot(draft["name"], path, draft["notes"], standing, factor)
+    needs = draft["needs_policy"]
+    if needs is None and not standing.holds and draft["class"] in ("biped", "humanoid"):
+        needs = "on these gains its ankles hold less than the moment of its weight as it leans: a policy balances it"
+    if standing.holds:
+        needs = None
+    elif needs is not None and attempt > 0:
+        # softer gains move the better: stiffer ones did not help
+        factor = 1.0
+        draft = _core.draft_robot(urdf, name=name, urdf=place, package_dirs=folders, feet=feet or {}, gain_factor=1.0)
+        write_text(path, draft["toml"])
+    return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["class"], _task_of(path) == TASK, needs)
 
 
 def _check_place(path: Path, name: str, force: bool) -> None:
@@ -113,9 +132,9 @@ def _check_place(path: Path, name: str, force: bool) -> None:
         raise _core.ConfigError(f"{path} is there already; pass --force to write over it, or choose another --out")
 
 
-def stand(robot: str) -> Standing:
-    """Lets a robot hold its default pose on flat ground for `SECONDS`."""
-    env = make(TASK, NUM_ENVS, robots=[robot], seed=0, autoreset="disabled")
+def stand(robot: Path) -> Standing:
+    """Lets the robot of a config hold its default pose on flat ground for `SECONDS`."""
+    env = make(_task_of(robot), NUM_ENVS, robots=[str(robot)], seed=0, autoreset="disabled")
     try:
         env.reset()
         actions = np.zeros((NUM_ENVS, env.sim.num_actions), dtype=np.float32)
@@ -135,6 +154,13 @@ def stand(robot: str) -> Standing:
         return Standing(int(fallen.sum()), float(gap.max()), height, share)
     finally:
         env.close()
+
+
+def _task_of(robot: Path) -> str:
+    """The task on flat ground, in its Play variant, that has the reward sets of a robot's class."""
+    joints = tomllib.loads(robot.read_text(encoding="utf-8"))["default_pose"]
+    is_quadruped = len(joints) == 12 and all(joint.endswith(("_HAA", "_HFE", "_KFE")) for joint in joints)
+    return TASK if is_quadruped else TASK_OF_OTHERS
 
 
 def _relative(file: Path, folder: Path) -> str:

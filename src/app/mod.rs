@@ -4,6 +4,7 @@ pub mod dump;
 mod learning;
 mod sim_queries;
 pub mod snapshot;
+mod viewing;
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
 use crate::batch::Batch;
 use crate::bounds::MAX_ACTION;
 use crate::components::{Body, Command, EnvId, EnvRng, Episode, Morphology};
-use crate::config::{LoadedRobot, LoadedTask};
+use crate::config::{LoadedRobot, LoadedTask, VelocityCommandConfig};
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -243,6 +244,11 @@ impl Sim {
     /// The robots' models, in the order of their blocks.
     pub fn morphologies(&self) -> &[MorphologyModel] {
         &self.world.resource::<Morphologies>().0
+    }
+
+    /// The velocity commands of each robot, in the order of their blocks: the task's, within the robot's limits.
+    pub fn velocity_commands(&self) -> &[VelocityCommandConfig] {
+        &self.task().commands
     }
 
     /// The ECS world, for queries and for plugins of one's own.

@@ -199,6 +199,14 @@ pub fn physics_step<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D
     }
 }
 
+/// A [`command_range`] that may be missing.
+///
+/// # Errors
+/// As [`command_range`].
+pub fn optional_command_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
+    command_range(deserializer).map(Some)
+}
+
 /// A [`range`] of commands, within [`MAX_COMMAND`].
 ///
 /// # Errors

@@ -1,5 +1,6 @@
 //! A first config for a robot of which only the URDF is known: roles, a pose to stand in, gains, ranges.
 
+mod body;
 mod quadruped;
 mod stance;
 mod text;
@@ -9,8 +10,10 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::robot::{Joint, LEGS, LoadOptions, Model, ROLES, Warning, load, load_str};
-use quadruped::{Roles, detect};
+use crate::robot::{self, CANONICAL_JOINT_NAMES, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES};
+use crate::robot::{Role, Roles, Slot, Warning, load, load_str};
+use body::Standing;
+use quadruped::Legs;
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
 /// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
@@ -20,6 +23,15 @@ const STIFFNESS: f64 = 0.7;
 const DAMPING: f64 = 1.0 / 40.0;
 /// Effort limit over weight times leg length where the URDF has none; theirs is 0.20 to 0.62.
 const EFFORT: f64 = 0.35;
+/// Of joints that carry an arm, a head or a torso: stiffness and effort limit over the largest moment of gravity about them, and
+/// the least stiffness over that of the legs. Arms of the robots in `configs/robots` have 5 to 20 times.
+const HELD: f64 = 10.0;
+const HELD_EFFORT: f64 = 3.0;
+const HELD_LEAST: f64 = 0.03;
+/// Damping over stiffness of these, s.
+const HELD_DAMPING: f64 = 1.0 / 20.0;
+/// Radians of joint target per unit of action: of quadrupeds and hexapods, and of bodies on two legs.
+const ACTION_SCALES: [f64; 2] = [0.25, 0.5];
 /// Share of the effort limit that standing may take.
 const STANDING_EFFORT: f64 = 0.5;
 
@@ -32,6 +44,10 @@ pub struct Draft {
     pub toml: String,
     /// What was assumed, for people; one line each.
     pub notes: Vec<String>,
+    /// `biped`, `humanoid`, `quadruped`, `hexapod` ...
+    pub class: String,
+    /// Why it cannot stand without a policy, if its geometry says so.
+    pub needs_policy: Option<String>,
 }
 
 /// What a draft cannot find out by itself.
@@ -54,32 +70,61 @@ struct Findings<'a> {
     name: &'a str,
     title: String,
     urdf: PathBuf,
-    /// Of the known robot whose mass is nearest.
+    /// Of the known robot of this class whose mass is nearest.
     reward_set: String,
     options: &'a DraftOptions,
     model: &'a Model,
-    roles: &'a Roles,
-    stance: &'a Stance,
+    class: String,
+    /// In the order of the slots.
+    joints: Vec<Drafted>,
+    /// Leg, and contact body of its foot.
+    feet: Vec<(&'static str, usize)>,
+    /// Distance of each leg's foot from where it should stand, m.
+    misses: Vec<(&'static str, f64)>,
+    /// Height of the base frame above the feet's soles, m.
+    height: f64,
+    /// m.
+    leg_length: f64,
+    /// Role, and the torque that standing takes of its joints, N m.
+    torques: Vec<(&'static str, f64)>,
+    action_scale: f64,
+    /// Whether the event body_variation knows its legs.
+    has_variation: bool,
     locked: BTreeMap<String, f64>,
-    groups: Vec<Group>,
-    /// Of joints for which the URDF has none, N m.
-    missing_effort: f64,
-    stiffness: f64,
+    needs_policy: Option<String>,
 }
 
-/// Joints with the same limits.
-struct Group {
-    slots: Vec<usize>,
+/// A joint of the draft.
+struct Drafted {
+    /// Name of the slot, and how it ends: its role and number.
+    name: String,
+    suffix: String,
+    joint: usize,
+    sign: f64,
+    /// Position in the default pose, in the joint's own direction, rad.
+    angle: f64,
+    drive: Drive,
+    /// Whether the URDF has no effort limit for it.
+    has_no_effort: bool,
+}
+
+/// Gains and limits of a joint.
+#[derive(Clone, Copy, PartialEq)]
+struct Drive {
+    stiffness: f64,
+    damping: f64,
     effort: f64,
     velocity: Option<f64>,
 }
 
-/// Drafts the config of the robot whose URDF is at `file`: a quadruped's roles and feet from geometry, every other joint
-/// held, a standing pose with the feet level that policies of the known robots know, gains in proportion to weight times leg length, rewards as
-/// of the known robot whose mass is nearest.
+/// Drafts the config of the robot whose URDF is at `file`: roles and feet from geometry, a standing pose with the feet level, gains in
+/// proportion to weight times leg length, rewards as of the known robot of its class whose mass is nearest.
+///
+/// Of a quadruped with twelve joints in its legs every other joint is held, and the pose is one that policies of the known robots
+/// know. Other bodies keep all joints but fingers, toes, wheels and slides.
 ///
 /// # Errors
-/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot that is no quadruped of twelve joints; a robot of `POLYPOD_PATH` that cannot be read.
+/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot of `POLYPOD_PATH` that cannot be read.
 pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     if let Some(name) = &options.name
         && !name.contains(|c: char| c.is_ascii_alphanumeric())
@@ -89,60 +134,213 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         return Err(ConfigError::invalid(file.display().to_string(), "name", problem, remedy).into());
     }
     let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
+    let detect = |model: &Model| -> Result<Roles, Error> {
+        let found = robot::detect(model, &BTreeMap::new(), &options.feet);
+        Ok(found.map_err(|error| robot::naming_missing_meshes(error, model))?)
+    };
     let whole = load(file, &load_options)?;
-    let roles = detect(&whole, &options.feet)?;
-    let others = whole.joints.iter().enumerate().filter(|(joint, _)| !roles.joint_of_slot.contains(joint));
+    let roles = detect(&whole)?;
+    let is_driven = |slot: &Slot| match Legs::of(&roles) {
+        Some(_) => CANONICAL_JOINT_NAMES.contains(&slot.to_string().as_str()),
+        None => !matches!(slot.role, Role::Finger | Role::Toe | Role::Wheel | Role::Slide),
+    };
+    let driven: Vec<usize> = roles
+        .slots
+        .iter()
+        .zip(&roles.joint_of_slot)
+        .filter(|(slot, _)| is_driven(slot))
+        .map(|(_, joint)| *joint)
+        .collect();
+    let others = whole.joints.iter().enumerate().filter(|(joint, _)| !driven.contains(joint));
     load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
         (whole, roles)
     } else {
         let model = load(file, &load_options)?;
-        let roles = detect(&model, &options.feet)?;
+        let roles = detect(&model)?;
         (model, roles)
     };
 
-    let stance = Stance::find(&model, &roles);
-    let load = model.total_mass() * GRAVITY * stance.leg_length;
-    let missing_effort = round(EFFORT * load);
     let stem = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let given = if model.name.trim().is_empty() { &stem } else { &model.name };
     let name = identifier(options.name.as_deref().unwrap_or(given));
-    let findings = Findings {
+    let mut findings = Findings {
         name: &name,
         title: if model.name.trim().is_empty() { name.clone() } else { model.name.clone() },
-        reward_set: reward_set(model.total_mass())?,
+        reward_set: reward_set(&model, &roles)?,
         urdf: options.urdf.clone().unwrap_or_else(|| file.to_path_buf()),
         options,
         model: &model,
-        roles: &roles,
-        stance: &stance,
+        class: roles.class().to_owned(),
+        joints: Vec::new(),
+        feet: roles.legs.iter().map(|leg| leg.name()).zip(roles.foot_body.iter().copied()).collect(),
+        misses: Vec::new(),
+        height: 0.0,
+        leg_length: 0.0,
+        torques: Vec::new(),
+        action_scale: ACTION_SCALES[usize::from(roles.legs.len() == 2)],
+        has_variation: Legs::of(&roles).is_some(),
         locked: load_options.locked_joints,
-        groups: groups(&model, &roles, missing_effort),
-        missing_effort,
-        stiffness: round(STIFFNESS * load * options.gain_factor.unwrap_or(1.0)),
+        needs_policy: needs_policy(&roles),
     };
-    Ok(Draft { toml: text::write(&findings), notes: notes(&findings), name })
+    let q = findings.stand(&roles);
+    findings.drive(&roles, &q);
+    let toml = text::write(&findings);
+    let notes = findings.notes();
+    Ok(Draft { toml, notes, class: findings.class, needs_policy: findings.needs_policy, name })
 }
 
-/// That of the known quadruped whose mass is nearest to `mass` (kg), as a ratio.
-fn reward_set(mass: f64) -> Result<String, Error> {
+/// Why a body cannot stand by itself, whatever its gains.
+fn needs_policy(roles: &Roles) -> Option<String> {
+    let has_ankles = roles.slots.iter().any(|slot| slot.role == Role::AnklePitch);
+    match (roles.legs.len(), has_ankles) {
+        (2, false) => Some("it has two feet and no ankles: a policy steps to balance it".to_owned()),
+        (2, true) if roles.foot_radius.iter().all(|radius| *radius > 0.0) => {
+            Some("its two feet are points: a policy steps to balance it".to_owned())
+        }
+        _ => None,
+    }
+}
+
+impl Findings<'_> {
+    /// Finds a pose to stand in: joint positions in the robot's own order and directions, rad.
+    fn stand(&mut self, roles: &Roles) -> Vec<f64> {
+        let Some(legs) = Legs::of(roles) else {
+            let standing = Standing::find(self.model, roles);
+            self.misses = standing.misses.iter().map(|(place, miss)| (place.name(), *miss)).collect();
+            self.torques = standing.torques.iter().map(|(role, torque)| (role.name(), *torque)).collect();
+            (self.height, self.leg_length) = (standing.height, standing.leg_length);
+            return standing.q;
+        };
+        let stance = Stance::find(self.model, &legs);
+        self.misses = LEGS.into_iter().zip(stance.misses).collect();
+        self.torques = ROLES.into_iter().zip(stance.torques).collect();
+        (self.height, self.leg_length) = (stance.height, stance.leg_length);
+        let mut q = vec![0.0; self.model.joints.len()];
+        legs.joint_of_slot.iter().zip(stance.angles).for_each(|(&joint, angle)| q[joint] = angle);
+        q
+    }
+
+    /// Chooses gains and limits of all joints for a pose.
+    fn drive(&mut self, roles: &Roles, q: &[f64]) {
+        let model = self.model;
+        let load = model.total_mass() * GRAVITY * self.leg_length;
+        let factor = self.options.gain_factor.unwrap_or(1.0);
+        let of_legs: Vec<usize> = roles
+            .limbs
+            .iter()
+            .filter(|limb| limb.kind == LimbKind::Leg)
+            .flat_map(|limb| limb.joints.iter().map(|own| own.joint))
+            .collect();
+        let slots = roles.slots.iter().zip(roles.joint_of_slot.iter().zip(&roles.sign_of_slot));
+        self.joints = slots
+            .map(|(slot, (&joint, &sign))| {
+                let own = &model.joints[joint];
+                let known = known_effort(own);
+                let (stiffness, damping, effort) = if of_legs.contains(&joint) {
+                    (STIFFNESS * load, DAMPING, EFFORT * load)
+                } else {
+                    let moment = body::gravity_moment(model, joint);
+                    let stiffness = (HELD * moment).clamp(HELD_LEAST * STIFFNESS * load, STIFFNESS * load);
+                    (stiffness, HELD_DAMPING, (HELD_EFFORT * moment).max(HELD_LEAST * EFFORT * load))
+                };
+                let stiffness = round(stiffness * factor);
+                let name = slot.to_string();
+                Drafted {
+                    suffix: name[slot.place.name().len() + 1..].to_owned(),
+                    name,
+                    joint,
+                    sign,
+                    angle: q[joint],
+                    drive: Drive {
+                        stiffness,
+                        damping: round(damping * stiffness),
+                        effort: known.unwrap_or(round(effort)),
+                        velocity: Some(own.velocity).filter(|velocity| velocity.is_finite() && *velocity > 0.0),
+                    },
+                    has_no_effort: known.is_none(),
+                }
+            })
+            .collect();
+    }
+
+    /// Joints with the same gains and limits together, in the order of their first slots.
+    fn groups(&self) -> Vec<(Drive, Vec<usize>)> {
+        let mut groups: Vec<(Drive, Vec<usize>)> = Vec::new();
+        for (slot, joint) in self.joints.iter().enumerate() {
+            match groups.iter_mut().find(|(drive, _)| *drive == joint.drive) {
+                Some((_, slots)) => slots.push(slot),
+                None => groups.push((joint.drive, vec![slot])),
+            }
+        }
+        groups
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let mut notes: Vec<String> = self.model.warnings.iter().map(Warning::finding).collect();
+        for (leg, miss) in &self.misses {
+            if *miss >= REACHED {
+                notes.push(format!(
+                    "[default_pose]: within its joints' limits the foot of {leg} stays {:.0} mm from where it should stand; \
+                     look at the limits, or write a pose of your own",
+                    1e3 * miss
+                ));
+            }
+        }
+        for (joint, position) in &self.locked {
+            let what = if self.has_variation { "no leg's" } else { "a finger, toe, wheel or slide" };
+            notes.push(format!("[locked_joints]: {joint} is {what} and is held at {position}"));
+        }
+        for own in self.joints.iter().filter(|own| own.has_no_effort) {
+            notes.push(format!(
+                "[actuators]: the URDF has no effort limit for {}; {} N m follow from weight and leg length: write the motor's",
+                self.model.joints[own.joint].name, own.drive.effort
+            ));
+        }
+        for (name, torque) in &self.torques {
+            let of_role = self.joints.iter().filter(|own| own.suffix == *name);
+            let least = of_role.map(|own| own.drive.effort).fold(f64::INFINITY, f64::min);
+            if *torque > STANDING_EFFORT * least {
+                notes.push(format!(
+                    "[actuators]: standing takes {torque:.1} N m of the {least:.1} N m of {name}; the robot may be too heavy for its motors"
+                ));
+            }
+        }
+        notes
+    }
+}
+
+/// That of the known robot of the same class whose mass is nearest, as a ratio; robots on two legs also agree in whether they
+/// have ankles. Without any: that of the quadruped whose mass is nearest.
+fn reward_set(model: &Model, roles: &Roles) -> Result<String, Error> {
+    let kind = |roles: &Roles| {
+        let has_ankles = roles.legs.len() == 2 && roles.slots.iter().any(|slot| slot.role == Role::AnklePitch);
+        (roles.class(), has_ankles)
+    };
+    let is_corners = Legs::of(roles).is_some();
     let library = Library::new(Vec::new());
-    let mut nearest: Option<(f64, String)> = None;
-    for entry in library.robots()?.into_iter().filter(|entry| entry.is_quadruped) {
+    let mut nearest: Option<(bool, f64, String)> = None;
+    for entry in library.robots()?.into_iter().filter(|entry| entry.is_quadruped || !is_corners) {
         // a broken config of another robot is no reason to stop
-        let Ok(robot) = library.robot(&entry.name) else {
+        let Ok(known) = library.robot(&entry.name) else {
             continue;
         };
-        let options = LoadOptions { locked_joints: robot.config.locked_joints.clone(), ..LoadOptions::default() };
-        let Ok(model) = load_str(&robot.urdf_text, &robot.urdf_path, &options) else {
+        let options = LoadOptions { locked_joints: known.config.locked_joints.clone(), ..LoadOptions::default() };
+        let Ok(of_known) = load_str(&known.urdf_text, &known.urdf_path, &options) else {
             continue;
         };
-        let distance = (model.total_mass() / mass).ln().abs();
-        if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
-            nearest = Some((distance, robot.config.reward_set));
+        let found = if is_corners {
+            None
+        } else {
+            robot::detect(&of_known, &known.config.joint_roles, &known.config.feet).ok()
+        };
+        let differs = !is_corners && found.as_ref().map(kind) != Some(kind(roles));
+        let distance = (of_known.total_mass() / model.total_mass()).ln().abs();
+        if nearest.as_ref().is_none_or(|(other, least, _)| (differs, distance) < (*other, *least)) {
+            nearest = Some((differs, distance, known.config.reward_set));
         }
     }
-    Ok(nearest.map(|(_, set)| set).unwrap_or_default())
+    Ok(nearest.map(|(_, _, set)| set).unwrap_or_default())
 }
 
 /// Small letters, digits and underscores.
@@ -166,54 +364,4 @@ fn round(value: f64) -> f64 {
 /// The effort limit of the URDF, if it has one that means something.
 fn known_effort(joint: &Joint) -> Option<f64> {
     Some(joint.effort).filter(|effort| effort.is_finite() && *effort > 0.0)
-}
-
-/// The URDF's limits, joints with the same ones together.
-fn groups(model: &Model, roles: &Roles, missing_effort: f64) -> Vec<Group> {
-    let mut groups: Vec<Group> = Vec::new();
-    for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
-        let joint = &model.joints[joint];
-        let effort = known_effort(joint).unwrap_or(missing_effort);
-        let velocity = Some(joint.velocity).filter(|velocity| velocity.is_finite() && *velocity > 0.0);
-        match groups.iter_mut().find(|group| (group.effort, group.velocity) == (effort, velocity)) {
-            Some(group) => group.slots.push(slot),
-            None => groups.push(Group { slots: vec![slot], effort, velocity }),
-        }
-    }
-    groups
-}
-
-fn notes(findings: &Findings<'_>) -> Vec<String> {
-    let Findings { model, roles, stance, .. } = findings;
-    let mut notes: Vec<String> = model.warnings.iter().map(Warning::finding).collect();
-    for (leg, miss) in LEGS.iter().zip(stance.misses) {
-        if miss >= REACHED {
-            notes.push(format!(
-                "[default_pose]: within its joints' limits the foot of {leg} stays {:.0} mm from where it should stand; \
-                 look at the limits, or write a pose of your own",
-                1e3 * miss
-            ));
-        }
-    }
-    for (joint, position) in &findings.locked {
-        notes.push(format!("[locked_joints]: {joint} is no leg's and is held at {position}"));
-    }
-    for joint in roles.joint_of_slot.map(|joint| &model.joints[joint]) {
-        if known_effort(joint).is_none() {
-            notes.push(format!(
-                "[actuators]: the URDF has no effort limit for {}; {} N m follow from weight and leg length: write the motor's",
-                joint.name, findings.missing_effort
-            ));
-        }
-    }
-    for (role, (name, torque)) in ROLES.into_iter().zip(stance.torques).enumerate() {
-        let of_role = |group: &&Group| group.slots.iter().any(|slot| slot / LEGS.len() == role);
-        let least = findings.groups.iter().filter(of_role).map(|group| group.effort).fold(f64::INFINITY, f64::min);
-        if torque > STANDING_EFFORT * least {
-            notes.push(format!(
-                "[actuators]: standing takes {torque:.1} N m of the {least:.1} N m of {name}; the robot may be too heavy for its motors"
-            ));
-        }
-    }
-    notes
 }

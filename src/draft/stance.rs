@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3};
 
-use super::quadruped::Roles;
+use super::quadruped::Legs;
 use crate::robot::{Joint, LEGS, Model, Pose};
 
 /// Share of thigh and shank together by which the foot lies below the hip. This and the next two are the pose in which most
@@ -23,7 +23,7 @@ const TURN: f64 = std::f64::consts::PI;
 const STARTS: u32 = 24;
 const ITERATIONS: u32 = 60;
 /// Times that the feet are moved below the centre of mass, which moves as they do.
-const ROUNDS: u32 = 3;
+pub(super) const ROUNDS: u32 = 3;
 /// A foot that comes this near is where it should be, m.
 pub(super) const REACHED: f64 = 1e-3;
 /// Standard gravity, m/s^2.
@@ -44,7 +44,7 @@ pub(super) struct Stance {
 }
 
 impl Stance {
-    pub fn find(model: &Model, roles: &Roles) -> Self {
+    pub fn find(model: &Model, roles: &Legs) -> Self {
         let legs: [Leg; 4] = std::array::from_fn(|leg| Leg::new(model, roles, leg));
         // the shortest leg says how high the robot stands
         let ground =
@@ -85,7 +85,7 @@ struct Leg {
 }
 
 impl Leg {
-    fn new(model: &Model, roles: &Roles, leg: usize) -> Self {
+    fn new(model: &Model, roles: &Legs, leg: usize) -> Self {
         let joints = [leg, leg + 4, leg + 8].map(|slot| roles.joint_of_slot[slot]);
         let foot = &model.bodies[roles.foot_body[leg]];
         let zero = model.forward_kinematics(&[]);
@@ -230,7 +230,7 @@ fn at(range: &RangeInclusive<f64>, step: u32) -> f64 {
 }
 
 /// In the base frame, m.
-fn centre_of_mass(model: &Model, q: &[f64]) -> DVec3 {
+pub(super) fn centre_of_mass(model: &Model, q: &[f64]) -> DVec3 {
     let links = model.forward_kinematics(q);
     let moment: DVec3 =
         model.links.iter().zip(&links).map(|(link, pose)| pose.transform_point(link.com) * link.mass).sum();

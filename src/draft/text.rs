@@ -4,8 +4,8 @@ use std::fmt::{self, Write as _};
 
 use toml::Value;
 
-use super::{DAMPING, Findings, GRAVITY, round, stance};
-use crate::robot::{CANONICAL_JOINT_NAMES, LEGS, ROLES};
+use super::{Drafted, Findings, GRAVITY, round, stance};
+use crate::config::matches;
 
 /// Share of weight and mass that is drawn.
 const SHARE: f64 = 0.1;
@@ -28,12 +28,12 @@ fn text(value: &str) -> Value {
 fn head(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let mass = findings.model.total_mass();
     writeln!(out, "# Drafted by `polypod robot new` from the URDF alone: put in what you know of the robot.")?;
-    writeln!(out, "# {mass:.2} kg, legs of {:.3} m.", findings.stance.leg_length)?;
+    writeln!(out, "# {mass:.2} kg, legs of {:.3} m.", findings.leg_length)?;
     writeln!(out, "name = {}", text(findings.name))?;
     writeln!(out, "title = {}", text(&findings.title))?;
     writeln!(out, "urdf = {}", text(&findings.urdf.to_string_lossy()))?;
     writeln!(out, "reward_set = {}   # the [rewards.<set>] table of a task", text(&findings.reward_set))?;
-    writeln!(out, "action_scale = 0.25           # rad of joint target per unit of action")?;
+    writeln!(out, "action_scale = {}           # rad of joint target per unit of action", findings.action_scale)?;
     writeln!(out, "self_collisions = false       # contact between the robot's own links")?;
     if !findings.options.package_dirs.is_empty() {
         writeln!(out, "\n[package_dirs]")?;
@@ -42,7 +42,7 @@ fn head(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
         }
     }
     if !findings.locked.is_empty() {
-        writeln!(out, "\n# Joints that are no leg's, held for good: rad or m.\n[locked_joints]")?;
+        writeln!(out, "\n# Joints that the policy does not drive, held for good: rad or m.\n[locked_joints]")?;
         for (joint, position) in &findings.locked {
             writeln!(out, "{} = {position:?}", text(joint))?;
         }
@@ -52,42 +52,45 @@ fn head(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
 
 fn roles(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     writeln!(out, "\n# Which joint of the URDF is which, as its geometry tells.\n[joint_roles]")?;
-    for (slot, joint) in CANONICAL_JOINT_NAMES.iter().enumerate() {
-        let name = &findings.model.joints[findings.roles.joint_of_slot[slot]].name;
-        writeln!(out, "{joint} = {}", text(name))?;
+    for own in &findings.joints {
+        writeln!(out, "{} = {}", own.name, text(&findings.model.joints[own.joint].name))?;
     }
     writeln!(out, "\n# The link whose shape is each leg's foot.\n[feet]")?;
-    for (leg, body) in LEGS.iter().zip(findings.roles.foot_body) {
-        writeln!(out, "{leg} = {}", text(&findings.model.bodies[body].name))?;
+    for (leg, body) in &findings.feet {
+        writeln!(out, "{leg} = {}", text(&findings.model.bodies[*body].name))?;
     }
     Ok(())
 }
 
 fn pose(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
-    let stance = findings.stance;
     writeln!(
         out,
         "\n# Joint angles of the default pose, rad: feet level, the base frame {:.3} m above their soles.",
-        stance.height
+        findings.height
     )?;
     writeln!(out, "[default_pose]")?;
-    for (slot, joint) in CANONICAL_JOINT_NAMES.iter().enumerate() {
-        let range = stance::range(findings.model, findings.roles.joint_of_slot[slot]);
-        let angle = (stance.angles[slot] * 1e3).round() / 1e3;
-        let sign = findings.roles.sign_of_slot[slot];
+    for own in &findings.joints {
+        let range = stance::range(findings.model, own.joint);
+        let angle = (own.angle * 1e3).round() / 1e3;
         // no negative zero
-        writeln!(out, "{joint} = {:?}", sign * angle.clamp(*range.start(), *range.end()) + 0.0)?;
+        writeln!(out, "{} = {:?}", own.name, own.sign * angle.clamp(*range.start(), *range.end()) + 0.0)?;
     }
     Ok(())
 }
 
 fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
-    let [haa, hfe, kfe] = findings.stance.torques;
     writeln!(out, "\n# Gains in proportion to weight times leg length, limits of the URDF.")?;
-    writeln!(out, "# Standing takes {haa:.1} N m of HAA, {hfe:.1} of HFE, {kfe:.1} of KFE, at most.")?;
+    let mut torques = String::new();
+    for (at, (role, torque)) in findings.torques.iter().enumerate() {
+        match at {
+            0 => write!(torques, "{torque:.1} N m of {role}")?,
+            _ => write!(torques, ", {torque:.1} of {role}")?,
+        }
+    }
+    writeln!(out, "# Standing takes {torques}, at most.")?;
     let mut names: Vec<String> = Vec::new();
-    for (index, group) in findings.groups.iter().enumerate() {
-        let (mut name, patterns) = pattern(&group.slots);
+    for (index, (drive, slots)) in findings.groups().iter().enumerate() {
+        let (mut name, patterns) = pattern(&findings.joints, slots);
         if names.contains(&name) {
             name = format!("{name}_{index}");
         }
@@ -96,51 +99,74 @@ fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
         writeln!(out, "joints = [{}]", joints.join(", "))?;
         names.push(name);
         writeln!(out, "model = \"ideal_pd\"            # ideal_pd | dc_motor | delayed_pd")?;
-        writeln!(out, "stiffness = {:?}             # N m / rad", findings.stiffness)?;
-        writeln!(out, "damping = {:?}               # N m s / rad", round(DAMPING * findings.stiffness))?;
-        writeln!(out, "effort_limit = {:?}          # N m", group.effort)?;
-        if let Some(velocity) = group.velocity {
+        writeln!(out, "stiffness = {:?}             # N m / rad", drive.stiffness)?;
+        writeln!(out, "damping = {:?}               # N m s / rad", drive.damping)?;
+        writeln!(out, "effort_limit = {:?}          # N m", drive.effort)?;
+        if let Some(velocity) = drive.velocity {
             writeln!(out, "velocity_limit = {velocity:?}        # rad/s")?;
         }
     }
     Ok(())
 }
 
+/// Groups that a name lists; larger ones are numbered.
+const LISTED: usize = 3;
+
 /// A name and patterns for these slots.
-fn pattern(slots: &[usize]) -> (String, Vec<String>) {
-    if slots.len() == CANONICAL_JOINT_NAMES.len() {
+fn pattern(joints: &[Drafted], slots: &[usize]) -> (String, Vec<String>) {
+    if slots.len() == joints.len() {
         return ("legs".to_string(), vec!["*".to_string()]);
     }
-    let mut names = Vec::new();
+    let mut names: Vec<String> = Vec::new();
     let mut patterns = Vec::new();
-    for (role, (name, suffix)) in ["abductors", "hips", "knees"].into_iter().zip(ROLES).enumerate() {
-        let of_role: Vec<usize> = slots.iter().copied().filter(|slot| slot / LEGS.len() == role).collect();
-        if of_role.is_empty() {
+    let mut done: Vec<&str> = Vec::new();
+    for suffix in slots.iter().map(|slot| joints[*slot].suffix.as_str()) {
+        if done.contains(&suffix) {
             continue;
         }
-        names.push(name);
-        if of_role.len() == LEGS.len() {
-            patterns.push(format!("*_{suffix}"));
+        done.push(suffix);
+        names.push(match suffix {
+            "HAA" => "abductors".to_string(),
+            "HFE" => "hips".to_string(),
+            "KFE" => "knees".to_string(),
+            _ => suffix.to_lowercase(),
+        });
+        let of_role = || slots.iter().filter(|slot| joints[**slot].suffix == suffix);
+        // a pattern must not reach joints of other groups
+        let whole = format!("*_{suffix}");
+        let reached = joints.iter().enumerate().filter(|(_, own)| matches(&whole, &own.name));
+        if of_role().count() > 1 && reached.map(|(slot, _)| slot).all(|slot| slots.contains(&slot)) {
+            patterns.push(whole);
         } else {
-            patterns.extend(of_role.iter().map(|&slot| CANONICAL_JOINT_NAMES[slot].to_string()));
+            patterns.extend(of_role().map(|slot| joints[*slot].name.clone()));
         }
     }
+    if names.len() > LISTED {
+        names.truncate(LISTED);
+        names.push("others".to_string());
+    }
+    // a pattern that reaches what another one names already adds nothing
+    let all = patterns.clone();
+    patterns.retain(|own| !all.iter().any(|other| other != own && matches(other, own)));
     (names.join("_and_"), patterns)
 }
 
 fn ranges(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let mass = findings.model.total_mass();
     let (kilograms, newtons) = (round(SHARE * mass), round(SHARE * mass * GRAVITY));
-    let lever = 0.1 * findings.stance.leg_length;
+    let lever = 0.1 * findings.leg_length;
     let com = round(lever);
+    // what stands on two legs begins exactly in its pose, as in tasks of humanoids
+    let (pose, speed) =
+        if findings.feet.len() > 2 { ("[0.9, 1.1]", "[-0.2, 0.2]") } else { ("[1.0, 1.0]", "[0.0, 0.0]") };
     writeln!(
         out,
         r#"
 # How an episode begins.
 [reset]
-joint_position = {{ mode = "scale", range = [0.9, 1.1] }}   # of the default pose
+joint_position = {{ mode = "scale", range = {pose} }}   # of the default pose
 joint_velocity = {{ range = [0.0, 0.0] }}                   # rad/s
-base_velocity = {{ range = [-0.2, 0.2] }}                   # each of the six components, world frame: m/s, rad/s
+base_velocity = {{ range = {speed} }}                   # each of the six components, world frame: m/s, rad/s
 soft_limit_factor = 0.95                                  # share of the joint range that resets stay within
 spawn_margin = 0.02                                       # m between the lowest foot of the default pose and the ground
 
@@ -155,8 +181,21 @@ damping = {{ operation = "scale", distribution_params = [0.9, 1.1] }}
 motor_strength = [0.9, 1.1]
 external_force = [{:?}, {newtons:?}]       # N, a tenth of the weight
 external_torque = [{:?}, {:?}]             # N m
-action_delay = [0, 2]                      # physics steps
-
+action_delay = [0, 2]                      # physics steps"#,
+        -kilograms,
+        -com,
+        -com,
+        -com,
+        -newtons,
+        -round(newtons * lever),
+        round(newtons * lever),
+    )?;
+    if !findings.has_variation {
+        return Ok(());
+    }
+    writeln!(
+        out,
+        r#"
 # Factors that the event body_variation draws a body from.
 [variation]
 base_length = [0.9, 1.1]
@@ -165,13 +204,6 @@ thigh_length = [0.95, 1.05]
 shank_length = [0.95, 1.05]
 base_mass = [0.9, 1.1]
 thigh_mass = [0.9, 1.1]
-shank_mass = [0.9, 1.1]"#,
-        -kilograms,
-        -com,
-        -com,
-        -com,
-        -newtons,
-        -round(newtons * lever),
-        round(newtons * lever),
+shank_mass = [0.9, 1.1]"#
     )
 }

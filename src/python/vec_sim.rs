@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use bevy_ecs::prelude::Mut;
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyUntypedArray,
+    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2, PyUntypedArray,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -17,7 +17,7 @@ use super::exceptions::{
 };
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
-use polypod::config::POLICY_GROUP;
+use polypod::config::{POLICY_GROUP, VelocityCommandConfig};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
@@ -414,6 +414,48 @@ impl VecSim {
         self.json_of_robots(py, MorphologyModel::describe)
     }
 
+    #[doc = docstring!("VecSim.command_ranges")]
+    fn command_ranges(&self) -> BTreeMap<&str, BTreeMap<&str, [f64; 2]>> {
+        let ranges = |config: &VelocityCommandConfig| {
+            [("lin_vel_x", config.lin_vel_x), ("lin_vel_y", config.lin_vel_y), ("ang_vel_z", config.ang_vel_z)]
+        };
+        let robots = self.sim.morphologies().iter().zip(self.sim.velocity_commands());
+        robots.map(|(robot, config)| (robot.name(), ranges(config).into_iter().collect())).collect()
+    }
+
+    #[doc = docstring!("VecSim.network_torques")]
+    #[pyo3(signature = (robot, error, velocity, memory=None))]
+    fn network_torques<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        error: &Bound<'py, PyAny>,
+        velocity: &Bound<'py, PyAny>,
+        memory: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f32>>)> {
+        let model = &self.sim.morphologies()[self.robot_index(py, robot)?];
+        let (joints, remembered) = (model.topology.num_joints(), model.num_remembered());
+        let rows = error.cast::<PyUntypedArray>().ok().and_then(|array| array.shape().first().copied()).unwrap_or(1);
+        let error: PyReadonlyArray2<'_, f32> = array("error", error, "float32", &[rows, joints])?;
+        let velocity: PyReadonlyArray2<'_, f32> = array("velocity", velocity, "float32", &[rows, joints])?;
+        let mut after = match memory {
+            Some(memory) => {
+                let memory: PyReadonlyArray2<'_, f32> = array("memory", memory, "float32", &[rows, remembered])?;
+                memory.as_slice()?.to_vec()
+            }
+            None => vec![0.0_f32; rows * remembered],
+        };
+        let (error, velocity): (&[f32], &[f32]) = (error.as_slice()?, velocity.as_slice()?);
+        let mut torques = Vec::with_capacity(rows * joints);
+        for row in 0..rows {
+            let of_row = row * joints..(row + 1) * joints;
+            let memory = &mut after[row * remembered..(row + 1) * remembered];
+            torques.extend(model.network_torques(&error[of_row.clone()], &velocity[of_row], memory));
+        }
+        let shaped = |numbers, width| PyArray1::from_vec(py, numbers).reshape([rows, width]);
+        Ok((shaped(torques, joints)?, shaped(after, remembered)?))
+    }
+
     #[doc = docstring!("VecSim.robot_shapes")]
     fn robot_shapes(&self, py: Python<'_>) -> PyResult<String> {
         self.json_of_robots(py, MorphologyModel::outline)
@@ -631,6 +673,34 @@ impl VecSim {
         let command = command.as_ref().map(|c| c.as_slice()).transpose()?;
         self.sim.run(py, |sim| sim.set_commands(command))?.map_err(|error| to_python(py, error))?;
         self.publish_commands(py)
+    }
+
+    #[doc = docstring!("VecSim.push")]
+    fn push(&mut self, py: Python<'_>, velocity: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let velocity = array::<f32, numpy::Ix2>("velocity", velocity, "float32", &[n, 3])?;
+        let velocity = velocity.as_slice()?;
+        self.sim.run(py, |sim| sim.push(velocity))?.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.reward_terms")]
+    fn reward_terms(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<&str>> {
+        Ok(self.sim.reward_terms(self.robot_index(py, robot)?))
+    }
+
+    #[doc = docstring!("VecSim.reward_sums")]
+    fn reward_sums<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let index = self.robot_index(py, robot)?;
+        let (envs, terms) = (self.sim.env_ids(index).len(), self.sim.reward_terms(index).len());
+        let sums = self.sim.run(py, |sim| sim.reward_sums(index))?;
+        PyArray1::from_vec(py, sums).reshape([envs, terms])
+    }
+
+    #[doc = docstring!("VecSim.height_scan")]
+    fn height_scan<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let points = self.sim.run(py, Sim::height_scan)?;
+        let (envs, rays) = (self.sim.num_envs(), points.len() / (3 * self.sim.num_envs()).max(1));
+        PyArray1::from_vec(py, points).reshape([envs, rays, 3])
     }
 
     #[doc = docstring!("VecSim.log")]

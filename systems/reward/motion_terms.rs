@@ -57,6 +57,7 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("joint_acc", |_: &NoParams, r| norm(&r.effort.acceleration));
     registry.reward("joint_pos", joint_pos);
     registry.reward("joint_torques", |_: &NoParams, r| norm(&r.effort.applied));
+    registry.reward("is_alive", |_: &NoParams, r| f32::from(u8::from(!r.terminated)));
     registry.reward("is_terminated", |_: &NoParams, r| f32::from(u8::from(r.terminated)));
     registry.reward("joint_vel", |_: &NoParams, r| norm(&r.joints.velocity));
 }

@@ -9,7 +9,9 @@ use serde::Deserialize;
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::{TermKind, TermSpec};
-use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, did_you_mean, parse_params};
+use crate::config::{
+    ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
+};
 use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -80,6 +82,8 @@ pub(in crate::systems) struct IntervalEvent {
 pub struct CompiledTask {
     /// The config it was made from.
     pub config: TaskConfig,
+    /// Velocity commands of each morphology: the task's, within the robot's limits.
+    pub commands: Vec<VelocityCommandConfig>,
     /// Slots of the batch.
     pub num_joints: usize,
     /// Length of a control step, s.
@@ -143,9 +147,9 @@ impl CompiledTask {
             for (i, term) in terms.iter().enumerate() {
                 let element = format!("observations.{group}[{i}]");
                 let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
-                let size = (registered.size)(config, num_joints)
+                let size = (registered.size)(config, &morphologies.1)
                     .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
-                registered.spec.check_size(size, num_joints).map_err(|needed| {
+                registered.spec.check_size(size, &morphologies.1).map_err(|needed| {
                     let problem = format!(
                         "the term `{}` is registered with {size} numbers, but its kind has {needed}",
                         term.term
@@ -208,7 +212,10 @@ impl CompiledTask {
             let ends = build(file, &element, params)?;
             terminations.push(TerminationTerm { name: name.clone(), time_out: *time_out, ends });
         }
+        let velocity = &config.commands.base_velocity;
+        let commands = morphologies.0.iter().map(|robot| robot.config.velocity_commands(velocity));
         let mut task = Self {
+            commands: commands.collect::<Result<_, _>>()?,
             num_joints,
             step_dt,
             max_episode_length: config.sim.max_episode_length(),
@@ -326,13 +333,17 @@ impl CompiledTask {
         mirror
     }
 
-    /// Which numbers of an observation this robot has: those of joints that it lacks are zero, and count for nothing.
+    /// Which numbers of an observation this robot has: those of joints and feet that it lacks are zero, and count for nothing.
     pub fn observation_mask(&self, robot: &MorphologyModel) -> Vec<bool> {
         let joints = robot.action_mask(self.num_joints);
         let mut mask = Vec::with_capacity(self.num_obs());
         for term in &self.observations {
             match term.spec.kind {
                 TermKind::PerJoint => mask.extend(joints.iter().cycle().take(term.size)),
+                TermKind::PerFoot => {
+                    let columns = term.size / term.history;
+                    mask.extend((0..term.size).map(|at| robot.foot_columns.contains(&(at % columns))));
+                }
                 _ => mask.extend(std::iter::repeat_n(true, term.size)),
             }
         }

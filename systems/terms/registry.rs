@@ -12,7 +12,7 @@ use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
 use crate::config::{ConfigError, TaskConfig, parse_params};
 use crate::dynamics::lanes::{Kernel, SimdDispatch};
-use crate::morphology::MorphologyModel;
+use crate::morphology::{BatchSlots, MorphologyModel};
 
 /// The parameters of a term that has none.
 #[derive(Deserialize)]
@@ -29,8 +29,8 @@ pub(super) type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + 
 pub(super) type BodyFn = Box<dyn Fn(&mut NewBody, &mut EnvRng) + Send + Sync>;
 pub(super) type ResetFn = Box<dyn Fn(&mut NewState, &mut EnvRng) + Send + Sync>;
 pub(super) type CurriculumFn = Box<dyn Fn(&mut EpisodeEnd, &mut EnvRng) + Send + Sync>;
-/// Numbers of a term in a task and a batch of so many joints.
-pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, usize) -> Result<usize, (String, String)> + Send + Sync>;
+/// Numbers of a term in a task and a batch of these slots.
+pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, &BatchSlots) -> Result<usize, (String, String)> + Send + Sync>;
 pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
 /// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the app.
@@ -111,13 +111,15 @@ impl Registry {
     ) where
         P: DeserializeOwned + Send + Sync + 'static,
     {
-        let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
-            let p: P = parse_params(file, element, table)?;
-            let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
-            Ok(BuiltObservation { offset: 0.0, write })
-        });
-        let size: SizeFn = Box::new(move |_, joints| Ok(count * joints));
-        self.observations.insert(name, RegisteredObservation { spec, size, build });
+        self.observation_sized(name, move |_, slots| Ok(count * slots.joints.len()), spec, |_| 0.0, f);
+    }
+
+    /// An observation term of a number for each foot. It is handed the robot's own feet, in the order of its legs.
+    pub fn foot_observation<P>(&mut self, name: &'static str, spec: TermSpec, f: fn(&P, &RobotView, &mut [f32]))
+    where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
+        self.observation_sized(name, |_, slots| Ok(slots.feet.len()), spec, |_| 0.0, f);
     }
 
     /// An observation term whose size depends on the task, and whose parameters hold a number that it takes off its source.
@@ -133,14 +135,26 @@ impl Registry {
     ) where
         P: DeserializeOwned + Send + Sync + 'static,
     {
+        self.observation_sized(name, move |task, _| size(task), spec, offset, f);
+    }
+
+    fn observation_sized<P>(
+        &mut self,
+        name: &'static str,
+        size: impl Fn(&TaskConfig, &BatchSlots) -> Result<usize, (String, String)> + Send + Sync + 'static,
+        spec: TermSpec,
+        offset: fn(&P) -> f32,
+        f: fn(&P, &RobotView, &mut [f32]),
+    ) where
+        P: DeserializeOwned + Send + Sync + 'static,
+    {
         let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
             let p: P = parse_params(file, element, table)?;
             let offset = offset(&p);
             let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
             Ok(BuiltObservation { offset, write })
         });
-        self.observations
-            .insert(name, RegisteredObservation { spec, size: Box::new(move |task, _| size(task)), build });
+        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(size), build });
     }
 
     /// An observation term that a system of its own writes.

@@ -3,12 +3,11 @@
 use serde::Serialize;
 
 use crate::config::HeightScannerConfig;
-use crate::morphology::MorphologyModel;
+use crate::morphology::{BatchSlots, MorphologyModel};
 use crate::robot::{CANONICAL_JOINT_NAMES, ROLES, Slot};
 
 /// Joints of a body that blocks describe: a quadruped's.
 const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
-const FEET: usize = 4;
 
 /// What the numbers of a term are, which says how they change in a mirror that exchanges left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -25,7 +24,8 @@ pub enum TermKind {
     /// Numbers of each joint, in the batch's columns: all joints' first number, then their next. Joints change sides, and some of
     /// them their signs. A robot's own numbers are written and observed; columns of joints that it lacks are zero.
     PerJoint,
-    /// A number of each foot of a quadruped, in the order LF, LH, RF, RH: feet change sides.
+    /// A number of each foot, in the batch's columns: feet change sides. A robot's own numbers are written and observed; columns of
+    /// feet that it lacks are zero.
     PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
@@ -186,11 +186,12 @@ impl TermSpec {
         Self { joint_mirror, ..self }
     }
 
-    /// Whether a term of this kind may have `size` numbers in a batch of `joints` slots.
+    /// Whether a term of this kind may have `size` numbers in a batch of these slots.
     ///
     /// # Errors
     /// How many numbers it would have.
-    pub(super) fn check_size(&self, size: usize, joints: usize) -> Result<(), String> {
+    pub(super) fn check_size(&self, size: usize, slots: &BatchSlots) -> Result<(), String> {
+        let (joints, feet) = (slots.joints.len(), slots.feet.len());
         let blocks: usize = self.blocks.iter().map(|block| block.size()).sum();
         match self.kind {
             TermKind::PerJoint if size == 0 || !size.is_multiple_of(joints) => {
@@ -199,7 +200,7 @@ impl TermSpec {
             TermKind::Vector | TermKind::Pseudovector | TermKind::PlanarVelocity if !size.is_multiple_of(3) => {
                 Err("three numbers for each vector".into())
             }
-            TermKind::PerFoot if size != FEET => Err(format!("a number for each of {FEET} feet")),
+            TermKind::PerFoot if size != feet => Err(format!("a number for each of {feet} feet")),
             TermKind::Body if size != blocks => Err(format!("{blocks} numbers in its blocks")),
             _ => Ok(()),
         }
@@ -207,7 +208,7 @@ impl TermSpec {
 
     /// Whether the term describes quadrupeds alone.
     pub(super) fn is_of_quadrupeds(&self) -> bool {
-        self.kind == TermKind::PerFoot || self.blocks.iter().any(|block| matches!(block.per, Per::Role | Per::Joint))
+        self.blocks.iter().any(|block| matches!(block.per, Per::Role | Per::Joint))
     }
 
     /// The mirror image of `size` numbers in a batch of `joints` slots: of each, which number takes its place and with which sign.
@@ -225,7 +226,7 @@ impl TermSpec {
             TermKind::Pseudovector => signs([-1.0, 1.0, -1.0]),
             TermKind::PlanarVelocity => signs([1.0, -1.0, -1.0]),
             TermKind::PerJoint => self.mirror_joints(size / columns.max(1), columns, robot),
-            TermKind::PerFoot => (0..size).map(|foot| ((foot + FEET / 2) % FEET, 1.0)).collect(),
+            TermKind::PerFoot => robot.mirrored_feet(size).into_iter().map(|foot| (foot, 1.0)).collect(),
             TermKind::Scan => {
                 // rows from right to left, each from back to front
                 let rows = scanner.map_or(1, |scanner| scanner.counts()[1]).max(1);

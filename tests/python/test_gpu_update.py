@@ -84,6 +84,18 @@ def test_rollouts_have_the_policy_that_was_learnt(device, tmp_path):
     assert np.array_equal(np.sqrt(variance), normalizer.std.cpu().numpy())
 
 
+def test_what_graphs_read_stays_where_it_is(tmp_path):
+    other = runner(GpuRunner, "universal", tmp_path)
+    networks = (other.alg.actor, other.alg.critic)
+    tensors = [tensor for network in networks for tensor in network.state_dict(keep_vars=True).values()]
+    before = [tensor.clone() for tensor in tensors]
+    other._collect(other.env.get_observations())
+    other._update(other.env.get_observations())
+    after = [tensor for network in networks for tensor in network.state_dict(keep_vars=True).values()]
+    assert all(new is old for new, old in zip(after, tensors, strict=True))
+    assert not any(torch.equal(new, old) for new, old in zip(after, before, strict=True))
+
+
 @pytest.mark.parametrize("device", ["cpu", CUDA])
 def test_either_learner_goes_on_from_a_checkpoint(device, tmp_path):
     other = runner(GpuRunner, "universal", tmp_path, device)

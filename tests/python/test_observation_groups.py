@@ -78,6 +78,41 @@ def test_privileged_terms_are_what_the_state_says(make, actions):
     assert (forces[stands] >= 0.9 * vertical[stands]).all()
 
 
+def test_privileged_terms_of_any_body(actions):
+    """Columns are the batch's feet; those that a robot lacks are masked, and zero."""
+    robots = ["unitree_h1", "spot", "phantomx"]
+    env = polypod.make("velocity_flat_legged", 6, robots=robots, seed=1, autoreset="disabled", overrides=[CRITIC])
+    env.reset(seed=1)
+    for step in range(10):
+        env.step(actions(env, step, scale=0.1))
+    critic, state = env.sim.observation_of("critic"), env.state
+    feet = {"unitree_h1": 2, "spot": 4, "phantomx": 6}
+    for name, expected in (("feet_air_time", state.feet_air_time), ("feet_height", state.feet_pos[:, 2::3])):
+        where = columns(env, "critic", name)
+        assert where.stop - where.start == 8  # L, R and the six of a hexapod, which a quadruped shares
+        np.testing.assert_allclose(critic[:, where], expected, atol=1e-5)
+    where = columns(env, "critic", "feet_contact_force")
+    assert (critic[:, where].max(axis=1) > 1.0).all()
+    for robot, count in feet.items():
+        rows = slice(*env.sim.env_ids(robot))
+        mask = np.array(env.sim.observation_mask(robot, "critic"))[where]
+        assert mask.sum() == count
+        assert not critic[rows, where][:, ~mask].any()
+
+
+@pytest.mark.parametrize(
+    ("robot", "pairs"), [("unitree_h1", {6: 7}), ("spot", {0: 3, 2: 5}), ("phantomx", {0: 3, 1: 4, 2: 5})]
+)
+def test_feet_change_sides_in_the_mirror(robot, pairs):
+    """In the batch's columns LF, LM, LH, RF, RM, RH, L, R; those that the robot lacks stay where they are."""
+    robots = ["unitree_h1", "spot", "phantomx"]
+    env = polypod.make("velocity_flat_legged", 3, robots=robots, seed=0, overrides=[CRITIC])
+    where = columns(env, "critic", "feet_height")
+    across = pairs | {right: left for left, right in pairs.items()}
+    image = env.sim.observation_mirror(robot, "critic")[where]
+    assert image == [(where.start + across.get(foot, foot), 1.0) for foot in range(8)]
+
+
 def test_the_policys_terms_are_noisy_and_the_critics_are_not(make, actions):
     env = make(autoreset="disabled", overrides=[CRITIC])
     env.reset(seed=1)

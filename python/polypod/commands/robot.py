@@ -12,10 +12,10 @@ from polypod.commands.arguments import Name, PackageDirs, arg, package_dirs, pai
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """Write a first config for a quadruped of which there is only a URDF: `polypod robot new FILE.urdf`."""
+    """Write a first config for a robot of which there is only a URDF: `polypod robot new FILE.urdf`."""
 
     action: Annotated[Literal["new"], tyro.conf.Positional]
-    """new: find the legs and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""
+    """new: find legs and arms and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""
     file: Annotated[Path, tyro.conf.Positional]
     """The URDF file."""
     name: Name = None
@@ -46,13 +46,16 @@ class Robot:
         )
         if new.gain_factor > 1.0:
             print(f"  gains are {new.gain_factor:.2f} times what weight and leg length ask for: softer ones gave way")
-        if standing.carried < new_robot.CARRIED:
+        if standing.carried < new_robot.CARRIED and new.needs_policy is None:
             print(f"  the feet carry {standing.carried:.0%} of the weight: it lies on its belly or its knees")
-        if not standing.holds:
+        if new.needs_policy is not None:
+            print(f"  {new.needs_policy}")
+        elif not standing.holds:
             print(
                 f"polypod: warning: {new.name} does not hold its default pose; look at [default_pose] and [actuators] "
                 f"in {new.path}",
                 file=sys.stderr,
             )
-        print(f"train it:  polypod train --robots {new.path}")
+        others = "" if new.is_quadruped else "--train-config specialist "
+        print(f"train it:  polypod train {others}--robots {new.path}")
         return 0

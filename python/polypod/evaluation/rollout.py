@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ MAX_STEPS = 10_000_000
 """Control steps of all episodes together: hours, even of few envs."""
 
 Grid = tuple[int, int, int]
-"""How many forward velocities, left velocities and yaw rates, each evenly over the task's range."""
+"""How many forward velocities, left velocities and yaw rates, each evenly over a robot's range."""
 
 
 def play_task(task: str) -> str:
@@ -145,22 +145,25 @@ def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measur
     return sums
 
 
-def _commands(sim: _core.VecSim, grid: Grid) -> npt.NDArray[np.float32]:
-    """[n, 3], the last axis running fastest. A single value on an axis is the middle of the task's range."""
-    ranges = tomllib.loads(sim.resolved_config())["task"]["commands"]["base_velocity"]
-    axes = []
-    for key, count in zip(("lin_vel_x", "lin_vel_y", "ang_vel_z"), grid, strict=True):
-        low, high = ranges[key]
-        axes.append(np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)]))
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+def _commands(sim: _core.VecSim, grid: Grid) -> dict[str, npt.NDArray[np.float32]]:
+    """Per robot [n, 3], the last axis running fastest. A single value on an axis is the middle of the robot's range."""
+    commands = {}
+    for robot, ranges in sim.command_ranges().items():
+        axes = []
+        for key, count in zip(("lin_vel_x", "lin_vel_y", "ang_vel_z"), grid, strict=True):
+            low, high = ranges[key]
+            axes.append(np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)]))
+        commands[robot] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+    return commands
 
 
-def _held(sim: _core.VecSim, commands: npt.NDArray[np.float32], episode: int) -> npt.NDArray[np.float32]:
+def _held(sim: _core.VecSim, commands: Mapping[str, npt.NDArray[np.float32]], episode: int) -> npt.NDArray[np.float32]:
     """[num_envs, 3], the commands of an episode: each robot's envs go on through the grid where the last one ended."""
     held = np.empty((sim.num_envs, 3), dtype=np.float32)
     for robot in sim.robots:
         start, stop = sim.env_ids(robot)
-        held[start:stop] = commands[(np.arange(stop - start) + episode * (stop - start)) % len(commands)]
+        grid = commands[robot]
+        held[start:stop] = grid[(np.arange(stop - start) + episode * (stop - start)) % len(grid)]
     return held
 
 

@@ -1,6 +1,7 @@
 """The commands of an evaluation, drawn once and given to every simulator alike."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,18 +27,28 @@ class Commands:
     steps_per_draw: int
     stiffness: float
     """Yaw rate per heading error, 1/s."""
-    turn_range: tuple[float, float]
-    """rad/s."""
+    turn_range: Array
+    """[2, envs], least and greatest yaw rate of the heading controller, rad/s."""
 
     @classmethod
-    def draw(cls, config: dict[str, Any], num_envs: int, steps: int, step_dt: float, seed: int) -> "Commands":
-        """Draws for `steps` control steps; `config` is the task's `[commands.base_velocity]`."""
+    def draw(
+        cls, config: Mapping[str, Any], ranges: Mapping[str, Array], steps: int, step_dt: float, seed: int
+    ) -> "Commands":
+        """Draws for `steps` control steps.
+
+        Args:
+            config: the task's `[commands.base_velocity]`.
+            ranges: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of each env, [2, envs].
+            steps: number of control steps.
+            step_dt: length of a control step, s.
+            seed: of the draws.
+        """
         random = np.random.default_rng(seed)
         steps_per_draw = max(1, round(config["resampling_time_s"] / step_dt))
-        shape = (-(-steps // steps_per_draw), num_envs)
+        shape = (-(-steps // steps_per_draw), ranges["ang_vel_z"].shape[1])
 
         def uniform(key: str) -> Array:
-            low, high = config[key]
+            low, high = ranges.get(key, config.get(key))
             return random.uniform(low, high, size=shape)
 
         holds = config["heading_command"] & (random.uniform(size=shape) < config["rel_heading_envs"])
@@ -49,7 +60,7 @@ class Commands:
             standing=random.uniform(size=shape) < config["rel_standing_envs"],
             steps_per_draw=steps_per_draw,
             stiffness=config["heading_control_stiffness"],
-            turn_range=(config["ang_vel_z"][0], config["ang_vel_z"][1]),
+            turn_range=ranges["ang_vel_z"],
         )
 
     @classmethod
@@ -65,7 +76,7 @@ class Commands:
             standing=no,
             steps_per_draw=np.iinfo(np.int64).max,
             stiffness=0.0,
-            turn_range=(turn, turn),
+            turn_range=np.full((2, num_envs), turn),
         )
 
     def at(self, step: int, heading: Array) -> npt.NDArray[np.float32]:

@@ -1,6 +1,7 @@
 """Both simulators over the same episodes: same initial states, same commands, same falls, same errors."""
 
 import dataclasses
+import functools
 import json
 import math
 import shlex
@@ -10,17 +11,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rsl_rl.models import RNNModel
 
 from polypod import _core
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, play_task
+from polypod.evaluation.policies import reset
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.observation import check_memory, terms_of
+from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
@@ -40,6 +41,8 @@ MARGIN = 30.0
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
+Watch = Callable[[str, str, Array], None]
+"""Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 + joints]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,6 +126,7 @@ def compare(
     robots: Sequence[str] | None = None,
     options: Options | None = None,
     progress: Progress = lambda robot, done, total: None,
+    watch: Watch | None = None,
 ) -> Comparison:
     """Runs the policy of a checkpoint in both simulators.
 
@@ -134,6 +138,7 @@ def compare(
         robots: names or paths of configs; None: those that the policy was trained on.
         options: see `Options`.
         progress: told how far the run is.
+        watch: shown all states; None: nobody is.
 
     Raises:
         ConfigError: for a checkpoint, robot or option that cannot be used, for a task with obstacles, and where
@@ -150,23 +155,19 @@ def compare(
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
     loaded = load(checkpoint)
     network, manifest = loaded.network, loaded.manifest
-    if isinstance(network, RNNModel):
-        raise _core.ConfigError(f"{checkpoint} is recurrent, which sim2sim does not run; use polypod eval")
     sources = list(manifest["robot_sources"] if robots is None else robots)
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
-    for interface in known.values():
-        check_memory(interface.terms, "sim2sim runs policies of")
     episode = _Episode(manifest, sources, options)
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
     when = measured()
-    in_polypod = _run_polypod(episode, loaded.runner(), progress)
+    in_polypod = _run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         model = onnx_graph.robot_model(network, interface, {})
         policy = OnnxPolicy(model.SerializeToString())
-        theirs = _run_mujoco(episode, name, source, interface, policy, progress)
+        theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(polypod=in_polypod[name], mujoco=theirs)
     return Comparison(
         command=_command(checkpoint, robots, options),
@@ -240,15 +241,16 @@ class _Episode:
         if options.command is not None:
             self.commands = Commands.constant(options.command, self.sim.num_envs)
         else:
-            config = task["commands"]["base_velocity"]
-            self.commands = Commands.draw(config, self.sim.num_envs, self.steps, self.step_dt, options.seed)
+            self.commands = Commands.draw(
+                task["commands"]["base_velocity"], _ranges(self.sim), self.steps, self.step_dt, options.seed
+            )
         self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
         self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
 
     def commands_of(self, name: str) -> Commands:
         """The commands of one robot's envs."""
         envs = slice(*self.sim.env_ids(name))
-        fields = ("linear", "heading", "turning", "holds_heading", "standing")
+        fields = ("linear", "heading", "turning", "holds_heading", "standing", "turn_range")
         return dataclasses.replace(self.commands, **{key: getattr(self.commands, key)[:, envs] for key in fields})
 
     def delays(self, robot: accuracy_robot.Robot) -> Array:
@@ -261,6 +263,16 @@ class _Episode:
             fewest, most = robot.actuators.delay[joints[0]]
             delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
         return delays
+
+
+def _ranges(sim: _core.VecSim) -> dict[str, Array]:
+    """Ranges of the commands, each [2, envs]."""
+    ranges = sim.command_ranges()
+    envs = [(robot, stop - start) for robot in sim.robots for start, stop in [sim.env_ids(robot)]]
+    return {
+        key: np.concatenate([np.tile(np.array(ranges[robot][key])[:, None], count) for robot, count in envs], axis=1)
+        for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    }
 
 
 def heights(sim: _core.VecSim) -> reference.Heights | None:
@@ -298,39 +310,44 @@ class _Sums:
         )
 
 
-def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[str, Figures]:
+def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
     sim = episode.sim
-    velocity, rate, command = (
-        _columns(sim, source) for source in ("center_of_mass_velocity", "base_angular_velocity", "velocity_command")
-    )
+    command, width = _columns(sim, "velocity_command")
+    given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
+    reset(policy)
     sums = _Sums(sim.num_envs, episode.step_dt)
     for step in range(episode.steps):
         heading = np.concatenate([heading_of(sim.qpos(name)) for name in sim.robots])
         commands = episode.commands.at(step, heading)
         sim.set_command(commands)
         observation = sim.observation.copy()
-        observation[:, command] = commands
+        # what is observed of commands are those given here, the newest last; at first all are the first one
+        given = np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
+        observation[:, command] = given
         sim.step(policy(observation))
-        seen = sim.observation
         sums.add(
             commands,
             Observed(
-                velocity=seen[:, velocity][:, :2].astype(np.float64),
-                yaw_rate=seen[:, rate][:, 2].astype(np.float64),
+                velocity=sim.state("base_lin_vel")[:, :2].astype(np.float64),
+                yaw_rate=sim.state("base_ang_vel")[:, 2].astype(np.float64),
                 fell=sim.terminated.copy(),
             ),
         )
+        if watch is not None:
+            for name in sim.robots:
+                watch("polypod", name, sim.qpos(name))
         progress("polypod", step + 1, episode.steps)
     return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
 
 
-def _columns(sim: _core.VecSim, source: str) -> slice:
-    """Where the observation holds the term that is computed from `source`."""
+def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
+    """Where the observation holds the term that is computed from `source`, and how many of its numbers are new."""
     start = 0
     for term in terms_of(sim):
+        end = start + term.size
         if term.source == source:
-            return slice(start, start + term.size)
-        start += term.size
+            return slice(start, end), term.width
+        start = end
     raise _core.ConfigError(
         f"task {sim.task_name} observes no term that is computed from {source}; add one to observations.policy"
     )
@@ -343,6 +360,7 @@ def _run_mujoco(
     interface: RobotInterface,
     policy: OnnxPolicy,
     progress: Progress,
+    watch: Watch | None,
 ) -> Figures:
     robot = accuracy_robot.of(episode.sim, name, source)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ("base", "torso")]
@@ -355,6 +373,7 @@ def _run_mujoco(
         physics_dt=episode.task_dt,
         physics=episode.physics,
         delays=episode.delays(robot),
+        network_torques=functools.partial(episode.sim.network_torques, name),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
     )
@@ -364,6 +383,8 @@ def _run_mujoco(
     for step in range(episode.steps):
         wanted = commands.at(step, heading_of(twin.qpos))
         sums.add(wanted, twin.step(wanted, sums.active))
+        if watch is not None:
+            watch("mujoco", name, twin.qpos)
         progress(name, step + 1, episode.steps)
     return sums.figures(slice(None))
 

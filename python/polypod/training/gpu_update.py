@@ -138,7 +138,9 @@ class Update:
         with torch.no_grad():
             observations = self._groups(samples["observations"], torch.arange(len(samples.order), device=self._device))
             for network in self._networks:
+                buffers = dict(network.named_buffers())
                 network.update_normalization(observations)
+                _keep_in_place(network, buffers)
         value, surrogate, entropy, rate = torch.cat([self._losses, self._rate.view(1)]).tolist()
         if not np.isfinite([value, surrogate, entropy]).all():
             raise _core.ConfigError(
@@ -265,3 +267,13 @@ class Update:
         """Adam's state of a parameter."""
         state: dict[str, Any] = self.optimizer.state[parameter]
         return state
+
+
+def _keep_in_place(module: nn.Module, buffers: dict[str, torch.Tensor]) -> None:
+    """Moves buffers that were replaced back to where they were, which is where graphs read them."""
+    for name, old in buffers.items():
+        owner, _, leaf = name.rpartition(".")
+        new = module.get_buffer(name)
+        if new is not old:
+            old.copy_(new)
+            setattr(module.get_submodule(owner), leaf, old)

@@ -272,8 +272,10 @@ class Runner(OnPolicyRunner):
         return loss
 
     def _action_std(self) -> torch.Tensor:
-        """Deviations of the actions, [num_actions] or [num_envs, num_actions]."""
-        return self.alg.get_policy().output_std
+        """Deviations of the actions, [n]: of those that the robots have."""
+        policy = self.alg.get_policy()
+        mask = getattr(policy.distribution, "mask", None)
+        return policy.output_std if mask is None else policy.output_std[mask > 0]
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint, whole or not at all. All workers call it, and worker 0 writes."""

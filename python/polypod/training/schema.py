@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from polypod import _core
+from polypod import _core, bundled
 from polypod.observation import check_memory, layout_of, terms_of
 from polypod.training.manifest import read as read_manifest
 
@@ -22,7 +22,7 @@ NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 MLP = "MLPModel"
 RNN = "RNNModel"
 URMA = "polypod.networks:UrmaModel"
-ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
+JOINT_GAUSSIAN = "polypod.networks:JointGaussian"
 MASKED_MLP = "polypod.networks:MaskedMLPModel"
 MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
 """Class names as rsl_rl resolves them."""
@@ -124,7 +124,7 @@ class ActorConfig(CriticConfig):
         network = super().model_cfg(sim)
         distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
         if self.class_name == URMA:
-            distribution |= {"class_name": ROLE_GAUSSIAN, "joint_names": network["joint_names"]}
+            distribution["class_name"] = JOINT_GAUSSIAN
         return {**network, "distribution_cfg": distribution}
 
 
@@ -167,7 +167,7 @@ class DistillationConfig:
     """
 
     teacher: str
-    """A model_<n>.pt beside its manifest.json."""
+    """A model_<n>.pt beside its manifest.json, or a bundled policy: flat or rough."""
     gradient_length: int = 15
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
@@ -214,7 +214,7 @@ class TrainConfig:
         """The config with the absolute path of its teacher, so that a run goes on from any directory."""
         if self.distillation is None:
             return self
-        teacher = str(Path(self.distillation.teacher).resolve())
+        teacher = str(bundled.resolve(Path(self.distillation.teacher)).resolve())
         return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
@@ -344,12 +344,13 @@ class TrainConfig:
 
 def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
-    if sim is None or sim.action_mask.all():
+    # a network of joints reads off the observation which joints a robot has
+    if sim is None or sim.action_mask.all() or model["class_name"] == URMA:
         return model
     if model["class_name"] != MLP:
         raise _core.ConfigError(
             f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
-            f'use class_name = "{MLP}"'
+            f'use class_name = "{MLP}" or "{URMA}"'
         )
     joint_of_number: list[int] = []
     for term in (term for group in groups for term in terms_of(sim, group)):
