@@ -10,6 +10,7 @@ from rich.console import Console
 
 import polypod
 from polypod import _core, bundled
+from polypod import cli as program
 from polypod.cli import COMMANDS
 from polypod.commands import info
 from polypod.tables import Rows
@@ -180,3 +181,11 @@ def test_bundled_policies_go_by_their_names(cli, tmp_path):
     assert "flat is not a checkpoint" in cli("eval", "--checkpoint", "flat").stderr
     with pytest.raises(polypod.UnknownNameError, match="use one of flat, rough"):
         bundled.checkpoint("hills")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_no_default_that_is_none(command, capsys):
+    with pytest.raises(SystemExit):
+        program.main([command, "--help"])
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "(default: None)" not in shown

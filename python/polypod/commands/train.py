@@ -24,7 +24,7 @@ class Train:
     """Seed of every random stream. Default: 42."""
     train_config: Name = None
     """Name of a file in configs/train (`polypod list`), or the path of a .toml. Default: flat."""
-    learner: Literal["auto", "native", "rsl_rl"] | None = None
+    learner: Annotated[Literal["auto", "native", "rsl_rl"] | None, arg()] = None
     """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
     perceptrons on a CPU. A resumed run may go on with the other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"

@@ -40,7 +40,10 @@ def connected(address: str, purpose: str, module: str) -> tuple[Any, Any]:
         where = None if address == AUTO else address
         ray.init(where, ignore_reinit_error=True, log_to_driver=True, runtime_env={"env_vars": passed})
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise _core.ConfigError(f"cannot reach the Ray cluster {address}: {error}; see docs/cluster.md") from error
+        raise _core.ConfigError(
+            f"cannot reach the Ray cluster {address}: {error}; set RAY_AUTH_MODE=token if it was started with a token; "
+            "see docs/cluster.md"
+        ) from error
     return ray, part
 
 
