@@ -190,6 +190,37 @@ def test_joints_begin_apart_and_alike_ones_of_different_robots_together():
     env.close()
 
 
+def first_step(network, observations):
+    """How far a step of the optimiser moves the actions, as a mean of squares, for advantages without a pattern."""
+    generator = torch.Generator().manual_seed(1)
+    weights = [weight for weight in network.parameters() if weight.requires_grad]
+    optimizer = torch.optim.Adam(weights, 1e-3)
+    before = network(observations)
+    drawn = torch.randn(before.shape, generator=generator) * torch.randn(len(before), 1, generator=generator)
+    (before * drawn).mean().backward()
+    optimizer.step()
+    return (network(observations) - before).detach().square().mean().item()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_of_the_optimiser_moves_the_policy_no_further_than_a_perceptrons(seed):
+    """Else the divergence that PPO aims at holds the learning rate down, and such a network learns next to nothing."""
+    moves = []
+    for name in ("flat_universal", "flat_joints"):
+        shipped = config.load(name)
+        env = polypod.make(shipped.run.task, num_envs=256, seed=seed)
+        for action in np.random.default_rng(seed).standard_normal((10, 256, 12)):
+            env.step(0.3 * action.astype(np.float32))
+        size = {"num_obs": env.sim.num_obs, "num_actions": env.sim.num_actions}
+        torch.manual_seed(seed)
+        network = networks.build_actor({**size, **shipped.actor.model_cfg(env.sim)}).train()
+        observations = batch_of(env.sim.observation.copy())
+        network.update_normalization(observations)
+        moves.append(first_step(network, observations))
+        env.close()
+    assert 0.1 < moves[1] / moves[0] < 2.0
+
+
 def test_columns_are_read_by_what_their_terms_are():
     """Under other names, with what the simulator states of them, the observation is read in the same way."""
     env = polypod.make(TASK, num_envs=8)

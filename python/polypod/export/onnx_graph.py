@@ -22,7 +22,7 @@ from polypod.export.states import HISTORY, Shape
 from polypod.extras import package
 from polypod.networks import JointNetwork
 from polypod.networks.onnx_network import OnnxNetwork, output_of
-from polypod.networks.urma import LOG_FLOOR, OUTSIDE, RELATIVE_FLOOR
+from polypod.networks.urma import KEY_SCALE, LOG_FLOOR, OUTSIDE, REFLEX_SCALE, RELATIVE_FLOOR
 from polypod.observation import Term, Treatment
 
 OPSET = 17
@@ -421,9 +421,11 @@ def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target:
 
     request = graph.node("Unsqueeze", _add_gemm(graph, network.request, "body", "request"), last, output="requested")
     keys = graph.node("Concat", code, description, output="keys_unscaled", axis=2)
-    keys = graph.node("Mul", keys, number("key_scale", network.code.out_features**-0.5), output="keys")
+    keys = graph.node("Mul", keys, number("key_scale", KEY_SCALE / network.code.out_features), output="keys")
     read = graph.node("MatMul", keys, request, output="read")
-    read = graph.node("Add", read, layers(network.reflex, state, "reflex"), output="read_with_reflex")
+    reflex = layers(network.reflex, state, "reflex")
+    reflex = graph.node("Mul", reflex, number("reflex_scale", REFLEX_SCALE), output="reflex_scaled")
+    read = graph.node("Add", read, reflex, output="read_with_reflex")
     read = graph.node("Mul", read, present, output="read_present")
     graph.node("Reshape", read, graph.constant("slots", np.array([0, slots], dtype=np.int64)), output=target)
 

@@ -40,6 +40,12 @@ _FIRST_FOCUS = 5.0
 _FIRST_FREQUENCY = 1.0
 """Deviation of the first weights of a code: joints that differ by one deviation in n numbers have codes with a
 correlation of exp(-n / 2)."""
+KEY_SCALE = 2.0
+"""Of an action's inner product over as many numbers as a code has. A step of the optimiser moves every number of the
+body's state in the same sense, so the sum over them must be a mean: else a step changes the policy by far more than a
+perceptron's, the divergence that PPO aims at holds the learning rate down, and all else learns slowly."""
+REFLEX_SCALE = 0.1
+"""Of the reflex, whose weights all joints of all robots share: a step moves all actions in the same sense."""
 OUTSIDE = -1e4
 """Attention to joints that a robot lacks, before the softmax."""
 
@@ -185,8 +191,8 @@ class JointNetwork(torch.nn.Module):
         body = self.body(torch.cat([gathered, self._general(observations)], dim=1))
         if not self.per_joint:
             return self.decoder(body)
-        keys = torch.cat([code.to(description.dtype), description], dim=1) / code.shape[1] ** 0.5
-        read = (joints.of_rows(self.request(body)) * keys).sum(dim=1) + self.reflex(state).squeeze(-1)
+        keys = torch.cat([code.to(description.dtype), description], dim=1) * (KEY_SCALE / code.shape[1])
+        read = (joints.of_rows(self.request(body)) * keys).sum(dim=1) + REFLEX_SCALE * self.reflex(state).squeeze(-1)
         means = joints.at_slots(read.float(), self.num_joints)
         deviations = joints.at_slots(self.deviations(joints.descriptions), self.num_joints)
         mask = self._mask(observations).to(means.dtype)
