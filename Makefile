@@ -10,6 +10,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 UV_VERSION := 0.13.8
 LOCK := requirements.lock
+LEARNERS := target/learners
+LEARNERS_LOCK := requirements-learners.lock
 
 # The machine's own index, where pip is told of one and uv is not, and its own certificates.
 ifndef UV_DEFAULT_INDEX
@@ -33,7 +35,11 @@ NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 # The bundled policies, and how they are filmed.
 SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
 SHIPPED_ROUGH := $(wildcard assets/policies/rough_universal/model_*.pt)
-FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 5 --size 480 270 --set scene.terrain.max_init_terrain_level=1
+FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 6 --size 640 360 --set scene.terrain.max_init_terrain_level=1
+FOUR := unitree_go1,spot,anymal_c,unitree_b2
+FILM_FOUR := --robots $(FOUR) --size 560 260
+# Folder of a run for the film of a training.
+RUN ?=
 FILM := --command 0.7 0 0 --warm-up 1.5 --seconds 2.4 --fps 12 --size 720 300
 
 # Arguments of `make train`, e.g. make train ARGS="--robots spot --max-iterations 50"
@@ -41,7 +47,7 @@ ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film film-rough test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
+.PHONY: help build train eval demo film films test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -83,16 +89,21 @@ demo: $(VENV)/.requirements
 	rm -rf "$(folder)"
 endif
 
-film: $(VENV)/.extension ## Film the eight robots anew for the README
-	$(BIN)/polypod play --checkpoint $(SHIPPED) $(FILM) --video docs/media/eight_robots.gif
+film: $(VENV)/.extension ## Film the robots on rough ground anew for the README and docs/terrain.md
+	$(BIN)/polypod play --checkpoint rough $(FILM_ROUGH) --video docs/media/rough_robots.webp
 
-film-rough: $(VENV)/.extension ## Film the eight robots on rough ground anew for docs/terrain.md
-	$(BIN)/polypod play --checkpoint $(SHIPPED_ROUGH) $(FILM_ROUGH) --video docs/media/rough_robots.gif
+films: $(VENV)/.extension ## Film a push, a stranger and MuJoCo for docs/viewer.md; RUN=<folder of a run> also a training
+	$(BIN)/polypod film push docs/media/push.webp $(FILM_FOUR) --seconds 4.8 --push 1.5 --fps 8
+	$(BIN)/polypod film walk docs/media/ninth.webp --robots unitree_aliengo --seconds 2.4 --fps 8 --size 400 240
+	$(BIN)/polypod film mujoco docs/media/mujoco.webp $(FILM_FOUR) --seconds 3.2 --fps 8 --size 560 400
+ifneq ($(RUN),)
+	$(BIN)/polypod film training docs/media/training.webp --checkpoint $(RUN) --robots $(FOUR) --seconds 2 --fps 8 --size 480 240 --parts 5
+endif
 
 test: test-rust test-python ## Run the tests of Rust and of Python
 
 test-extended: export POLYPOD_TEST_TIER := extended
-test-extended: test ## The same tests with larger sizes, and two minutes of each fuzz target
+test-extended: test test-learners ## The same tests with larger sizes, those of learners and Ray, and two minutes of each fuzz target
 	$(MAKE) --no-print-directory fuzz SECONDS=120
 
 test-rust:
@@ -111,12 +122,9 @@ fuzz: ## Feed mutated files to the readers: make fuzz SECONDS=600 ARGS="urdf_loa
 test-python: build wheel
 	$(BIN)/pytest
 
-# An environment of its own in target/learners: these packages are large and pin others.
-test-learners: $(VENV)/.extension ## Run the tests of other learners: Stable-Baselines3, skrl, TorchRL, RLlib
-	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/learners
-	$(BIN)/uv pip install --quiet --python target/learners/bin/python --constraint $(VENV)/requirements.txt \
-		-r pyproject.toml --extra train --extra bench --extra export --extra play --extra learners --group dev
-	PYTHONPATH=python target/learners/bin/python -m pytest -n 0 tests/python/test_learners.py tests/python/test_policies.py tests/python/test_docs_run.py
+# In an environment of its own: these packages pin others, and Ray's tests take minutes.
+test-learners: $(VENV)/.extension $(LEARNERS)/.installed ## Run the tests of other learners and of Ray: Stable-Baselines3, skrl, TorchRL, RLlib
+	PYTHONPATH=$(CURDIR)/python $(LEARNERS)/bin/python -m pytest -n 0 $(addprefix tests/python/test_,learners.py policies.py ray.py docs_run.py)
 
 wheel: $(VENV)/.extension ## Build the wheel: dist/*.whl
 	rm -rf dist
@@ -165,9 +173,14 @@ format: $(VENV)/.dependencies ## Format all code
 	$(BIN)/ruff check --fix python tests/python
 	$(BIN)/ruff format python tests/python
 
+# RLlib and TorchRL want older versions of some packages than the newest, but the same torch.
+COMPILE = $(BIN)/uv pip compile pyproject.toml --extra train --extra bench --extra export --extra play --group dev --universal \
+	--python-version 3.10 --upgrade --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet
+
 lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows
-	$(BIN)/uv pip compile pyproject.toml --extra train --extra bench --extra export --extra play --group dev --universal --python-version 3.10 \
-		--upgrade --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet -o $(LOCK)
+	$(COMPILE) -o $(LOCK)
+	grep -E '^((torch|triton|numpy|mujoco|rsl-rl-lib)==|nvidia-|cuda-)' $(LOCK) > $(VENV)/same.txt
+	$(COMPILE) --extra ray --extra learners --constraint $(VENV)/same.txt --no-annotate -o $(LEARNERS_LOCK)
 
 clean: ## Remove everything that is built; training runs in logs/ stay
 	rm -rf $(VENV) target dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
@@ -185,15 +198,23 @@ $(VENV)/.venv:
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
 	@touch $@
 
-# The lock is complete, so nothing is resolved: with the base's torch, torch and its GPU libraries are left out of it.
+# The locks are complete, so nothing is resolved: with the base's torch, torch and its GPU libraries are left out of it.
+without_base_torch = if [ -e $(VENV)/.base-torch ]; then grep -vE '^((torch|triton)==|nvidia-|cuda-)' $(1); else cat $(1); fi
+
 $(VENV)/.requirements: $(VENV)/.venv $(LOCK)
-	@if [ -e $(VENV)/.base-torch ]; then grep -vE '^(torch|triton|nvidia-|cuda-)' $(LOCK); else cat $(LOCK); fi \
-		> $(VENV)/requirements.txt
+	@$(call without_base_torch,$(LOCK)) > $(VENV)/requirements.txt
 	$(BIN)/uv pip install --python $(BIN)/python --no-deps "$$(grep '^maturin==' $(VENV)/requirements.txt)"
 	@touch $@
 
 $(VENV)/.dependencies: $(VENV)/.requirements
 	$(BIN)/uv pip install --python $(BIN)/python --no-deps --compile-bytecode --requirement $(VENV)/requirements.txt
+	@touch $@
+
+$(LEARNERS)/.installed: $(VENV)/.venv $(LEARNERS_LOCK)
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python $(LEARNERS) \
+		$(if $(wildcard $(VENV)/.base-torch),--system-site-packages)
+	@$(call without_base_torch,$(LEARNERS_LOCK)) > $(LEARNERS)/requirements.txt
+	$(BIN)/uv pip install --quiet --python $(LEARNERS)/bin/python --no-deps --requirement $(LEARNERS)/requirements.txt
 	@touch $@
 
 # The extension, the program and the tests share target/, the release profile and the features of workspace-hack, so that

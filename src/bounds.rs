@@ -9,6 +9,8 @@ pub const MAX_THREADS: usize = 1024;
 pub const MAX_ACTION: f32 = 1e6;
 /// Largest magnitude of a command, m/s or rad/s.
 pub const MAX_COMMAND: f64 = 1e3;
+/// Largest component of a push, m/s: pushes of trainings are about 1, and one of 100 is no push any more.
+pub const MAX_PUSH: f32 = 100.0;
 /// Shortest physics step, s: far below what contacts need, far above where single precision loses the change of a position.
 pub const MIN_DT: f64 = 1e-6;
 /// Most physics steps of a control step; usual are 1 to 20.

@@ -249,6 +249,11 @@ pub struct JointTargets {
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ActuatorDelay(pub PerJoint);
 
+/// What the networks of actuators remember: past position errors, rad, and velocities, rad/s, and states of LSTMs; zero at reset. Empty for
+/// robots without networks. `[networks, slots, joints of the network]`.
+#[derive(Component, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ActuatorMemory(pub Box<[f32]>);
+
 /// A force and a torque from outside that hold until the next reset or event, base axes.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ExternalWrench {

@@ -2,6 +2,7 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+mod actuator_network;
 pub mod app;
 pub mod batch;
 pub mod bounds;

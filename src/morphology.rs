@@ -6,9 +6,13 @@ use std::path::PathBuf;
 use bevy_ecs::prelude::Resource;
 use glam::DMat3;
 
+use crate::actuator_network::{NetworkKind, read_onnx};
 use crate::components::Stance;
-use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, LoadedRobot, RobotConfig};
-use crate::dynamics::{EffortTable, JointTopology, Parameters, Topology};
+use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig};
+use crate::dynamics::{
+    ActuatorNetwork, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep, Parameters, State,
+    StepSettings, Topology, Workspace,
+};
 use crate::error::Error;
 use crate::robot::{self, Articulation, BodyGroup, Model, Place, Roles, Site, Slot, UNLIMITED};
 
@@ -42,6 +46,8 @@ pub struct MorphologyModel {
     pub feet: Vec<usize>,
     /// Column of each foot in the batch.
     pub foot_columns: Vec<usize>,
+    /// Networks that drive joints, in the order of their groups' names.
+    pub networks: Vec<ActuatorNetwork>,
     /// Fewest and most physics steps of delay of each actuator group, with its joints (physical).
     pub delays: Vec<([u32; 2], Vec<usize>)>,
     /// The most physics steps by which events of the task delay targets on top of that.
@@ -134,7 +140,7 @@ impl MorphologyModel {
     /// What is wrong with the URDF or the config, with file, element and remedy.
     pub fn new(loaded: &LoadedRobot) -> Result<Self, Error> {
         let config = loaded.config.clone();
-        let ConfiguredRobot { model, roles, articulation, default_position } =
+        let ConfiguredRobot { model, roles, articulation, networks, default_position } =
             ConfiguredRobot::new(loaded, &BTreeMap::new(), true, None)?;
         let body_groups = body_groups(&config, &model, &roles)?;
         let Articulation { mut topology, parameters, align, shape_pairs } = articulation;
@@ -167,6 +173,7 @@ impl MorphologyModel {
             },
             body_groups,
             feet: roles.foot_body.clone(),
+            networks,
             delays,
             max_action_delay: 0,
             topology,
@@ -240,6 +247,8 @@ pub(crate) struct ConfiguredRobot {
     pub(crate) roles: Roles,
     /// With the feet as sites, in the order of [`Roles::legs`].
     pub(crate) articulation: Articulation,
+    /// See [`MorphologyModel::networks`].
+    pub(crate) networks: Vec<ActuatorNetwork>,
     /// Joint positions of the default pose, physical order, rad.
     pub(crate) default_position: Vec<f64>,
 }
@@ -282,7 +291,60 @@ impl ConfiguredRobot {
             let joint = &mut articulation.topology.joints[j];
             apply_actuator(joint, &mut articulation.parameters, j, actuators[slot].1, is_turned);
         }
-        Ok(Self { model, roles, articulation, default_position })
+        let networks = networks(loaded, &actuators, &roles)?;
+        Ok(Self { model, roles, articulation, networks, default_position })
+    }
+}
+
+/// The networks of a robot's actuator groups; `actuators` are those of its slots.
+fn networks(
+    loaded: &LoadedRobot,
+    actuators: &[(&str, &ActuatorConfig)],
+    roles: &Roles,
+) -> Result<Vec<ActuatorNetwork>, Error> {
+    let mut networks = Vec::new();
+    for (group, config) in loaded.config.actuators.iter().filter(|(_, config)| config.model.is_network()) {
+        let element = format!("actuators.{group}");
+        let Some(file) = loaded.networks.get(group) else {
+            let problem = "has no file of its network";
+            return Err(
+                ConfigError::invalid(loaded.config.name.clone(), element, problem, "name a network_file").into()
+            );
+        };
+        let kind = match config.model {
+            ActuatorModel::ActuatorNetLstm => NetworkKind::Lstm,
+            _ => NetworkKind::Perceptron,
+        };
+        let inputs = network_inputs(config);
+        let program = read_onnx(&file.bytes, inputs.len(), kind).map_err(|error| {
+            ConfigError::invalid(
+                file.path.display().to_string(),
+                error.element,
+                format!("{} (network of {element} of {})", error.problem, loaded.config.name),
+                error.remedy,
+            )
+        })?;
+        let of_group = actuators.iter().zip(&roles.joint_of_slot).filter(|((name, _), _)| name == group);
+        let mut joints: Vec<usize> = of_group.map(|(_, &joint)| joint).collect();
+        joints.sort_unstable();
+        let scale = config.torque_scale.unwrap_or(1.0) as f32;
+        // a program that was read for these inputs takes them
+        networks.extend(ActuatorNetwork::new(joints, inputs, scale, program));
+    }
+    Ok(networks)
+}
+
+/// What a network is given, in order.
+fn network_inputs(config: &ActuatorConfig) -> Vec<NetworkInput> {
+    let ages = config.input_idx.as_deref().unwrap_or(&[0]);
+    let of = |is_velocity: bool| {
+        let scale = if is_velocity { config.vel_scale } else { config.pos_scale };
+        let scale = scale.unwrap_or(1.0) as f32;
+        ages.iter().map(move |&age| NetworkInput { is_velocity, age: age as usize, scale })
+    };
+    match config.input_order.unwrap_or(InputOrder::PosVel) {
+        InputOrder::PosVel => of(false).chain(of(true)).collect(),
+        InputOrder::VelPos => of(true).chain(of(false)).collect(),
     }
 }
 
@@ -332,9 +394,11 @@ fn apply_actuator(
     } else {
         effort_table(&actuator.effort_table)
     };
-    joint.explicit = actuator.explicit;
-    p.stiffness[j] = actuator.stiffness;
-    p.damping[j] = actuator.damping;
+    // a network's torque is that of the beginning of a physics step, and has no gains
+    let is_network = actuator.model.is_network();
+    joint.explicit = actuator.explicit || is_network;
+    p.stiffness[j] = actuator.stiffness.filter(|_| !is_network).unwrap_or(0.0);
+    p.damping[j] = actuator.damping.filter(|_| !is_network).unwrap_or(0.0);
     p.armature[j] = actuator.armature;
     // a table holds the limits itself: the factor scales it
     p.effort_limit[j] = match (actuator.effort_limit, actuator.effort_table.is_empty()) {
@@ -349,7 +413,7 @@ fn apply_actuator(
         p.joint_damping[j] = damping;
     }
     let limit = actuator.velocity_limit.unwrap_or(UNLIMITED);
-    if actuator.model == ActuatorModel::DcMotor {
+    if actuator.saturation_effort.is_some() {
         p.saturation_effort[j] = actuator.saturation_effort.unwrap_or(UNLIMITED);
         p.motor_velocity_limit[j] = limit;
     } else {
@@ -394,6 +458,9 @@ pub struct RobotDescription {
     pub title: String,
     /// kg.
     pub mass: f64,
+    /// Networks that give torques in the place of gains.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub actuator_networks: Vec<NetworkDescription>,
     /// Names in the URDF.
     pub joint_names: Vec<String>,
     /// Physical index of the joint in each of the robot's slots.
@@ -431,7 +498,73 @@ pub struct RobotDescription {
     pub mirror: Vec<(usize, f32)>,
 }
 
+/// A network that gives the torque of joints; SI units.
+#[derive(serde::Serialize, Clone, Debug)]
+pub struct NetworkDescription {
+    /// Actuator group in the robot's config.
+    pub group: String,
+    /// Its kind.
+    pub model: ActuatorModel,
+    /// File as the config names it.
+    pub file: PathBuf,
+    /// FNV-1a of the file.
+    pub checksum: String,
+    /// Physical joints that it drives, each for itself.
+    pub joints: Vec<usize>,
+    /// What it is given, in order: `pos_error[0]` is the target less the position, rad, `vel[1]` the velocity one physics step ago, rad/s.
+    pub inputs: Vec<String>,
+    /// What position errors are multiplied by.
+    pub pos_scale: f64,
+    /// What velocities are multiplied by.
+    pub vel_scale: f64,
+    /// What the output is multiplied by, N m.
+    pub torque_scale: f64,
+}
+
 impl MorphologyModel {
+    /// Whether a network drives a physical joint.
+    pub fn is_network_joint(&self, joint: usize) -> bool {
+        self.networks.iter().any(|network| network.joints().contains(&joint))
+    }
+
+    /// Torques of the joints that networks drive, before the actuators' limits, and zero for all others, N m, `[joints]`: for position
+    /// errors (target less position, rad) and velocities (rad/s) `[joints]`, one physics step after the other. `memory` holds
+    /// [`num_remembered`](Self::num_remembered) numbers, zero to begin with.
+    ///
+    /// # Panics
+    /// If a list is shorter.
+    pub fn network_torques(&self, error: &[f32], velocity: &[f32], memory: &mut [f32]) -> Vec<f32> {
+        let topology = &self.topology;
+        let mut state = State::zeros(topology);
+        state.joint_position.iter_mut().zip(error).for_each(|(q, &error)| *q = -error);
+        state.joint_velocity.copy_from_slice(&velocity[..topology.num_joints()]);
+        let mut drive = Drive::zeros(topology, 1);
+        let settings = StepSettings {
+            dt: 1.0,
+            decimation: 1,
+            gravity: [0.0; 3],
+            contact: ContactSettings { ground: None, ..ContactSettings::default() },
+        };
+        let step = NetworkStep {
+            topology,
+            settings: &settings,
+            networks: &self.networks,
+            substep: 0,
+            state: &state,
+            drive: &mut drive,
+            memory,
+            features: &mut Vec::new(),
+            work: &mut Workspace::new(topology),
+        };
+        step.run();
+        drive.feedforward
+    }
+
+    /// Numbers that the networks remember.
+    pub fn num_remembered(&self) -> usize {
+        self.networks.iter().map(ActuatorNetwork::num_remembered).sum()
+    }
+
     /// Its description.
     pub fn describe(&self) -> RobotDescription {
         let p = &self.nominal;
@@ -439,6 +572,7 @@ impl MorphologyModel {
         RobotDescription {
             title: self.config.title.clone(),
             mass: self.model.total_mass(),
+            actuator_networks: self.describe_networks(),
             joint_names: self.model.joints.iter().map(|joint| joint.name.clone()).collect(),
             joint_of_slot: self.joint_of_slot(),
             slots: self.slots.iter().map(|slot| slot.slot.to_string()).collect(),
@@ -457,6 +591,23 @@ impl MorphologyModel {
             feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
             mirror: self.mirrored_slots(),
         }
+    }
+
+    fn describe_networks(&self) -> Vec<NetworkDescription> {
+        let groups = self.config.actuators.iter().filter(|(_, actuator)| actuator.model.is_network());
+        let describe =
+            |((group, actuator), network): ((&String, &ActuatorConfig), &ActuatorNetwork)| NetworkDescription {
+                group: group.clone(),
+                model: actuator.model,
+                file: actuator.network_file.clone().unwrap_or_default(),
+                checksum: actuator.network_checksum.clone().unwrap_or_default(),
+                joints: network.joints().to_vec(),
+                inputs: network_inputs(actuator).iter().map(NetworkInput::to_string).collect(),
+                pos_scale: actuator.pos_scale.unwrap_or(1.0),
+                vel_scale: actuator.vel_scale.unwrap_or(1.0),
+                torque_scale: actuator.torque_scale.unwrap_or(1.0),
+            };
+        groups.zip(&self.networks).map(describe).collect()
     }
 
     /// For each of the robot's slots the one on its other side, and the sign that its position takes there.

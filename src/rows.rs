@@ -214,6 +214,7 @@ slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K);
 slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L);
 slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L, M);
 slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L, M, N);
+slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L, M, N, O);
 
 /// Moves entities from one table to another and back.
 #[derive(Component)]

@@ -4,7 +4,9 @@ use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::terms::CompiledTask;
-use crate::components::{ActuatorDelay, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot};
+use crate::components::{
+    ActuatorDelay, ActuatorMemory, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot,
+};
 use crate::engine::{DivergenceRecord, Motion, StateLimits};
 use crate::rows::Rows;
 
@@ -25,6 +27,8 @@ pub struct BrokenState {
     pub targets: JointTargets,
     /// How late they were asked for it.
     pub delay: ActuatorDelay,
+    /// What its actuators' networks remembered.
+    pub memory: ActuatorMemory,
     /// Force and torque from outside.
     pub wrench: ExternalWrench,
     /// The robot's own numbers.
@@ -86,7 +90,7 @@ pub(super) fn describe_broken_states(
     if !broken.evidence.is_empty() {
         let (bodies, episodes) = (robots.read()?, envs.read()?);
         let described = broken.evidence.drain(..).map(
-            |DivergenceRecord { morphology, env, before, targets, delay, wrench, after }| {
+            |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, after }| {
                 let state = BrokenState {
                     env: EnvId(env as u32),
                     step: broken.step,
@@ -95,6 +99,7 @@ pub(super) fn describe_broken_states(
                     before,
                     targets,
                     delay,
+                    memory,
                     wrench,
                     body: bodies[env].clone(),
                     after,

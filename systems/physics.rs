@@ -8,8 +8,8 @@ use super::load::InstructionSet;
 use super::terms::CompiledTask;
 use super::{BlockSizes, ControlStep, PipelineSet, Setup, SetupSet, faults};
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId, EnvOrigin,
-    ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId,
+    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::{ContactSettings, Plane, StepSettings};
@@ -122,7 +122,8 @@ pub(super) fn step_physics(
     mut robots: Rows<PhysicsColumns, Robot>,
     envs: Rows<&'static EnvOrigin, Env>,
 ) -> Result {
-    let (poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet) = robots.write()?;
+    let (poses, velocities, joints, targets, delays, memories, wrenches, efforts, impulses, forces, feet) =
+        robots.write()?;
     let origins = envs.read()?;
     let rows = ComponentRows {
         origins,
@@ -131,6 +132,7 @@ pub(super) fn step_physics(
         joints,
         targets,
         delays,
+        memories,
         wrenches,
         efforts,
         impulses,
@@ -151,6 +153,7 @@ type PhysicsColumns = (
     &'static mut JointState,
     &'static mut JointTargets,
     &'static mut ActuatorDelay,
+    &'static mut ActuatorMemory,
     &'static mut ExternalWrench,
     &'static mut JointEffort,
     &'static mut ConstraintImpulses,

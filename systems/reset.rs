@@ -12,9 +12,9 @@ use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, NoParams, Registry};
 use super::view::{EpisodeEnd, NewState};
 use super::{ResetSet, for_both, startup};
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, Env, EnvOrigin,
-    EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Morphology,
-    Robot, Stance,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
+    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
+    JointTargets, Morphology, Robot, Stance,
 };
 use crate::config::JointPositionMode;
 use crate::morphology::Morphologies;
@@ -44,6 +44,7 @@ type RobotColumns = (
     &'static mut Action,
     &'static mut JointTargets,
     &'static mut ActuatorDelay,
+    &'static mut ActuatorMemory,
     &'static mut JointEffort,
     &'static mut ConstraintImpulses,
     &'static mut ContactForces,
@@ -86,6 +87,7 @@ pub(super) fn reset_envs(
         actions,
         targets,
         delays,
+        memories,
         efforts,
         impulses,
         forces,
@@ -94,12 +96,12 @@ pub(super) fn reset_envs(
     ) = robots.write()?;
     let of_kind = (tags, bodies, stances);
     let motion = (poses, velocities, joints);
-    let drive = (actions, targets, delays, wrenches);
+    let drive = (actions, targets, delays, memories, wrenches);
     let report = (efforts, impulses, forces, feet);
     let rows = (of_kind, motion, drive, report, envs.write()?);
     workers.for_each_chunk(rows, tags.len(), |_, n, (of_kind, motion, drive, report, envs)| {
         let ((tags, bodies, stances), (poses, velocities, joints)) = (of_kind, motion);
-        let ((actions, targets, delays, wrenches), (efforts, impulses, forces, feet)) = (drive, report);
+        let ((actions, targets, delays, memories, wrenches), (efforts, impulses, forces, feet)) = (drive, report);
         let (episodes, rngs, commands, timers, sums, origins) = envs;
         for i in 0..n {
             if !is_due(&episodes[i], *autoreset, *request) {
@@ -128,6 +130,7 @@ pub(super) fn reset_envs(
             joints.velocity.fill(0.0);
             let (delay, wrench) = (&mut delays[i], &mut wrenches[i]);
             delay.0.fill(0.0);
+            memories[i].0.fill(0.0);
             for (range, group) in &morphology.delays {
                 let steps = rng.integer(*range) as f32;
                 for &joint in group {

@@ -9,8 +9,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
+    ContactSensor, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
     JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
 };
 use crate::error::Error;
@@ -211,6 +211,12 @@ impl Saved for JointTargets {
 }
 
 impl Saved for ActuatorDelay {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.0.len() == present.0.len()
+    }
+}
+
+impl Saved for ActuatorMemory {
     fn fits(&self, present: &Self, _: &Place) -> bool {
         self.0.len() == present.0.len()
     }

@@ -8,9 +8,9 @@ use super::saved::save_component;
 use super::terms::CompiledTask;
 use super::{BlockSizes, Setup, SetupSet, keep_row_order};
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, Env, EnvId,
-    EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState, JointTargets,
-    Morphology, PerJoint, Robot, Stance, StartupBody,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
+    Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
+    JointTargets, Morphology, PerJoint, Robot, Stance, StartupBody,
 };
 use crate::engine::history_length;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -36,6 +36,7 @@ impl Plugin for SpawnPlugin {
         save_component::<Action>(app);
         save_component::<JointTargets>(app);
         save_component::<ActuatorDelay>(app);
+        save_component::<ActuatorMemory>(app);
         save_component::<JointEffort>(app);
         save_component::<ConstraintImpulses>(app);
         save_component::<ContactForces>(app);
@@ -92,7 +93,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         JointState { position: zeros.clone(), velocity: zeros.clone() },
         Action { current: slots.clone(), previous: slots },
         JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
-        ActuatorDelay(zeros.clone()),
+        (ActuatorDelay(zeros.clone()), ActuatorMemory(vec![0.0; model.num_remembered()].into())),
         JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
         ConstraintImpulses { contacts: smallvec![], bounds: zeros },
         ContactForces::zeros(model.feet.len(), decimation),

@@ -9,6 +9,7 @@ use super::terms::{BODY_VARIATION, CompiledTask, NoParams, Registry};
 use super::view::NewBody;
 use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
 use crate::config::{Distribution, Draw, Operation, values};
+use crate::dynamics::ActuatorNetwork;
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
 use crate::rows::Rows;
@@ -256,7 +257,7 @@ fn base_com(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
     }
 }
 
-/// Stiffness and damping of each actuator for itself.
+/// Stiffness and damping of each actuator for itself; joints that a network drives keep none.
 fn randomize_actuator_gains(p: &ActuatorGains, body: &mut NewBody, rng: &mut EnvRng) {
     let own = &body.morphology.config.randomization;
     let [stiffness, damping] = match &p.0 {
@@ -265,6 +266,10 @@ fn randomize_actuator_gains(p: &ActuatorGains, body: &mut NewBody, rng: &mut Env
     };
     each_joint(stiffness, &mut body.parameters.stiffness, rng);
     each_joint(damping, &mut body.parameters.damping, rng);
+    // networks have no gains, whatever was drawn
+    for &joint in body.morphology.networks.iter().flat_map(ActuatorNetwork::joints) {
+        (body.parameters.stiffness[joint], body.parameters.damping[joint]) = (0.0, 0.0);
+    }
 }
 
 /// Armature and dry friction of each joint for itself.
@@ -287,7 +292,7 @@ fn each_joint(draw: Option<Draw>, values: &mut [f32], rng: &mut EnvRng) {
 }
 
 /// Scales what each motor gives: its torque at any target and its limits, so that the same targets give a share of the
-/// torque. The speed without load stays.
+/// torque. The speed without load stays. Where a network gives the torque, only the limits are scaled.
 fn randomize_motor_strength(p: &MotorStrength, body: &mut NewBody, rng: &mut EnvRng) {
     let range = p.strength_range.unwrap_or(body.morphology.config.randomization.motor_strength).map(|x| x as f32);
     let b = &mut *body.parameters;

@@ -150,7 +150,7 @@ pub(super) fn register(registry: &mut Registry) {
 
 fn illegal_contact(p: &BodiesInContact, view: &RobotView, _: &Episode, _: u32) -> bool {
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
-    bodies.into_iter().any(|(force, group)| *force > p.threshold && p.bodies.iter().any(|own| own.holds(*group)))
+    bodies.into_iter().any(|(force, group)| *force > p.threshold && p.bodies.contains(group))
 }
 
 fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// The rooms of `src/` from the ground up, `systems/` among them. A room is a file or a folder; it uses those before it.
-const ROOMS: [&str; 30] = [
+const ROOMS: [&str; 31] = [
     "dynamics",
     "learner",
     "bounds",
@@ -14,6 +14,7 @@ const ROOMS: [&str; 30] = [
     "thread_team",
     "workers",
     "robot",
+    "actuator_network",
     "config",
     "error",
     "options",

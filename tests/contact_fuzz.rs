@@ -281,6 +281,7 @@ impl PackWorkspace {
             parameters: &self.parameters,
             kind: None,
             drive: &Drive::zeros(topology, 1),
+            substeps: 0..1,
             state: &mut state,
             report: &mut report,
             work: &mut self.work,

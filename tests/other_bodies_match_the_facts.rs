@@ -9,6 +9,7 @@ use polypod::robot::{Body, JointKind, LoadOptions, Model, load};
 use serde::Deserialize;
 
 use crate::common::ROBOTS;
+use crate::common::facts::{LinkFacts, Tolerances, assert_links, assert_near};
 
 #[derive(Deserialize)]
 struct Facts {
@@ -32,15 +33,6 @@ struct FootFacts {
     shapes: Vec<[f64; 3]>,
     /// Their mean in the base frame, in the default pose.
     centre_in_base: [f64; 3],
-}
-
-#[derive(Deserialize)]
-struct LinkFacts {
-    name: String,
-    mass: f64,
-    com: [f64; 3],
-    /// ixx, ixy, ixz, iyy, iyz, izz.
-    inertia: [f64; 6],
 }
 
 #[derive(Deserialize)]
@@ -72,15 +64,6 @@ fn robots() -> Vec<(String, Model, RobotFacts)> {
     facts.robots.into_iter().map(read).collect()
 }
 
-#[track_caller]
-fn assert_near(values: impl IntoIterator<Item = f64>, facts: &[f64], tolerance: f64, what: &str) {
-    let values: Vec<f64> = values.into_iter().collect();
-    assert_eq!(values.len(), facts.len(), "{what}");
-    for (value, fact) in values.iter().zip(facts) {
-        assert!((value - fact).abs() <= tolerance, "{what}: {values:?} is not {facts:?}");
-    }
-}
-
 #[test]
 fn each_has_a_licence_and_a_source() {
     for (name, model, _) in robots() {
@@ -100,17 +83,7 @@ fn masses_and_inertias() {
     for (name, model, facts) in robots() {
         assert_near([model.total_mass()], &[facts.total_mass], 1e-6, &name);
         assert_eq!(model.links[0].name, facts.root_link, "{name}");
-        assert_eq!(model.links.len(), facts.links.len(), "{name}");
-        for (link, fact) in model.links.iter().zip(&facts.links) {
-            let what = format!("{name}, link {}", fact.name);
-            assert_eq!(link.name, fact.name, "{name}");
-            assert_near([link.mass], &[fact.mass], 1e-9, &what);
-            assert_near(link.com.to_array(), &fact.com, 1e-9, &what);
-            let i = &link.inertia;
-            let ours = [i.x_axis.x, i.x_axis.y, i.x_axis.z, i.y_axis.y, i.y_axis.z, i.z_axis.z];
-            let largest = fact.inertia.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-            assert_near(ours, &fact.inertia, 1e-8 * largest, &what);
-        }
+        assert_links(&model, &facts.links, &Tolerances { mass: 1e-9, com: 1e-9, inertia: 1e-8 });
     }
 }
 

@@ -29,7 +29,7 @@ fn the_actions_are_those_of_python() {
     let expected: Expected = serde_json::from_str(&text).unwrap();
     let rows = expected.observations.len();
     assert!(rows >= 16, "{rows} rows");
-    let policy = Policy::load(&shipped(), rows).unwrap();
+    let mut policy = Policy::load(&shipped(), rows).unwrap();
     let actions = policy.act(&expected.observations.concat()).unwrap();
     assert_eq!(actions.len(), rows * policy.manifest.num_actions);
     let wanted = expected.actions.concat();
@@ -51,7 +51,7 @@ fn all_robots_follow_half_a_metre_per_second() {
     };
     let mut sim = Sim::new(&options).unwrap();
     let envs = sim.num_envs();
-    let policy = Policy::load(&shipped(), envs).unwrap();
+    let mut policy = Policy::load(&shipped(), envs).unwrap();
     policy.check(&sim).unwrap();
     sim.set_commands(Some(&[0.5, 0.0, 0.0].repeat(envs))).unwrap();
     let width = sim.batch().num_obs;
@@ -75,7 +75,7 @@ fn all_robots_follow_half_a_metre_per_second() {
 
 #[test]
 fn a_task_that_observes_something_else_is_refused() {
-    let policy = Policy::load(&shipped(), 1).unwrap();
+    let mut policy = Policy::load(&shipped(), 1).unwrap();
     let options = SimOptions { robots: Some(vec!["spot".into()]), ..SimOptions::new("velocity_flat", 1) };
     let error = policy.check(&Sim::new(&options).unwrap()).unwrap_err().to_string();
     for words in ["observation_layout", "morphology (35)", "Velocity-Flat-Universal-v0"] {

@@ -68,3 +68,4 @@ mod terms_describe_themselves;
 mod terms_of_any_body_match_their_formulas;
 mod thread_count_does_not_change_bits;
 mod varied_bodies_are_what_their_numbers_say;
+mod viewers_see_what_happens;

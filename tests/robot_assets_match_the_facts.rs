@@ -10,6 +10,7 @@ use polypod::morphology::MorphologyModel;
 use polypod::robot::{CANONICAL_JOINT_NAMES, LEGS, ROLES};
 use serde::Deserialize;
 
+use crate::common::facts::{LinkFacts, Tolerances, assert_links, assert_near};
 use crate::common::{ROBOTS, noise};
 
 #[derive(Deserialize)]
@@ -35,15 +36,6 @@ struct FootFacts {
     center_in_base: [f64; 3],
 }
 
-#[derive(Deserialize)]
-struct LinkFacts {
-    name: String,
-    mass: f64,
-    com: [f64; 3],
-    /// ixx, ixy, ixz, iyy, iyz, izz.
-    inertia: [f64; 6],
-}
-
 /// Every robot with its facts.
 fn robots() -> Vec<(MorphologyModel, RobotFacts)> {
     let mut facts: Facts = serde_json::from_str(include_str!("data/robot_facts.json")).unwrap();
@@ -56,34 +48,15 @@ fn robots() -> Vec<(MorphologyModel, RobotFacts)> {
     robots
 }
 
-#[track_caller]
-fn assert_near(value: f64, fact: f64, tolerance: f64, what: &str) {
-    assert!((value - fact).abs() <= tolerance, "{what}: {value} is not {fact}");
-}
-
 #[test]
 fn masses_and_inertias() {
     for (robot, facts) in robots() {
         let (name, model) = (robot.name(), &robot.model);
-        assert_near(model.total_mass(), facts.total_mass, 1e-6, &format!("{name}: total mass"));
+        assert_near([model.total_mass()], &[facts.total_mass], 1e-6, &format!("{name}: total mass"));
         let engine = f64::from(robot.nominal.total_mass());
-        assert_near(engine, facts.total_mass, 1e-6 * facts.total_mass, &format!("{name}: engine's mass"));
+        assert_near([engine], &[facts.total_mass], 1e-6 * facts.total_mass, &format!("{name}: engine's mass"));
         assert_eq!(model.links[0].name, facts.root_link, "{name}");
-        assert_eq!(model.links.len(), facts.links.len(), "{name}");
-        for (link, fact) in model.links.iter().zip(&facts.links) {
-            let what = format!("{name}, link {}", fact.name);
-            assert_eq!(link.name, fact.name, "{name}");
-            assert_near(link.mass, fact.mass, 1e-6, &format!("{what}: mass"));
-            for (x, y) in link.com.to_array().into_iter().zip(fact.com) {
-                assert_near(x, y, 1e-6, &format!("{what}: com"));
-            }
-            let i = &link.inertia;
-            let ours = [i.x_axis.x, i.x_axis.y, i.x_axis.z, i.y_axis.y, i.y_axis.z, i.z_axis.z];
-            let largest = fact.inertia.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-            for (x, y) in ours.into_iter().zip(fact.inertia) {
-                assert_near(x, y, 1e-6 * largest, &format!("{what}: inertia"));
-            }
-        }
+        assert_links(model, &facts.links, &Tolerances { mass: 1e-6, com: 1e-6, inertia: 1e-6 });
     }
 }
 
@@ -95,7 +68,7 @@ fn joints_and_feet_of_the_default_pose() {
         assert_eq!(joints, facts.joint_order, "{name}");
         let pose: Vec<f64> = joints.iter().map(|joint| facts.default_pose[*joint]).collect();
         for ((joint, &ours), &fact) in joints.iter().zip(&robot.stance.default_position).zip(&pose) {
-            assert_near(f64::from(ours), fact, 1e-6, &format!("{name}: default position of {joint}"));
+            assert_near([f64::from(ours)], &[fact], 1e-6, &format!("{name}: default position of {joint}"));
         }
         let links = model.forward_kinematics(&pose);
         for (leg, leg_name) in LEGS.into_iter().enumerate() {
@@ -103,9 +76,9 @@ fn joints_and_feet_of_the_default_pose() {
             let what = format!("{name}: foot {leg_name}");
             let link = &model.links[body.link];
             assert!(link.name == fact.link || link.merged.contains(&fact.link), "{what} is on {}", link.name);
-            assert_near(roles.foot_radius[leg], fact.radius, 1e-6, &format!("{what}: radius"));
+            assert_near([roles.foot_radius[leg]], &[fact.radius], 1e-6, &format!("{what}: radius"));
             let centre = links[body.link].transform_point(roles.foot_point[leg]);
-            assert_near((centre - DVec3::from_array(fact.center_in_base)).length(), 0.0, 1e-6, &what);
+            assert_near([(centre - DVec3::from_array(fact.center_in_base)).length()], &[0.0], 1e-6, &what);
         }
     }
 }

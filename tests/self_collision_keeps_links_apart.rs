@@ -53,6 +53,7 @@ impl Body {
             parameters: &self.parameters,
             kind: None,
             drive: &self.drive,
+            substeps: 0..1,
             state: &mut self.state,
             report: &mut self.report,
             work: &mut self.work,

@@ -4,14 +4,15 @@
 //   g++ -std=c++17 -O2 policy_loop.cpp -I$ONNXRUNTIME/include -L$ONNXRUNTIME/lib -lonnxruntime -o policy_loop
 //   ./policy_loop exported/policy_spot.onnx
 //
-// ONNXRUNTIME is the folder of a release of onnxruntime (https://github.com/microsoft/onnxruntime/releases). Order of joints,
-// gains and control step stand in the file's metadata, under the keys of mjlab's exporter. In a controller of ros2_control or a
-// loop of unitree_sdk2, fill `inputs` from the state interfaces or LowState, and give `targets` with the gains to the command
-// interfaces or LowCmd.
+// ONNXRUNTIME is the folder of a release of onnxruntime (https://github.com/microsoft/onnxruntime/releases); Debian's package
+// libonnxruntime-dev has the same headers. Order of joints, gains and control step stand in the file's metadata, under the keys of
+// mjlab's exporter. In a controller of ros2_control or a loop of unitree_sdk2, fill `inputs` from the state interfaces or LowState,
+// and give `targets` with the gains to the command interfaces or LowCmd. An empty line begins a new episode.
 
 #include <onnxruntime_cxx_api.h>
 
-#include <array>
+#include <algorithm>
+#include <cstdint>
 #include <iostream>
 #include <map>
 #include <sstream>
@@ -58,41 +59,61 @@ int main(int argc, char** argv) {
   for (std::size_t j = 0; j < joints.size(); ++j) std::cout << ' ' << joints[j] << ':' << stiffness[j] << ':' << damping[j];
   std::cout << std::endl;
 
-  // names and widths of the inputs; the robot fills them in this order, but for last_action, which is the policy's own
+  // what the policy gives back to itself, zero when an episode begins: its last action, and what it remembers
+  std::map<std::string, std::string> fed_back = {{"last_action", "actions"}};
+  const auto states = split(entry(metadata, "state_inputs")), after = split(entry(metadata, "state_outputs"));
+  for (std::size_t i = 0; i < states.size() && i < after.size(); ++i) fed_back[states[i]] = after[i];
+
+  // names and shapes of the inputs; the robot fills the others in this order
   Ort::AllocatorWithDefaultOptions allocator;
   std::vector<std::string> names;
+  std::map<std::string, std::vector<int64_t>> shapes;
   std::map<std::string, std::vector<float>> inputs;
   for (std::size_t i = 0; i < session.GetInputCount(); ++i) {
     names.push_back(session.GetInputNameAllocated(i, allocator).get());
-    const auto shape = session.GetInputTypeInfo(i).GetTensorTypeAndShapeInfo().GetShape();
-    inputs[names.back()].assign(shape.at(1), 0.0F);
+    auto& shape = shapes[names.back()] = session.GetInputTypeInfo(i).GetTensorTypeAndShapeInfo().GetShape();
+    std::size_t size = 1;
+    for (auto& length : shape) size *= static_cast<std::size_t>(length = length < 0 ? 1 : length);
+    inputs[names.back()].assign(size, 0.0F);
   }
+  std::vector<const char*> outputs = {"joint_pos_target"};
+  std::vector<std::string> returned;
+  for (const auto& [input, output] : fed_back)
+    if (inputs.count(input)) {
+      outputs.push_back(output.c_str());
+      returned.push_back(input);
+    }
 
   const auto memory = Ort::MemoryInfo::CreateCpu(OrtArenaAllocator, OrtMemTypeDefault);
-  const std::array<const char*, 2> outputs = {"joint_pos_target", "actions"};
   for (std::string line; std::getline(std::cin, line);) {
+    if (line.empty()) {
+      for (const auto& input : returned) inputs[input].assign(inputs[input].size(), 0.0F);
+      continue;
+    }
     std::stringstream state(line);
     std::vector<const char*> keys;
     std::vector<Ort::Value> values;
     for (const auto& name : names) {
       auto& numbers = inputs[name];
-      if (name != "last_action")
+      if (!fed_back.count(name))
         for (float& number : numbers)
           if (!(state >> number)) {
             std::cerr << "the state has too few numbers for " << name << "\n";
             return 2;
           }
-      const std::array<int64_t, 2> shape = {1, static_cast<int64_t>(numbers.size())};
+      const auto& shape = shapes[name];
       keys.push_back(name.c_str());
       values.push_back(Ort::Value::CreateTensor<float>(memory, numbers.data(), numbers.size(), shape.data(), shape.size()));
     }
-    auto results = session.Run(Ort::RunOptions{nullptr}, keys.data(), values.data(), values.size(), outputs.data(), 2);
+    auto results =
+        session.Run(Ort::RunOptions{nullptr}, keys.data(), values.data(), values.size(), outputs.data(), outputs.size());
     const float* targets = results[0].GetTensorData<float>();
     for (std::size_t j = 0; j < joints.size(); ++j) std::cout << (j ? " " : "") << targets[j];
     std::cout << std::endl;
-    const float* action = results[1].GetTensorData<float>();
-    auto& last = inputs["last_action"];
-    last.assign(action, action + last.size());
+    for (std::size_t i = 0; i < returned.size(); ++i) {
+      const float* output = results[1 + i].GetTensorData<float>();
+      std::copy_n(output, inputs[returned[i]].size(), inputs[returned[i]].begin());
+    }
   }
   return 0;
 }

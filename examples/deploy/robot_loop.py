@@ -93,7 +93,20 @@ class Policy:
             np.array(said[key].split(","), dtype=np.float64)
             for key in ("joint_stiffness", "joint_damping", "default_joint_pos", "joint_pos_lower", "joint_pos_upper")
         )
-        self.last_action = np.zeros((1, len(said["action_joint_names"].split(","))), dtype=np.float32)
+        self.fed_back = {"last_action": "actions"}
+        """What the policy gives back to itself: its last action, and what it remembers."""
+        if "state_inputs" in said:
+            states = zip(said["state_inputs"].split(","), said["state_outputs"].split(","), strict=True)
+            self.fed_back |= dict(states)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins anew."""
+        self.memory = {
+            entry.name: np.zeros([size if isinstance(size, int) else 1 for size in entry.shape], dtype=np.float32)
+            for entry in self.session.get_inputs()
+            if entry.name in self.fed_back
+        }
 
     def act(self, state: State, command: tuple[float, float, float]) -> Array:
         """Position targets of the next control step, rad; forward and left velocity, m/s, and yaw rate, rad/s."""
@@ -106,11 +119,11 @@ class Policy:
             "joint_vel": state.joint_vel,
         }
         feeds = {name: np.array(value, dtype=np.float32)[np.newaxis] for name, value in given.items()}
-        feeds["last_action"] = self.last_action
+        feeds |= self.memory
         names = [entry.name for entry in self.session.get_inputs()]
-        targets, self.last_action = self.session.run(
-            ["joint_pos_target", "actions"], {name: feeds[name] for name in names}
-        )
+        outputs = ["joint_pos_target", *(self.fed_back[name] for name in self.memory)]
+        targets, *after = self.session.run(outputs, {name: feeds[name] for name in names})
+        self.memory = dict(zip(self.memory, after, strict=True))
         return np.clip(targets[0].astype(np.float64), self.lower, self.upper)
 
 

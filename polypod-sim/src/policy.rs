@@ -1,7 +1,8 @@
 //! Policies as ONNX files, run by tract: no Python is needed.
 //!
 //! `polypod export` writes such a file and its manifest, `policy.onnx` and `policy.json`. The network takes observations
-//! `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in the order of the task that it was trained on.
+//! `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in the order of the task that it was trained on. A recurrent one
+//! also takes and gives states, which are kept here.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -21,6 +22,9 @@ const MAX_NETWORK: u64 = 1 << 30;
 
 /// Largest observation or action of a policy, as `polypod.training.manifest.MAX_LAYER` has it.
 const MAX_LAYER: usize = 65536;
+
+/// Most states of a network: those of an LSTM are two.
+const MAX_STATES: usize = 8;
 
 /// A policy could not be read, or does not fit a simulation.
 #[derive(Debug, thiserror::Error)]
@@ -58,6 +62,9 @@ pub struct PolicyManifest {
     pub observation_layout: Vec<TermLayout>,
     /// Length of an action.
     pub num_actions: usize,
+    /// What the network remembers from one control step to the next.
+    #[serde(default)]
+    pub states: Vec<StateLayout>,
     /// SHA-256 of the export's graphs by their file names, hexadecimal.
     pub files: BTreeMap<String, String>,
 }
@@ -71,6 +78,17 @@ pub struct TermLayout {
     pub size: usize,
 }
 
+/// A tensor that a recurrent network takes and gives back, zero when an episode begins.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
+pub struct StateLayout {
+    /// Name of the input.
+    pub input: String,
+    /// Name of the output that is fed back.
+    pub output: String,
+    /// Layers, envs (here 0) and units.
+    pub shape: [usize; 3],
+}
+
 /// A network for a fixed number of envs.
 pub struct Policy {
     /// What its manifest says.
@@ -78,6 +96,8 @@ pub struct Policy {
     file: PathBuf,
     network: Arc<TypedRunnableModel>,
     num_envs: usize,
+    /// The states, in the order of the manifest.
+    memory: Vec<Tensor>,
 }
 
 impl fmt::Debug for Policy {
@@ -132,6 +152,11 @@ impl PolicyManifest {
                 let problem = format!("{size} numbers, not 1 to {MAX_LAYER}");
                 return Err(failure(element, problem, "copy the manifest again from its export"));
             }
+        }
+        let sizes = manifest.states.iter().flat_map(|state| [state.shape[0], state.shape[2]]);
+        if manifest.states.len() > MAX_STATES || sizes.into_iter().any(|size| !(1..=MAX_LAYER).contains(&size)) {
+            let problem = format!("{:?} are no states of a recurrent network", manifest.states);
+            return Err(failure("states", problem, "copy the manifest again from its export"));
         }
         let slots: Option<Vec<Slot>> = manifest.canonical_joint_names.iter().map(|name| Slot::parse(name)).collect();
         let is_in_order = slots.is_some_and(|slots| slots.is_sorted_by(|a, b| a < b));
@@ -191,7 +216,42 @@ impl Policy {
         }
         let network = quietly(|| compile(&mut graph, num_envs, &manifest))
             .map_err(|error| failure(format!("is not the network of the manifest: {error:#}")))?;
-        Ok(Self { manifest, file: file.to_path_buf(), network, num_envs })
+        let memory = manifest.states.iter().map(|state| zeros(state, num_envs)).collect();
+        Ok(Self { manifest, file: file.to_path_buf(), network, num_envs, memory })
+    }
+
+    /// Forgets what it has seen of the envs of the mask, `[num_envs]`; none: of all.
+    ///
+    /// # Errors
+    /// A mask of another length.
+    pub fn reset(&mut self, ends: Option<&[bool]>) -> Result<(), PolicyError> {
+        let Some(ends) = ends else {
+            self.memory = self.manifest.states.iter().map(|state| zeros(state, self.num_envs)).collect();
+            return Ok(());
+        };
+        self.forget(ends).map_err(|error| self.failure(&error, format!("pass {} flags", self.num_envs)))
+    }
+
+    fn forget(&mut self, ends: &[bool]) -> TractResult<()> {
+        if ends.len() != self.num_envs {
+            return Err(TractError::msg(format!("{} flags", ends.len())));
+        }
+        for (state, memory) in self.manifest.states.iter().zip(&mut self.memory) {
+            let [layers, _, units] = state.shape;
+            let mut values = memory.try_as_plain_ram()?.as_slice::<f32>()?.to_vec();
+            for (row, values) in values.chunks_exact_mut(units).enumerate() {
+                if ends[row % self.num_envs] {
+                    values.fill(0.0);
+                }
+            }
+            *memory = Tensor::from_shape(&[layers, self.num_envs, units], &values)?;
+        }
+        Ok(())
+    }
+
+    fn failure(&self, error: &TractError, remedy: String) -> PolicyError {
+        let problem = format!("cannot be run: {error:#}");
+        PolicyError { file: self.file.clone(), element: "graph".into(), problem, remedy }
     }
 
     /// Whether the simulation observes what the policy was trained on.
@@ -240,25 +300,33 @@ impl Policy {
         Ok(())
     }
 
-    /// Actions, row-major `[num_envs, num_actions]`, for observations `[num_envs, num_obs]`.
+    /// Actions, row-major `[num_envs, num_actions]`, for observations `[num_envs, num_obs]`. A recurrent network remembers them, see
+    /// [`reset`](Self::reset).
     ///
     /// # Errors
     /// Another number of observations.
-    pub fn act(&self, observations: &[f32]) -> Result<Vec<f32>, PolicyError> {
-        self.run(observations).map_err(|error| PolicyError {
-            file: self.file.clone(),
-            element: "graph".into(),
-            problem: format!("cannot be run: {error:#}"),
-            remedy: format!("pass {} observations of {} numbers", self.num_envs, self.manifest.num_obs()),
+    pub fn act(&mut self, observations: &[f32]) -> Result<Vec<f32>, PolicyError> {
+        self.run(observations).map_err(|error| {
+            let remedy = format!("pass {} observations of {} numbers", self.num_envs, self.manifest.num_obs());
+            self.failure(&error, remedy)
         })
     }
 
-    fn run(&self, observations: &[f32]) -> TractResult<Vec<f32>> {
+    fn run(&mut self, observations: &[f32]) -> TractResult<Vec<f32>> {
         let input = Tensor::from_shape(&[self.num_envs, self.manifest.num_obs()], observations)?;
-        let outputs = self.network.run(tvec!(input.into()))?;
-        let actions = outputs.first().ok_or_else(|| TractError::msg("it gives nothing"))?;
-        Ok(actions.try_as_plain_ram()?.as_slice::<f32>()?.to_vec())
+        let inputs = std::iter::once(input).chain(self.memory.iter().cloned()).map(TValue::from).collect();
+        let outputs = self.network.run(inputs)?;
+        let (actions, after) = outputs.split_first().ok_or_else(|| TractError::msg("it gives nothing"))?;
+        let actions = actions.try_as_plain_ram()?.as_slice::<f32>()?.to_vec();
+        self.memory = after.iter().map(|state| state.clone().into_tensor()).collect();
+        Ok(actions)
     }
+}
+
+/// A state of so many envs at the beginning.
+fn zeros(state: &StateLayout, num_envs: usize) -> Tensor {
+    let [layers, _, units] = state.shape;
+    Tensor::zero::<f32>(&[layers, num_envs, units]).unwrap_or_default()
 }
 
 /// SHA-256 as a manifest has it, hexadecimal.
@@ -290,9 +358,26 @@ fn quietly<T>(f: impl FnOnce() -> TractResult<T>) -> TractResult<T> {
 
 fn compile(graph: &mut &[u8], num_envs: usize, manifest: &PolicyManifest) -> TractResult<Arc<TypedRunnableModel>> {
     let fact = f32::fact([num_envs, manifest.num_obs()]);
-    let model = tract_onnx::onnx().model_for_read(graph)?.with_input_fact(0, fact.into())?.into_optimized()?;
+    let mut model = tract_onnx::onnx().model_for_read(graph)?;
+    if (model.inputs.len(), model.outputs.len()) != (1 + manifest.states.len(), 1 + manifest.states.len()) {
+        let (inputs, outputs) = (model.inputs.len(), model.outputs.len());
+        let states = manifest.states.len();
+        return Err(TractError::msg(format!("it has {inputs} inputs and {outputs} outputs for {states} states")));
+    }
+    model = model.with_input_fact(0, fact.into())?;
+    for (i, state) in manifest.states.iter().enumerate() {
+        let [layers, _, units] = state.shape;
+        model = model.with_input_fact(1 + i, f32::fact([layers, num_envs, units]).into())?;
+    }
+    let model = model.into_optimized()?;
     if model.output_fact(0)?.shape.as_concrete() != Some(&[num_envs, manifest.num_actions][..]) {
         return Err(TractError::msg(format!("it does not give {} actions", manifest.num_actions)));
+    }
+    for (i, state) in manifest.states.iter().enumerate() {
+        let [layers, _, units] = state.shape;
+        if model.output_fact(1 + i)?.shape.as_concrete() != Some(&[layers, num_envs, units][..]) {
+            return Err(TractError::msg(format!("it does not give {} back", state.input)));
+        }
     }
     model.into_runnable()
 }

@@ -210,12 +210,21 @@ class Learner:
     def set_episodes(self, rewards: npt.NDArray[np.float32], lengths: npt.NDArray[np.float32]) -> None:
         """Takes over what `episodes` gives. Raises ConfigError for other sizes."""
 
-    def rollout(self) -> dict[str, npt.NDArray[Any]]:
+    def rollout(self, sim: VecSim, into: dict[str, npt.NDArray[Any]] | None = None) -> dict[str, npt.NDArray[Any]]:
         """Returns the samples of the iteration as flat arrays by steps, envs and numbers.
 
-        `observations`, `actions`, `means`, `rewards` (as they came), `ends` (0 none, 1 terminated, 2 time-out),
-        `log_probs`, `values`, `returns`, `advantages` (brought to one scale), and `order`: the samples, step * num_envs
-        + env, as the mini-batches take them.
+        float32: `observations`, `actions`, `means`, `rewards` (as they came), `log_probs`, `values`, `returns`,
+        `advantages` (brought to one scale). uint8: `ends` (0 none, 1 terminated, 2 time-out). uint32: `places`, the
+        number of each sample in its block of envs; `order`, the samples, step * num_envs + env, as the mini-batches
+        take them; and `batch_sizes`, how many each takes.
+
+        Args:
+            sim: the simulation that the learner was made for.
+            into: arrays to write into, such as views of memory that a GPU reads; those that are not there are made.
+
+        Raises:
+            ConfigError: for another simulation, and for arrays of other sizes.
+            TypeError: for arrays of another kind.
         """
 
 class VecSim:
@@ -284,9 +293,13 @@ class VecSim:
     action_mask: npt.NDArray[np.bool_]
     """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
     task_name: str
+    """Full name of the task."""
     experiment_name: str
+    """Name of the directory that runs of the task lie in."""
     threads: int
+    """Worker threads."""
     seed: int
+    """Seed of every random stream."""
     observation_layout: list[tuple[str, int]]
     """(term, size) of the policy's observation, in order."""
     observation_groups: dict[str, tuple[int, int]]
@@ -356,6 +369,30 @@ class VecSim:
 
         {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
         and yaw rate, rad/s, base frame.
+        """
+
+    def network_torques(
+        self,
+        robot: str,
+        error: npt.NDArray[np.float32],
+        velocity: npt.NDArray[np.float32],
+        memory: npt.NDArray[np.float32] | None = None,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Torques of the robot's actuator networks in one physics step, and what the networks remember after it.
+
+        Args:
+            robot: its name.
+            error: [n, joints], target less position of the robot's own joints, rad.
+            velocity: [n, joints], rad/s.
+            memory: [n, remembered], what the call before gave; None: zero, as after a reset.
+
+        Returns:
+            Torques [n, joints], N m, before the actuators' limits, zero for joints without a network; and the memory.
+
+        Raises:
+            ConfigError: for a robot that takes no part.
+            TypeError: for another dtype than float32.
+            ValueError: for other shapes.
         """
 
     def robot_shapes(self) -> str:
@@ -485,6 +522,33 @@ class VecSim:
     def set_command(self, command: npt.NDArray[np.float32] | None) -> None:
         """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller. None releases them."""
 
+    def push(self, velocity: npt.NDArray[np.float32]) -> None:
+        """Adds a velocity to the base of each robot, as a push does; observations follow with the next step.
+
+        Args:
+            velocity: float32 [num_envs, 3], world axes, m/s; zeros leave a robot alone.
+
+        Raises:
+            TypeError: for another dtype.
+            ValueError: for another shape.
+            ConfigError: for a number that is not finite or beyond 100 m/s.
+        """
+
+    def reward_terms(self, robot: str) -> list[str]:
+        """Names of the reward terms of the robot's set, in order. Raises UnknownNameError."""
+
+    def reward_sums(self, robot: str) -> npt.NDArray[np.float32]:
+        """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`, summed over the episode so far. A copy.
+
+        What they grow by in a step adds up to `reward`. Raises UnknownNameError.
+        """
+
+    def height_scan(self) -> npt.NDArray[np.float32]:
+        """[num_envs, rays, 3], where the rays of the height scanners hit the ground, in the world, m. A copy.
+
+        There are no rays where the task has no height scanner.
+        """
+
     def log(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call, per robot and term; empty when none ended."""
 
@@ -599,11 +663,14 @@ class Simulation:
         """Links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it."""
 
     @property
-    def num_joints(self) -> int: ...
+    def num_joints(self) -> int:
+        """Number of joints that move."""
     @property
-    def num_links(self) -> int: ...
+    def num_links(self) -> int:
+        """Number of links, the base's included."""
     @property
-    def num_envs(self) -> int: ...
+    def num_envs(self) -> int:
+        """Number of envs."""
     @property
     def nq(self) -> int:
         """Columns of `qpos`: 7 + joints, or joints for a fixed base."""
@@ -625,7 +692,8 @@ class Simulation:
         """Simulated since construction, s."""
 
     @property
-    def threads(self) -> int: ...
+    def threads(self) -> int:
+        """Worker threads."""
     @property
     def warnings(self) -> list[str]:
         """What was assumed while reading the URDF; each names the file, the element and the remedy."""

@@ -17,6 +17,7 @@ from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
 from polypod.commands.eval import Eval
 from polypod.commands.export import Export
+from polypod.commands.film import FilmOf
 from polypod.commands.info import Info
 from polypod.commands.list import List
 from polypod.commands.play import Play
@@ -34,6 +35,7 @@ Command = (
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
     | Annotated[Play, tyro.conf.subcommand("play")]
+    | Annotated[FilmOf, tyro.conf.subcommand("film")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
     | Annotated[Bodies, tyro.conf.subcommand("bodies")]

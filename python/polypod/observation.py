@@ -61,6 +61,11 @@ class Term:
     """What its numbers belong to, for the kind `body`."""
     treatment: Treatment = Treatment()
 
+    @property
+    def width(self) -> int:
+        """Of its numbers, those of one control step."""
+        return self.size // self.history_length
+
     @classmethod
     def read(cls, entry: Mapping[str, Any]) -> "Term":
         """Reads an entry of `VecSim.observation_terms`, or the part of one that a manifest holds."""
@@ -82,8 +87,7 @@ def check_memory(terms: Sequence[Term], what: str) -> None:
     """Raises ConfigError for terms with a history; `what` begins the message: who cannot take them."""
     if remembers := [term.term for term in terms if term.history_length > 1]:
         raise _core.ConfigError(
-            f"{what} no history, and {', '.join(remembers)} remember; leave history_length out of the task, or export "
-            "the policy alone and keep the last observations on the robot"
+            f"{what} no history, and {', '.join(remembers)} remember; leave history_length out of the task"
         )
 
 
@@ -105,6 +109,7 @@ def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:
             "size": term.size,
             "kind": term.kind,
             "magnitude": term.magnitude,
+            "source": term.source,
             "blocks": [dataclasses.asdict(block) for block in term.blocks],
         }
         for term in terms

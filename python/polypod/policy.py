@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import torch
 
-from polypod import _core
+from polypod import _core, bundled
 from polypod.evaluation.policies import NetworkPolicy, load_network
 from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
@@ -113,14 +113,14 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     """Loads a policy; nothing in the file is executed.
 
     Args:
-        path: a `model_<n>.pt` beside its manifest, or a `.onnx`.
+        path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat or rough.
         task: what an ONNX file is made for that does not say so itself. Others are taken at their word.
         robots: its robots, likewise; None: those of the task.
 
     Raises:
         ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.
     """
-    path = Path(path)
+    path = bundled.resolve(Path(path))
     if path.suffix == ".onnx":
         return _load_onnx(path, task, robots)
     state, manifest = run_dir.load_checkpoint(path), run_dir.read_manifest(path)

@@ -10,7 +10,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -41,7 +41,13 @@ class Reward:
     robots: Sequence[str] | None = None
 
 
-class CustomTerms(VectorWrapper[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[Any]]):
+if TYPE_CHECKING:
+    _VectorWrapper = VectorWrapper[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[Any]]
+else:
+    _VectorWrapper = VectorWrapper  # of Gymnasium before 1.3 it is not generic
+
+
+class CustomTerms(_VectorWrapper):
     """A polypod env with terms of one's own beside those of its task.
 
     A term is a function of `polypod.State`, called once per step with the state that the step has led to, before any

@@ -122,7 +122,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             _core.VecSim,
             task,
             robots=None if robots is None else list(robots),
-            seed=_fresh_seed() if seed is None else _index(seed, "seed"),
+            seed=fresh_seed() if seed is None else _index(seed, "seed"),
             threads=options.get("threads"),
             overrides=override_texts(options.get("overrides", ())),
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
@@ -513,5 +513,6 @@ def _index(value: Any, name: str) -> int:
     return number
 
 
-def _fresh_seed() -> int:
+def fresh_seed() -> int:
+    """A seed drawn from the operating system."""
     return int(np.random.SeedSequence().generate_state(1)[0])

@@ -2,6 +2,7 @@
 //!
 //! A dump depends on no other file: it holds the resolved task and robot, the URDF's text and the robot's own numbers.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -12,9 +13,10 @@ use toml::Table;
 
 use super::Sim;
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState, JointTargets,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState,
+    JointTargets,
 };
-use crate::config::{ConfigError, LoadedRobot, LoadedTask, RobotConfig, TaskConfig, parse_params};
+use crate::config::{ConfigError, LoadedRobot, LoadedTask, NetworkFile, RobotConfig, TaskConfig, parse_params};
 use crate::dynamics::lanes::Simd;
 use crate::engine::{Motion, Violation};
 use crate::error::Error;
@@ -28,7 +30,7 @@ use crate::world::Ground;
 
 const KIND: &str = "polypod dump of a broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 
 /// A control step that broke a state, and the robot and task it happened to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -49,6 +51,8 @@ pub struct Dump {
     pub urdf: String,
     /// Where the URDF came from.
     pub urdf_path: String,
+    /// The files of its actuator networks, by group.
+    pub networks: BTreeMap<String, NetworkFile>,
     /// The control step.
     pub state: BrokenState,
 }
@@ -121,6 +125,7 @@ impl Dump {
         set(&mut sim, state.before.joints.clone());
         set(&mut sim, state.before.impulses.clone());
         set(&mut sim, state.delay.clone());
+        set(&mut sim, state.memory.clone());
         set(&mut sim, state.wrench);
         let mut steps = Vec::with_capacity(decimation);
         for substep in 0..decimation {
@@ -149,6 +154,7 @@ impl Dump {
             config: self.config(&self.robot_config, RobotConfig::validate)?,
             urdf_text: self.urdf.clone(),
             urdf_path: PathBuf::from(&self.urdf_path),
+            networks: self.networks.clone(),
             resolved: self.table(&self.robot_config)?,
         };
         config.sim.decimation = 1;
@@ -188,6 +194,7 @@ impl Dump {
         let state = &self.state;
         let (joints, effort): (JointState, JointEffort) = (get(sim)?, get(sim)?);
         let (impulses, delay, body): (ConstraintImpulses, ActuatorDelay, Body) = (get(sim)?, get(sim)?, get(sim)?);
+        let memory: ActuatorMemory = get(sim)?;
         let place = Place { morphology: &sim.morphologies()[0], ground: sim.world().resource::<Ground>() };
         let moves = |motion: &Motion| {
             motion.joints.fits(&joints, &place)
@@ -198,6 +205,7 @@ impl Dump {
         if !(moves(&state.before)
             && moves(&state.after)
             && state.delay.fits(&delay, &place)
+            && state.memory.fits(&memory, &place)
             && state.body.fits(&body, &place)
             && !targets.is_empty()
             && targets.iter().all(|list| list.len() == joints.position.len()))
@@ -252,6 +260,7 @@ impl Sim {
                 robot_config: robot.resolved.to_string(),
                 urdf: robot.urdf_text.clone(),
                 urdf_path: robot.urdf_path.display().to_string(),
+                networks: robot.networks.clone(),
                 state,
             };
             match dump.write(dir) {

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use polypod_learner::{
-    Episode, Learner, LearnerError, Losses, Options, Peers, Robot, Settings, Symmetry, Team, Worker,
+    Episode, Learner, LearnerError, Losses, Options, Peers, Robot, RolloutArrays, Settings, Symmetry, Team, Worker,
 };
 
 use super::Sim;
@@ -125,6 +125,15 @@ impl Sim {
         }
         let problem = format!("value loss {}, surrogate loss {}", losses.value, losses.surrogate);
         Err(Error::argument("update", problem, "resume from the checkpoint before it with a smaller learning rate"))
+    }
+
+    /// Writes the samples of the iteration, with this simulation's threads, for a learner elsewhere.
+    ///
+    /// # Errors
+    /// A learner of another simulation, and arrays of other sizes.
+    pub fn write_rollout(&self, learner: &Learner, arrays: RolloutArrays) -> Result<(), Error> {
+        self.check_learner(learner)?;
+        Ok(learner.write_rollout(self.world().resource::<Workers>(), arrays)?)
     }
 
     fn check_learner(&self, learner: &Learner) -> Result<(), Error> {

@@ -4,6 +4,7 @@ pub mod dump;
 mod learning;
 mod sim_queries;
 pub mod snapshot;
+mod viewing;
 
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,10 @@
 //! Finding robots, tasks and training configs: in folders laid out like this repository, then among those compiled in.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use include_dir::{Dir, include_dir};
+use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::document::{Document, Kind, documents, documents_named, is_toml, stem_of, unreadable};
@@ -13,6 +15,7 @@ use super::robot::RobotConfig;
 use super::scene::embed_meshes;
 use super::suggest::did_you_mean;
 use super::task::TaskConfig;
+use crate::actuator_network;
 use crate::files;
 use crate::hash::fnv1a;
 use crate::robot::CANONICAL_JOINT_NAMES;
@@ -40,8 +43,27 @@ pub struct LoadedRobot {
     pub urdf_text: String,
     /// Where the URDF came from; for a built-in robot its path within the repository.
     pub urdf_path: PathBuf,
+    /// The files of its actuator networks, by group.
+    pub networks: BTreeMap<String, NetworkFile>,
     /// The config with all layers and defaults spelled out.
     pub resolved: Table,
+}
+
+/// A file of an actuator network.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct NetworkFile {
+    /// Where it came from; for a built-in one its path within the repository.
+    pub path: PathBuf,
+    /// All of it.
+    pub bytes: Vec<u8>,
+}
+
+impl NetworkFile {
+    /// FNV-1a as configs state it.
+    #[must_use]
+    pub fn checksum(&self) -> String {
+        format!("{:016x}", fnv1a(&self.bytes))
+    }
 }
 
 /// A task's config.
@@ -138,7 +160,7 @@ impl Library {
             layers.0.push(Layer { document, table });
         }
         layers.0.iter_mut().for_each(make_package_dirs_absolute);
-        let (config, resolved) = layers.typed(&[], RobotConfig::validate)?;
+        let (mut config, mut resolved) = layers.typed(&[], RobotConfig::validate)?;
         let stem = layers.0.last().map_or("", |layer| layer.document.stem.as_str());
         if config.name != stem {
             let error = ConfigError::invalid(
@@ -149,8 +171,40 @@ impl Library {
             );
             return Err(layers.locate(error, &[]));
         }
-        let (urdf_path, urdf_text) = self.urdf(&layers, &config.urdf)?;
-        Ok(LoadedRobot { config, urdf_text, urdf_path, resolved })
+        let (urdf_path, urdf) = self.beside(&layers, "urdf", &config.urdf, files::MAX_BYTES)?;
+        let urdf_text = String::from_utf8(urdf)
+            .map_err(|_| unreadable(&urdf_path.display().to_string(), "cannot be read: it is not UTF-8".into()))?;
+        let networks = self.networks(&layers, &mut config, &mut resolved)?;
+        Ok(LoadedRobot { config, urdf_text, urdf_path, networks, resolved })
+    }
+
+    /// Reads the files of actuator networks, and states their checksums in the config.
+    fn networks(
+        &self,
+        layers: &Layers,
+        config: &mut RobotConfig,
+        resolved: &mut Table,
+    ) -> Result<BTreeMap<String, NetworkFile>, ConfigError> {
+        let mut networks = BTreeMap::new();
+        for (group, actuator) in &mut config.actuators {
+            let Some(name) = &actuator.network_file else { continue };
+            let (path, bytes) =
+                self.beside(layers, &format!("actuators.{group}.network_file"), name, actuator_network::MAX_BYTES)?;
+            let file = NetworkFile { path, bytes };
+            let found = file.checksum();
+            if let Some(stated) = actuator.network_checksum.replace(found.clone()).filter(|stated| *stated != found) {
+                let problem = format!("is {stated}, and {} has {found}", file.path.display());
+                let remedy = "pass the file that the robot had then, or remove the key";
+                let error = ConfigError::invalid("", format!("actuators.{group}.network_checksum"), problem, remedy);
+                return Err(layers.locate(error, &[]));
+            }
+            let table = resolved.get_mut("actuators").and_then(|groups| groups.get_mut(group.as_str()));
+            if let Some(Value::Table(table)) = table {
+                table.insert("network_checksum".into(), found.into());
+            }
+            networks.insert(group.clone(), file);
+        }
+        Ok(networks)
     }
 
     /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`, in order.
@@ -403,8 +457,15 @@ impl Library {
         Ok(listed)
     }
 
-    /// Path and text of a URDF: beside the configs, in their roots, in the library's roots, among the built-in assets.
-    fn urdf(&self, layers: &Layers, urdf: &Path) -> Result<(PathBuf, String), ConfigError> {
+    /// Path and content of a file that a robot's config names: beside the configs, in their roots, in the library's roots, among the
+    /// built-in assets.
+    fn beside(
+        &self,
+        layers: &Layers,
+        element: &str,
+        file: &Path,
+        most: u64,
+    ) -> Result<(PathBuf, Vec<u8>), ConfigError> {
         let beside = layers
             .0
             .iter()
@@ -412,26 +473,25 @@ impl Library {
             .flat_map(|layer| [layer.document.dir.as_ref(), layer.document.root.as_ref()].into_iter().flatten());
         let mut tried = Vec::new();
         for folder in beside.chain(&self.roots) {
-            let path = folder.join(urdf);
+            let path = folder.join(file);
             if path.is_file() {
-                let text = files::read_text(&path)
+                let bytes = files::read_up_to(&path, most)
                     .map_err(|error| unreadable(&path.display().to_string(), format!("cannot be read: {error}")))?;
-                return Ok((path, text));
+                return Ok((path, bytes));
             }
             let path = path.display().to_string();
             if !tried.contains(&path) {
                 tried.push(path);
             }
         }
-        let built_in =
-            urdf.strip_prefix("assets/robots").ok().and_then(|path| ROBOT_ASSETS.get_file(path)?.contents_utf8());
-        if let Some(text) = built_in {
-            return Ok((urdf.to_owned(), text.to_owned()));
+        let built_in = file.strip_prefix("assets/robots").ok().and_then(|path| ROBOT_ASSETS.get_file(path));
+        if let Some(built_in) = built_in {
+            return Ok((file.to_owned(), built_in.contents().to_vec()));
         }
-        tried.push(format!("{} (built in)", urdf.display()));
+        tried.push(format!("{} (built in)", file.display()));
         let error = ConfigError::invalid(
             "",
-            "urdf",
+            element,
             format!("there is no such file; tried {}", tried.join(", ")),
             "write a path relative to this file or to the root that holds configs/ and assets/",
         );

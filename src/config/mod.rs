@@ -16,15 +16,15 @@ mod terrain;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
-pub use library::{Library, LoadedRobot, LoadedTask, PATH_VARIABLE, TrainFile};
+pub use library::{Library, LoadedRobot, LoadedTask, NetworkFile, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry};
 pub use overrides::apply as apply_override;
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
 pub(crate) use robot::matches;
 pub use robot::{
-    ActuatorConfig, ActuatorModel, BodiesConfig, CommandLimitsConfig, JointPositionMode, JointPositionReset,
-    RangeConfig, ResetConfig, RobotConfig, VelocityLimitsConfig,
+    ActuatorConfig, ActuatorModel, BodiesConfig, CommandLimitsConfig, InputOrder, JointPositionMode,
+    JointPositionReset, RangeConfig, ResetConfig, RobotConfig, VelocityLimitsConfig,
 };
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;

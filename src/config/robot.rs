@@ -10,8 +10,8 @@ use crate::robot::{CANONICAL_JOINT_NAMES, Place, Side, Slot};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::randomization::{RandomizationConfig, VariationConfig};
-use super::task::VelocityCommandConfig;
 use super::suggest::did_you_mean;
+use super::task::VelocityCommandConfig;
 use super::values;
 
 /// What a robot's URDF does not say: default pose, actuators, reset and randomisation. SI units.
@@ -75,19 +75,19 @@ pub struct ActuatorConfig {
     pub joints: Vec<String>,
     /// How targets become torques.
     pub model: ActuatorModel,
-    /// Torque per position error, N m / rad.
-    #[serde(deserialize_with = "values::non_negative")]
-    pub stiffness: f64,
-    /// Torque per velocity error, N m s / rad.
-    #[serde(deserialize_with = "values::non_negative")]
-    pub damping: f64,
+    /// Torque per position error, N m / rad; networks do not use it, all other models need it.
+    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    pub stiffness: Option<f64>,
+    /// Torque per velocity error, N m s / rad; networks do not use it, all other models need it.
+    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    pub damping: Option<f64>,
     /// Largest torque, N m. Default: no limit.
     #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
     pub effort_limit: Option<f64>,
-    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, no other model has it.
+    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, networks may have it, no other model has it.
     #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
     pub saturation_effort: Option<f64>,
-    /// Largest joint speed, rad/s; `dc_motor` needs it: its speed without load. Default: no limit.
+    /// Largest joint speed, rad/s; with `saturation_effort` it is needed: the motor's speed without load. Default: no limit.
     #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
     pub velocity_limit: Option<f64>,
     /// Rotor inertia as seen at the joint, kg m^2. Default: 0.
@@ -110,6 +110,37 @@ pub struct ActuatorConfig {
     /// the ends.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub effort_table: Vec<[f64; 2]>,
+    /// ONNX file of a network that drives each joint of the group; looked for like the URDF.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network_file: Option<PathBuf>,
+    /// FNV-1a of that file. Default: whatever the file has; stated, the file must have it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network_checksum: Option<String>,
+    /// Whether position errors or velocities come first; `actuator_net_mlp` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub input_order: Option<InputOrder>,
+    /// Which past position errors and velocities are inputs, in physics steps ago, 0 the present; `actuator_net_mlp` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub input_idx: Option<Vec<u32>>,
+    /// What position errors (target less position, rad) are multiplied by; `actuator_net_mlp` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pos_scale: Option<f64>,
+    /// What velocities (rad/s) are multiplied by; `actuator_net_mlp` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vel_scale: Option<f64>,
+    /// What the network's output is multiplied by, N m; `actuator_net_mlp` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_scale: Option<f64>,
+}
+
+/// In which order an actuator network takes its inputs; names are Isaac Lab's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputOrder {
+    /// Position errors, then velocities.
+    PosVel,
+    /// Velocities, then position errors.
+    VelPos,
 }
 
 /// How joint targets become torques.
@@ -124,7 +155,22 @@ pub enum ActuatorModel {
     DcMotor,
     /// `ideal_pd` on targets that come late.
     DelayedPd,
+    /// A perceptron over position errors and velocities of some physics steps.
+    ActuatorNetMlp,
+    /// A network with LSTM layers over the present position error and velocity.
+    ActuatorNetLstm,
 }
+
+impl ActuatorModel {
+    /// Whether a network file gives the torque.
+    #[must_use]
+    pub fn is_network(self) -> bool {
+        matches!(self, Self::ActuatorNetMlp | Self::ActuatorNetLstm)
+    }
+}
+
+/// Oldest past input of an actuator network, physics steps.
+const MAX_INPUT_AGE: u32 = 100;
 
 /// Links of the URDF by group of bodies; an empty group is left to geometry.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
@@ -382,7 +428,9 @@ impl RobotConfig {
     }
 
     fn validate_actuator(&self, at: &str, actuator: &ActuatorConfig) -> Result<(), ConfigError> {
-        let is_dc_motor = actuator.model == ActuatorModel::DcMotor;
+        self.validate_network(at, actuator)?;
+        let is_dc_motor = actuator.model == ActuatorModel::DcMotor
+            || (actuator.model.is_network() && actuator.saturation_effort.is_some());
         let missing: Vec<&str> =
             [("saturation_effort", actuator.saturation_effort), ("velocity_limit", actuator.velocity_limit)]
                 .into_iter()
@@ -390,7 +438,7 @@ impl RobotConfig {
                 .collect();
         if is_dc_motor && !missing.is_empty() {
             let missing = missing.join(" and ");
-            let problem = format!("model \"dc_motor\" needs {missing}");
+            let problem = format!("model {} needs {missing}", named(actuator.model));
             return self.invalid(at, problem, format!("add {missing}"));
         }
         if !is_dc_motor && actuator.saturation_effort.is_some() {
@@ -431,6 +479,62 @@ impl RobotConfig {
         Ok(())
     }
 
+    /// What a model needs of gains and of a network.
+    fn validate_network(&self, at: &str, actuator: &ActuatorConfig) -> Result<(), ConfigError> {
+        let model = actuator.model;
+        let missing = |keys: &[(&str, bool)]| -> Vec<String> {
+            keys.iter().filter(|(_, is_there)| !is_there).map(|(key, _)| format!("`{key}`")).collect()
+        };
+        if !model.is_network() {
+            let gains = [("stiffness", actuator.stiffness.is_some()), ("damping", actuator.damping.is_some())];
+            if let Some(key) = missing(&gains).first() {
+                return self.invalid(at, format!("key {key} is missing"), format!("add {key}"));
+            }
+        }
+        let scales = [
+            ("input_order", actuator.input_order.is_some()),
+            ("input_idx", actuator.input_idx.is_some()),
+            ("pos_scale", actuator.pos_scale.is_some()),
+            ("vel_scale", actuator.vel_scale.is_some()),
+            ("torque_scale", actuator.torque_scale.is_some()),
+        ];
+        let of_files = [("network_file", actuator.network_file.is_some())];
+        let of_sums = [("network_checksum", actuator.network_checksum.is_some())];
+        let (needed, allowed): (Vec<_>, Vec<_>) = match model {
+            ActuatorModel::ActuatorNetMlp => ([&of_files[..], &scales].concat(), of_sums.to_vec()),
+            ActuatorModel::ActuatorNetLstm => (of_files.to_vec(), of_sums.to_vec()),
+            _ => (Vec::new(), Vec::new()),
+        };
+        let missing = missing(&needed);
+        if !missing.is_empty() {
+            let missing = missing.join(", ");
+            let problem = format!("model {} needs {missing}", named(model));
+            return self.invalid(at, problem, format!("add {missing}, as the network was trained"));
+        }
+        let known: Vec<&str> = needed.iter().chain(&allowed).map(|(key, _)| *key).collect();
+        let given = of_files.iter().chain(&of_sums).chain(&scales).filter(|(_, is_there)| *is_there);
+        if let Some((key, _)) = given.into_iter().find(|(key, _)| !known.contains(key)) {
+            let problem = format!("model {} does not have it", named(model));
+            let remedy = "remove it, or set model = \"actuator_net_mlp\"";
+            return self.invalid(&format!("{at}.{key}"), problem, remedy);
+        }
+        let ages = actuator.input_idx.as_deref();
+        if ages.is_some_and(<[u32]>::is_empty) {
+            let problem = "is empty, so that the network has no input".into();
+            return self.invalid(&format!("{at}.input_idx"), problem, "write [0] for the present alone");
+        }
+        if let Some(age) = ages.into_iter().flatten().find(|&&age| age > MAX_INPUT_AGE) {
+            let problem = format!("{age} physics steps ago is too long ago");
+            return self.invalid(&format!("{at}.input_idx"), problem, format!("write at most {MAX_INPUT_AGE}"));
+        }
+        if ages.is_some_and(|ages| ages.len() > MAX_INPUT_AGE as usize + 1) {
+            let problem = "has too many entries".into();
+            let remedy = format!("write at most {}", MAX_INPUT_AGE + 1);
+            return self.invalid(&format!("{at}.input_idx"), problem, remedy);
+        }
+        Ok(())
+    }
+
     /// Every key of the table `element` must be one of `known`.
     fn check_names<'a>(
         &self,
@@ -453,6 +557,19 @@ impl RobotConfig {
     fn invalid<T>(&self, element: &str, problem: String, remedy: impl Into<String>) -> Result<T, ConfigError> {
         Err(ConfigError::invalid(self.name.clone(), element, problem, remedy))
     }
+}
+
+/// A model as a config writes it.
+fn named(model: ActuatorModel) -> String {
+    let name = match model {
+        ActuatorModel::IdealPd => "ideal_pd",
+        ActuatorModel::ImplicitPd => "implicit_pd",
+        ActuatorModel::DcMotor => "dc_motor",
+        ActuatorModel::DelayedPd => "delayed_pd",
+        ActuatorModel::ActuatorNetMlp => "actuator_net_mlp",
+        ActuatorModel::ActuatorNetLstm => "actuator_net_lstm",
+    };
+    format!("\"{name}\"")
 }
 
 /// Whether `pattern`, in which `*` stands for any run of characters, is all of `name`.

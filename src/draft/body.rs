@@ -355,7 +355,9 @@ pub(super) fn gravity_moment(model: &Model, joint: usize) -> f64 {
     let links = below(model, joint + 1);
     let moment: DVec3 = links
         .iter()
-        .map(|&link| (zero[link].transform_point(model.links[link].com) - zero[joint + 1].translation) * model.links[link].mass)
+        .map(|&link| {
+            (zero[link].transform_point(model.links[link].com) - zero[joint + 1].translation) * model.links[link].mass
+        })
         .sum();
     moment.length() * GRAVITY
 }

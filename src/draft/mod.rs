@@ -144,8 +144,13 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         Some(_) => CANONICAL_JOINT_NAMES.contains(&slot.to_string().as_str()),
         None => !matches!(slot.role, Role::Finger | Role::Toe | Role::Wheel | Role::Slide),
     };
-    let driven: Vec<usize> =
-        roles.slots.iter().zip(&roles.joint_of_slot).filter(|(slot, _)| is_driven(slot)).map(|(_, joint)| *joint).collect();
+    let driven: Vec<usize> = roles
+        .slots
+        .iter()
+        .zip(&roles.joint_of_slot)
+        .filter(|(slot, _)| is_driven(slot))
+        .map(|(_, joint)| *joint)
+        .collect();
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !driven.contains(joint));
     load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
     let (model, roles) = if load_options.locked_joints.is_empty() {
@@ -324,7 +329,11 @@ fn reward_set(model: &Model, roles: &Roles) -> Result<String, Error> {
         let Ok(of_known) = load_str(&known.urdf_text, &known.urdf_path, &options) else {
             continue;
         };
-        let found = if is_corners { None } else { robot::detect(&of_known, &known.config.joint_roles, &known.config.feet).ok() };
+        let found = if is_corners {
+            None
+        } else {
+            robot::detect(&of_known, &known.config.joint_roles, &known.config.feet).ok()
+        };
         let differs = !is_corners && found.as_ref().map(kind) != Some(kind(roles));
         let distance = (of_known.total_mass() / model.total_mass()).ln().abs();
         if nearest.as_ref().is_none_or(|(other, least, _)| (differs, distance) < (*other, *least)) {

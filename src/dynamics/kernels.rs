@@ -7,6 +7,7 @@ use super::ground;
 use super::kinematics;
 use super::lanes::{self, Lanes, Real};
 use super::math::{Mat3, Spatial, Vec3};
+use super::networks::NetworkStep;
 use super::parameters::Parameters;
 use super::report;
 use super::self_contact;
@@ -18,9 +19,11 @@ use super::step::ControlStep;
 pub trait Kernels: Lanes {
     /// One control step; [`ControlStep::run`] calls it.
     fn control_step(step: ControlStep<Self>);
+    /// Actuator networks at the beginning of a physics step; [`NetworkStep::run`] calls it.
+    fn network_step(step: NetworkStep<Self>);
 }
 
-/// Compiles the control step for types of numbers.
+/// Compiles the control step and actuator networks for types of numbers.
 macro_rules! control_step_kernels {
     ($($(#[$attribute:meta])* $number:ty),*) => {
         $(
@@ -28,6 +31,9 @@ macro_rules! control_step_kernels {
             $(#[$attribute])*
             impl Kernels for $number {
                 fn control_step(step: ControlStep<Self>) {
+                    step.compute();
+                }
+                fn network_step(step: NetworkStep<Self>) {
                     step.compute();
                 }
             }

@@ -24,6 +24,7 @@ mod kernels;
 mod kinematics;
 pub mod lanes;
 pub mod math;
+mod networks;
 mod parameters;
 mod proximity;
 mod report;
@@ -45,6 +46,9 @@ pub use articulation::{
 pub use ground::Plane;
 pub use kernels::{Kernels, Scalar};
 pub use kinematics::point_motion;
+pub use networks::{
+    ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span,
+};
 pub use parameters::Parameters;
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;

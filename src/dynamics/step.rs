@@ -1,5 +1,7 @@
 //! One control step of a pack: physics steps, each a sequence of seven calls.
 
+use std::ops::Range;
+
 use super::actuators::{actuate, select_targets};
 use super::articulation::Topology;
 use super::blocks::{BLOCK, gather};
@@ -20,7 +22,7 @@ use super::solver::solve;
 use super::state::{Drive, Report, State, Workspace};
 use super::terrain::Terrain;
 
-/// One control step.
+/// One control step, or some of its physics steps.
 pub struct ControlStep<'a, S: Real> {
     /// What the lanes share.
     pub topology: &'a Topology,
@@ -34,7 +36,9 @@ pub struct ControlStep<'a, S: Real> {
     pub kind: Option<&'a Parameters<f32>>,
     /// What is asked of the actuators.
     pub drive: &'a Drive<S>,
-    /// Moves forward by `decimation` physics steps.
+    /// Which of the `decimation` physics steps are made. The first one begins the report, the last one completes it.
+    pub substeps: Range<usize>,
+    /// Moves forward by these physics steps.
     pub state: &'a mut State<S>,
     /// Filled in.
     pub report: &'a mut Report<S>,
@@ -73,16 +77,23 @@ impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { parameters, step: ControlStep { topology, settings, terrain, drive, state, report, work, .. } } =
-            self;
+        let Self {
+            parameters,
+            step: ControlStep { topology, settings, terrain, drive, substeps, state, report, work, .. },
+        } = self;
         // a copy, which no store through a reference can change: loops convert its numbers once
         let settings = &{ *settings };
-        report.touched.fill(false);
-        for substep in 0..settings.decimation {
+        if substeps.start == 0 {
+            report.touched.fill(false);
+        }
+        let last = substeps.end == settings.decimation;
+        for substep in substeps {
             select_targets(topology, settings, drive, substep, work);
             physics_step(topology, settings, terrain.as_ref(), parameters, drive, state, report, substep, work);
         }
-        report_sites(topology, parameters, state, report, work);
+        if last {
+            report_sites(topology, parameters, state, report, work);
+        }
     }
 }
 

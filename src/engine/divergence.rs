@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::limits::{StateLimits, Violation};
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, ConstraintImpulses, ExternalWrench, JointEffort, JointState, JointTargets,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ExternalWrench, JointEffort, JointState,
+    JointTargets,
 };
 
 /// What physics moves of one robot.
@@ -45,6 +46,7 @@ pub(crate) struct DivergenceRecord {
     pub(crate) before: Motion,
     pub(crate) targets: JointTargets,
     pub(crate) delay: ActuatorDelay,
+    pub(crate) memory: ActuatorMemory,
     pub(crate) wrench: ExternalWrench,
     pub(crate) after: Motion,
 }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use glam::DMat3;
 
 use crate::dynamics::lanes::{self, Simd};
-use crate::dynamics::{HeightGrid, Parameters, State, StepSettings, Topology};
+use crate::dynamics::{ActuatorNetwork, HeightGrid, Parameters, State, StepSettings, Topology};
 use crate::morphology::MorphologyModel;
 use crate::obstacles::Part;
 use crate::robot::{BodyGroup, Model};
@@ -82,6 +82,8 @@ pub(crate) struct Kind<'a, T> {
     pub(crate) body_groups: &'a [BodyGroup],
     /// Contact bodies whose forces are reported in every physics step.
     pub(crate) feet: &'a [usize],
+    /// Networks that drive joints.
+    pub(crate) networks: &'a [ActuatorNetwork],
     /// Largest delay of a target, physics steps.
     pub(crate) max_delay: u32,
     /// Number of robots.
@@ -91,9 +93,17 @@ pub(crate) struct Kind<'a, T> {
 impl<'a> Kind<'a, f32> {
     /// `count` robots of a morphology.
     pub(crate) fn of_morphology(morphology: &'a MorphologyModel, count: usize) -> Self {
-        let MorphologyModel { model, topology, align, shape_pairs, nominal, body_groups, feet, .. } = morphology;
+        let MorphologyModel { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, .. } =
+            morphology;
         let max_delay = morphology.max_delay();
-        Self { model, topology, align, shape_pairs, nominal, body_groups, feet, max_delay, count }
+        Self { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, max_delay, count }
+    }
+}
+
+impl<T> Kind<'_, T> {
+    /// Numbers that the networks of a robot remember.
+    pub(crate) fn num_remembered(&self) -> usize {
+        self.networks.iter().map(ActuatorNetwork::num_remembered).sum()
     }
 }
 

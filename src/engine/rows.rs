@@ -4,8 +4,8 @@ use smallvec::SmallVec;
 
 use super::{DivergenceRecord, Motion};
 use crate::components::{
-    ActuatorDelay, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse, EnvOrigin,
-    ExternalWrench, Feet, JointEffort, JointState, JointTargets,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse,
+    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets,
 };
 use crate::dynamics::lanes::{Real, prefetch};
 use crate::dynamics::{Drive, Report, State};
@@ -42,6 +42,12 @@ pub(crate) trait RobotRows: SplitRows {
 
     /// Reads what the actuators are asked for, and the external wrench. What a caller does not ask for is zero beforehand.
     fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize);
+
+    /// What the networks of actuators remember, see [`NetworkStep::memory`](crate::dynamics::NetworkStep::memory).
+    fn memory(&self, row: usize) -> &[Self::Number];
+
+    /// The same, to write.
+    fn memory_mut(&mut self, row: usize) -> &mut [Self::Number];
 
     /// Impulses of the contacts; of joint limits and dry friction, `[joints]`.
     fn impulses(&self, row: usize) -> (&Contacts<Self::Number>, &[Self::Number]);
@@ -97,6 +103,7 @@ pub(crate) struct ComponentRows<'a> {
     pub(crate) joints: &'a mut [JointState],
     pub(crate) targets: &'a mut [JointTargets],
     pub(crate) delays: &'a mut [ActuatorDelay],
+    pub(crate) memories: &'a mut [ActuatorMemory],
     pub(crate) wrenches: &'a mut [ExternalWrench],
     pub(crate) efforts: &'a mut [JointEffort],
     pub(crate) impulses: &'a mut [ConstraintImpulses],
@@ -112,13 +119,27 @@ impl SplitRows for ComponentRows<'_> {
         let (joints, joints2) = self.joints.split_at_mut(n);
         let (targets, targets2) = self.targets.split_at_mut(n);
         let (delays, delays2) = self.delays.split_at_mut(n);
+        let (memories, memories2) = self.memories.split_at_mut(n);
         let (wrenches, wrenches2) = self.wrenches.split_at_mut(n);
         let (efforts, efforts2) = self.efforts.split_at_mut(n);
         let (impulses, impulses2) = self.impulses.split_at_mut(n);
         let (forces, forces2) = self.forces.split_at_mut(n);
         let (feet, feet2) = self.feet.split_at_mut(n);
         (
-            Self { origins, poses, velocities, joints, targets, delays, wrenches, efforts, impulses, forces, feet },
+            Self {
+                origins,
+                poses,
+                velocities,
+                joints,
+                targets,
+                delays,
+                memories,
+                wrenches,
+                efforts,
+                impulses,
+                forces,
+                feet,
+            },
             Self {
                 origins: origins2,
                 poses: poses2,
@@ -126,6 +147,7 @@ impl SplitRows for ComponentRows<'_> {
                 joints: joints2,
                 targets: targets2,
                 delays: delays2,
+                memories: memories2,
                 wrenches: wrenches2,
                 efforts: efforts2,
                 impulses: impulses2,
@@ -190,6 +212,16 @@ impl RobotRows for ComponentRows<'_> {
     }
 
     #[inline]
+    fn memory(&self, row: usize) -> &[f32] {
+        &self.memories[row].0
+    }
+
+    #[inline]
+    fn memory_mut(&mut self, row: usize) -> &mut [f32] {
+        &mut self.memories[row].0
+    }
+
+    #[inline]
     fn impulses(&self, row: usize) -> (&Contacts<f32>, &[f32]) {
         (&self.impulses[row].contacts, &self.impulses[row].bounds)
     }
@@ -244,24 +276,27 @@ impl RobotRows for ComponentRows<'_> {
         first_env: usize,
         write: impl FnOnce(&mut Self),
     ) -> Option<DivergenceRecord> {
-        let before = diverged.map(|row| (row, self.motion(row)));
+        let before = diverged.map(|row| (row, self.motion(row), self.memories[row].clone()));
         write(self);
-        before.map(|(row, before)| DivergenceRecord {
+        before.map(|(row, before, memory)| DivergenceRecord {
             morphology,
             env: first_env + row,
             before,
             targets: self.targets[row].clone(),
             delay: self.delays[row].clone(),
+            memory,
             wrench: self.wrenches[row],
             after: self.motion(row),
         })
     }
 }
 
-/// Leaves targets and feed-forward efforts zero.
+/// Leaves targets, feed-forward efforts and the wrench zero.
 pub(crate) fn ask_nothing<L: Real>(drive: &mut Drive<L>) {
     drive.targets.iter_mut().for_each(|targets| targets.fill(L::zero()));
     drive.feedforward.fill(L::zero());
+    drive.base_force = [L::zero(); 3];
+    drive.base_torque = [L::zero(); 3];
 }
 
 /// Writes numbers into a lane.

@@ -15,7 +15,7 @@ use crate::peers::{Alone, Peers, Shares, Worker};
 use crate::perceptron::Tile;
 use crate::random::Use;
 use crate::reward_scale::RewardScale;
-use crate::rollout::{End, Episode, Part, parts_of};
+use crate::rollout::{Episode, Part, parts_of};
 use crate::settings::{LearnerError, Settings};
 
 /// Threads that work on tasks side by side.
@@ -48,31 +48,6 @@ pub struct Learner {
     pub(crate) reward_scale: Option<RewardScale>,
     iteration: u64,
     step: usize,
-}
-
-/// Samples of an iteration by steps and envs, as rsl_rl stores them.
-#[derive(Clone, Debug, Default)]
-pub struct RolloutArrays {
-    /// `[steps, envs, num_obs]`
-    pub observations: Vec<f32>,
-    /// `[steps, envs, num_actions]`
-    pub actions: Vec<f32>,
-    /// `[steps, envs, num_actions]`
-    pub means: Vec<f32>,
-    /// `[steps, envs]`, as the simulator gave them.
-    pub rewards: Vec<f32>,
-    /// `[steps, envs]`: 0 while an episode goes on, 1 where it terminated, 2 where its time was up.
-    pub ends: Vec<u8>,
-    /// `[steps, envs]`
-    pub log_probs: Vec<f32>,
-    /// `[steps, envs]`
-    pub values: Vec<f32>,
-    /// `[steps, envs]`
-    pub returns: Vec<f32>,
-    /// `[steps, envs]`, brought to one scale.
-    pub advantages: Vec<f32>,
-    /// Samples in the order in which the mini-batches take them: `step * envs + env`.
-    pub order: Vec<u32>,
 }
 
 thread_local! {
@@ -394,49 +369,5 @@ impl Learner {
             self.mini_batch_scale = of_batches.iter().map(|of| of.scale(of.unbiased_variance())).collect();
         }
         Ok(())
-    }
-
-    /// The samples of the iteration, as rsl_rl would store them.
-    pub fn rollout(&self) -> RolloutArrays {
-        let Settings { num_obs, num_actions, .. } = self.settings;
-        let num_envs = self.num_own_envs();
-        let steps = self.settings.options.num_steps_per_env;
-        let mut out = RolloutArrays::default();
-        let numbers =
-            |lines: &[Line], count: usize| lines.iter().flat_map(|line| line.0).take(count).collect::<Vec<_>>();
-        for step in 0..steps {
-            for part in &self.parts {
-                for env in 0..part.len() {
-                    let at = step * part.len() + env;
-                    let (obs, actions) = (lines_of(num_obs), lines_of(num_actions));
-                    out.observations.extend(numbers(&part.observations[at * obs..], num_obs));
-                    out.actions.extend(numbers(&part.actions[at * actions..], num_actions));
-                    out.means.extend(numbers(&part.means[at * actions..], num_actions));
-                    out.rewards.push(part.rewards[at]);
-                    out.ends.push(match part.ends[at] {
-                        End::None => 0,
-                        End::Terminated => 1,
-                        End::TimeOut => 2,
-                    });
-                    out.log_probs.push(part.log_probs[at]);
-                    out.values.push(part.values[at]);
-                    out.returns.push(part.returns[at]);
-                    let (mean, inverse) = self.advantage_scale[part.robot_of[env]];
-                    out.advantages.push((part.advantages[at] - mean) * inverse);
-                }
-            }
-        }
-        for batch in 0..self.settings.options.algorithm.num_mini_batches {
-            for part in &self.parts {
-                let global = |&sample: &u32| {
-                    let (step, env) = (sample as usize / part.len(), sample as usize % part.len());
-                    (step * num_envs + part.rows.start + env) as u32
-                };
-                out.order.extend(
-                    part.mini_batch(batch, self.settings.options.algorithm.num_mini_batches).iter().map(global),
-                );
-            }
-        }
-        out
     }
 }

@@ -4,6 +4,7 @@
 
 mod activation;
 mod adam;
+mod arrays;
 mod gaussian;
 mod learner;
 mod lines;
@@ -21,7 +22,8 @@ mod tree;
 mod update;
 
 pub use activation::Activation;
-pub use learner::{Learner, RolloutArrays, Team};
+pub use arrays::RolloutArrays;
+pub use learner::{Learner, Team};
 pub use network::{NetworkState, Which};
 pub use normalizer::Normalizer;
 pub use peers::{Peers, Worker};

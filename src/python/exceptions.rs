@@ -23,10 +23,17 @@ static EXCEPTIONS: PyOnceLock<Exceptions> = PyOnceLock::new();
 
 fn exceptions(py: Python<'_>) -> PyResult<&Exceptions> {
     EXCEPTIONS.get_or_try_init(py, || {
-        let polypod = class(py, "PolypodError", &[py.get_type::<PyException>()])?;
-        let config = class(py, "ConfigError", &[polypod.clone(), py.get_type::<PyValueError>()])?;
-        let robot = class(py, "RobotError", &[polypod.clone(), py.get_type::<PyValueError>()])?;
-        let unknown_name = class(py, "UnknownNameError", &[config.clone(), py.get_type::<PyKeyError>()])?;
+        let polypod = class(py, "PolypodError", docstring!("PolypodError"), &[py.get_type::<PyException>()])?;
+        let config =
+            class(py, "ConfigError", docstring!("ConfigError"), &[polypod.clone(), py.get_type::<PyValueError>()])?;
+        let robot =
+            class(py, "RobotError", docstring!("RobotError"), &[polypod.clone(), py.get_type::<PyValueError>()])?;
+        let unknown_name = class(
+            py,
+            "UnknownNameError",
+            docstring!("UnknownNameError"),
+            &[config.clone(), py.get_type::<PyKeyError>()],
+        )?;
         // KeyError would show the representation of its message
         unknown_name.setattr("__str__", py.get_type::<PyException>().getattr("__str__")?)?;
         Ok(Exceptions {
@@ -38,8 +45,14 @@ fn exceptions(py: Python<'_>) -> PyResult<&Exceptions> {
     })
 }
 
-fn class<'py>(py: Python<'py>, name: &str, bases: &[Bound<'py, PyType>]) -> PyResult<Bound<'py, PyType>> {
+fn class<'py>(
+    py: Python<'py>,
+    name: &str,
+    docstring: &str,
+    bases: &[Bound<'py, PyType>],
+) -> PyResult<Bound<'py, PyType>> {
     let namespace = PyDict::new(py);
+    namespace.set_item("__doc__", docstring)?;
     namespace.set_item("__module__", "polypod._core")?;
     let class = py.get_type::<PyType>().call1((name, PyTuple::new(py, bases)?, namespace))?;
     Ok(class.cast_into::<PyType>()?)

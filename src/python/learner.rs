@@ -3,19 +3,20 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use numpy::{PyArray1, PyReadonlyArray1};
+use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::exceptions::{Guarded, to_python, unsigned, value_error, whole};
 use super::vec_sim::VecSim;
-use polypod::learner::{self, LearnerError, NetworkState, Normalizer, RewardScale, Which, Worker};
+use polypod::learner::{self, LearnerError, NetworkState, Normalizer, RewardScale, RolloutArrays, Which, Worker};
 
 /// Numbers as NumPy arrays of one dimension.
 type Arrays<'py, T> = Vec<Bound<'py, PyArray1<T>>>;
 /// Weights, Adam's two moments, Adam's steps.
 type Network<'py> = (Arrays<'py, f32>, Arrays<'py, f32>, Arrays<'py, f32>, u64);
 
+#[doc = docstring!("Learner")]
 #[pyclass(module = "polypod._core")]
 pub(super) struct Learner {
     learner: Guarded<learner::Learner>,
@@ -101,6 +102,7 @@ impl Learner {
         Ok(Self { learner: Guarded::new(py, || learner, to_python)?, raised })
     }
 
+    #[doc = docstring!("Learner.collect")]
     fn collect(
         &mut self,
         py: Python<'_>,
@@ -115,6 +117,7 @@ impl Learner {
         Ok(episodes.into_iter().map(|episode| (episode.step, episode.env, episode.reward, episode.length)).collect())
     }
 
+    #[doc = docstring!("Learner.update")]
     fn update(&mut self, py: Python<'_>, sim: &VecSim, learning_rate: f64) -> PyResult<BTreeMap<&'static str, f64>> {
         let learner = &mut self.learner;
         let losses = sim.sim().look(py, |sim| learner.try_run(|learner| sim.learn(learner, learning_rate)))?;
@@ -127,6 +130,7 @@ impl Learner {
         ]))
     }
 
+    #[doc = docstring!("Learner.set_goals")]
     #[pyo3(signature = (entropy_coef, desired_kl))]
     fn set_goals(&mut self, py: Python<'_>, entropy_coef: f32, desired_kl: Option<f64>) -> PyResult<()> {
         if !(entropy_coef.is_finite() && desired_kl.is_none_or(|kl| kl > 0.0)) {
@@ -136,15 +140,18 @@ impl Learner {
         self.learner.run(py, |learner| learner.set_goals(entropy_coef, desired_kl))
     }
 
+    #[doc = docstring!("Learner.network")]
     fn network<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Network<'py>> {
         let NetworkState { weights, first, second, steps } = self.learner.network(which(name)?);
         Ok((arrays(py, weights), arrays(py, first), arrays(py, second), steps))
     }
 
+    #[doc = docstring!("Learner.action_std")]
     fn action_std<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         PyArray1::from_vec(py, self.learner.deviations())
     }
 
+    #[doc = docstring!("Learner.set_network")]
     fn set_network(
         &mut self,
         py: Python<'_>,
@@ -160,6 +167,7 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
+    #[doc = docstring!("Learner.normalizer")]
     fn normalizer<'py>(
         &self,
         py: Python<'py>,
@@ -171,6 +179,7 @@ impl Learner {
             .map(|of| (PyArray1::from_slice(py, &of.mean), PyArray1::from_slice(py, &of.variance), of.count)))
     }
 
+    #[doc = docstring!("Learner.set_normalizer")]
     fn set_normalizer(
         &mut self,
         py: Python<'_>,
@@ -185,7 +194,7 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
-    /// Discounted returns so far, and count, mean and variance of each robot's; `None` where rewards are not scaled.
+    #[doc = docstring!("Learner.reward_scale")]
     fn reward_scale<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyArray1<f32>>, Arrays<'py, f64>)> {
         self.learner.reward_scale().map(|scale| {
             let of_robots =
@@ -194,6 +203,7 @@ impl Learner {
         })
     }
 
+    #[doc = docstring!("Learner.set_reward_scale")]
     fn set_reward_scale(
         &mut self,
         py: Python<'_>,
@@ -209,12 +219,13 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
-    /// Returns and control steps of the present episodes.
+    #[doc = docstring!("Learner.episodes")]
     fn episodes<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
         let (rewards, lengths) = self.learner.episodes();
         (PyArray1::from_vec(py, rewards), PyArray1::from_vec(py, lengths))
     }
 
+    #[doc = docstring!("Learner.set_episodes")]
     fn set_episodes(
         &mut self,
         py: Python<'_>,
@@ -226,25 +237,61 @@ impl Learner {
         done.map_err(|error| to_python(py, error.into()))
     }
 
-    /// The samples of the iteration.
-    fn rollout<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let samples = self.learner.look(py, learner::Learner::rollout)?;
-        let dict = PyDict::new(py);
-        let numbers = [
-            ("observations", samples.observations),
-            ("actions", samples.actions),
-            ("means", samples.means),
-            ("rewards", samples.rewards),
-            ("log_probs", samples.log_probs),
-            ("values", samples.values),
-            ("returns", samples.returns),
-            ("advantages", samples.advantages),
-        ];
-        for (name, numbers) in numbers {
-            dict.set_item(name, PyArray1::from_vec(py, numbers))?;
-        }
-        dict.set_item("ends", PyArray1::from_vec(py, samples.ends))?;
-        dict.set_item("order", PyArray1::from_vec(py, samples.order))?;
-        Ok(dict)
+    #[doc = docstring!("Learner.rollout")]
+    #[pyo3(signature = (sim, into=None))]
+    fn rollout<'py>(
+        &self,
+        py: Python<'py>,
+        sim: &VecSim,
+        into: Option<Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let into = into.unwrap_or_else(|| PyDict::new(py));
+        let (settings, samples) = (self.learner.settings(), self.learner.num_own_samples());
+        let (of_obs, of_actions) = (samples * settings.num_obs, samples * settings.num_actions);
+        let mut observations = array_of::<f32>(&into, "observations", of_obs)?;
+        let mut actions = array_of::<f32>(&into, "actions", of_actions)?;
+        let mut means = array_of::<f32>(&into, "means", of_actions)?;
+        let mut rewards = array_of::<f32>(&into, "rewards", samples)?;
+        let mut ends = array_of::<u8>(&into, "ends", samples)?;
+        let mut log_probs = array_of::<f32>(&into, "log_probs", samples)?;
+        let mut values = array_of::<f32>(&into, "values", samples)?;
+        let mut returns = array_of::<f32>(&into, "returns", samples)?;
+        let mut advantages = array_of::<f32>(&into, "advantages", samples)?;
+        let mut places = array_of::<u32>(&into, "places", samples)?;
+        let arrays = RolloutArrays {
+            observations: observations.as_slice_mut()?,
+            actions: actions.as_slice_mut()?,
+            means: means.as_slice_mut()?,
+            rewards: rewards.as_slice_mut()?,
+            ends: ends.as_slice_mut()?,
+            log_probs: log_probs.as_slice_mut()?,
+            values: values.as_slice_mut()?,
+            returns: returns.as_slice_mut()?,
+            advantages: advantages.as_slice_mut()?,
+            places: places.as_slice_mut()?,
+        };
+        let learner = &self.learner;
+        let written = sim.sim().look(py, |sim| sim.write_rollout(learner, arrays))?;
+        written.map_err(|error| to_python(py, error))?;
+        into.set_item("order", PyArray1::from_vec(py, self.learner.look(py, learner::Learner::order)?))?;
+        into.set_item("batch_sizes", PyArray1::from_vec(py, self.learner.batch_sizes()))?;
+        Ok(into)
     }
+}
+
+/// The array of this name, a new one where there is none.
+fn array_of<'py, T: Element + Default>(
+    arrays: &Bound<'py, PyDict>,
+    name: &str,
+    numbers: usize,
+) -> PyResult<PyReadwriteArray1<'py, T>> {
+    let array = match arrays.get_item(name)? {
+        Some(array) => array.cast_into::<PyArray1<T>>()?,
+        None => {
+            let array = PyArray1::zeros(arrays.py(), numbers, false);
+            arrays.set_item(name, &array)?;
+            array
+        }
+    };
+    Ok(array.try_readwrite()?)
 }

@@ -1,5 +1,12 @@
 //! The PyO3 boundary: `polypod._core`. Thin; what it says to users stands in `python/polypod/_core.pyi`.
 
+/// The docstring of a member of `polypod._core`, from its stub.
+macro_rules! docstring {
+    ($name:literal) => {
+        include_str!(concat!(env!("OUT_DIR"), "/", $name))
+    };
+}
+
 mod exceptions;
 mod learner;
 mod simulation;
@@ -21,6 +28,7 @@ use polypod::robot::{self, LoadOptions};
 use polypod::snapshot;
 use polypod::systems::Registry;
 
+#[doc = docstring!("tasks")]
 #[pyfunction]
 fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let tasks = guarded(py, || Library::new(Vec::new()).tasks())?.map_err(|error| to_python(py, error.into()))?;
@@ -36,6 +44,7 @@ fn tasks(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     tasks.into_iter().map(entry).collect()
 }
 
+#[doc = docstring!("robots")]
 #[pyfunction]
 fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let robots = guarded(py, || Library::new(Vec::new()).robots())?.map_err(|error| to_python(py, error.into()))?;
@@ -48,6 +57,7 @@ fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     robots.into_iter().map(entry).collect()
 }
 
+#[doc = docstring!("observation_specs")]
 #[pyfunction]
 fn observation_specs(py: Python<'_>) -> PyResult<String> {
     let registry = Registry::builtin();
@@ -55,12 +65,14 @@ fn observation_specs(py: Python<'_>) -> PyResult<String> {
     vec_sim::written(py, serde_json::to_string(&specs))
 }
 
+#[doc = docstring!("broken_configs")]
 #[pyfunction]
 fn broken_configs(py: Python<'_>) -> PyResult<Vec<String>> {
     let broken = guarded(py, || Library::new(Vec::new()).broken())?.map_err(|error| to_python(py, error.into()))?;
     Ok(broken.iter().map(ToString::to_string).collect())
 }
 
+#[doc = docstring!("train_config")]
 #[pyfunction]
 #[pyo3(signature = (name, above=Vec::new()))]
 fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResult<Bound<'py, PyDict>> {
@@ -73,6 +85,7 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
     Ok(dict)
 }
 
+#[doc = docstring!("check_names")]
 #[pyfunction]
 #[pyo3(signature = (task=None, robots=Vec::new(), overrides=Vec::new()))]
 fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, overrides: Vec<String>) -> PyResult<()> {
@@ -90,6 +103,7 @@ fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, override
     guarded(py, check)?.map_err(|error: polypod::config::ConfigError| to_python(py, error.into()))
 }
 
+#[doc = docstring!("with_overrides")]
 #[pyfunction]
 fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyResult<String> {
     let mut config: toml::Table = serde_json::from_str(config).map_err(|error| value_error(error.to_string()))?;
@@ -99,18 +113,21 @@ fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyRes
     vec_sim::written(py, serde_json::to_string(&config))
 }
 
+#[doc = docstring!("robot_urdf")]
 #[pyfunction]
 fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
     let robot = guarded(py, || Library::new(Vec::new()).robot(name))?.map_err(|error| to_python(py, error.into()))?;
     Ok(robot.urdf_text)
 }
 
+#[doc = docstring!("check")]
 #[pyfunction]
 fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>) -> PyResult<String> {
     let options = LoadOptions { package_dirs, ..LoadOptions::default() };
     guarded(py, || robot::check(&path, &options))?.map_err(|error| to_python(py, error.into()))
 }
 
+#[doc = docstring!("draft_robot")]
 #[pyfunction]
 #[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), feet=BTreeMap::new(), gain_factor=1.0))]
 fn draft_robot(
@@ -133,18 +150,21 @@ fn draft_robot(
     Ok(dict)
 }
 
+#[doc = docstring!("share_of_worker")]
 #[pyfunction]
 fn share_of_worker(py: Python<'_>, num_envs: usize, worker: usize, workers: usize) -> PyResult<(usize, usize)> {
     let envs = Worker { index: worker, count: workers }.envs(num_envs).map_err(|error| to_python(py, error.into()))?;
     Ok((envs.start, envs.end))
 }
 
+#[doc = docstring!("join_snapshots")]
 #[pyfunction]
 fn join_snapshots<'py>(py: Python<'py>, parts: Vec<Vec<u8>>) -> PyResult<Bound<'py, PyBytes>> {
     let joined = guarded(py, || snapshot::join(&parts))?.map_err(|error| to_python(py, error))?;
     Ok(PyBytes::new(py, &joined))
 }
 
+#[doc = docstring!("info")]
 #[pyfunction]
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let dict = PyDict::new(py);
@@ -154,6 +174,7 @@ fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     Ok(dict)
 }
 
+#[doc = docstring!("_core")]
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;

@@ -17,6 +17,7 @@ use polypod::dynamics::SWEEPS;
 use polypod::dynamics::lanes::Simd;
 use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationOptions};
 
+#[doc = docstring!("Simulation")]
 #[pyclass(module = "polypod._core")]
 pub(super) struct Simulation {
     sim: Guarded<Inner>,
@@ -221,87 +222,108 @@ impl Simulation {
         Ok(Self { sim })
     }
 
+    #[doc = docstring!("Simulation.joint_names")]
     #[getter]
     fn joint_names(&self) -> Vec<&str> {
         self.sim.joint_names()
     }
+    #[doc = docstring!("Simulation.link_names")]
     #[getter]
     fn link_names(&self) -> Vec<&str> {
         self.sim.link_names()
     }
+    #[doc = docstring!("Simulation.num_joints")]
     #[getter]
     fn num_joints(&self) -> usize {
         self.sim.num_joints()
     }
+    #[doc = docstring!("Simulation.num_links")]
     #[getter]
     fn num_links(&self) -> usize {
         self.sim.num_links()
     }
+    #[doc = docstring!("Simulation.num_envs")]
     #[getter]
     fn num_envs(&self) -> usize {
         self.sim.num_envs()
     }
+    #[doc = docstring!("Simulation.nq")]
     #[getter]
     fn nq(&self) -> usize {
         self.sim.nq()
     }
+    #[doc = docstring!("Simulation.nv")]
     #[getter]
     fn nv(&self) -> usize {
         self.sim.nv()
     }
+    #[doc = docstring!("Simulation.total_mass")]
     #[getter]
     fn total_mass(&self) -> f64 {
         self.sim.total_mass()
     }
+    #[doc = docstring!("Simulation.dt")]
     #[getter]
     fn dt(&self) -> f64 {
         self.sim.dt()
     }
+    #[doc = docstring!("Simulation.time")]
     #[getter]
     fn time(&self) -> f64 {
         self.sim.time()
     }
+    #[doc = docstring!("Simulation.threads")]
     #[getter]
     fn threads(&self) -> usize {
         self.sim.threads()
     }
+    #[doc = docstring!("Simulation.warnings")]
     #[getter]
     fn warnings(&self) -> Vec<String> {
         self.sim.warnings().iter().map(ToString::to_string).collect()
     }
+    #[doc = docstring!("Simulation.default_qpos")]
     #[getter]
     fn default_qpos<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.default_qpos().to_vec(), &[self.sim.nq()])
     }
+    #[doc = docstring!("Simulation.joint_range")]
     #[getter]
     fn joint_range<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.joint_range().into_flattened())?, &[self.sim.num_joints(), 2])
     }
+    #[doc = docstring!("Simulation.effort_limit")]
     #[getter]
     fn effort_limit<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.effort_limit())?, &[self.sim.num_joints()])
     }
+    #[doc = docstring!("Simulation.qpos")]
     #[getter]
     fn qpos<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.qpos())?, &[self.sim.num_envs(), self.sim.nq()])
     }
+    #[doc = docstring!("Simulation.qvel")]
     #[getter]
     fn qvel<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.qvel())?, &[self.sim.num_envs(), self.sim.nv()])
     }
+    #[doc = docstring!("Simulation.contact_forces")]
     #[getter]
     fn contact_forces<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.contact_forces())?, &[self.sim.num_envs(), self.sim.num_links(), 3])
     }
+    #[doc = docstring!("Simulation.link_drift")]
     #[getter]
     fn link_drift<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.link_drift())?, &[self.sim.num_envs()])
     }
+    #[doc = docstring!("Simulation.joint_torque")]
     #[getter]
     fn joint_torque<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.joint_torque())?, &[self.sim.num_envs(), self.sim.num_joints()])
     }
 
+    #[doc = docstring!("Simulation.set_state")]
     #[pyo3(signature = (qpos=None, qvel=None, env_ids=None))]
     fn set_state(
         &mut self,
@@ -320,6 +342,7 @@ impl Simulation {
             .map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.step")]
     #[pyo3(signature = (*, torque=None, targets=None, kp=None, kd=None, effort_limit=None, implicit=None, n=1))]
     fn step(
         &mut self,
@@ -350,6 +373,7 @@ impl Simulation {
         self.sim.run(py, |sim| sim.step(&control, n))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.link_pose")]
     fn link_pose<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let (n, links) = (self.sim.num_envs(), self.sim.num_links());
         let poses = self.sim.look(py, |sim| sim.link_pose())?;
@@ -357,6 +381,7 @@ impl Simulation {
         Ok((position.into_any(), array(py, poses.quaternion, &[n, links, 4])?.into_any()))
     }
 
+    #[doc = docstring!("Simulation.link_velocity")]
     fn link_velocity<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let shape = [self.sim.num_envs(), self.sim.num_links(), 3];
         let velocities = self.sim.look(py, |sim| sim.link_velocity())?;
@@ -364,15 +389,18 @@ impl Simulation {
         Ok((linear.into_any(), array(py, velocities.angular, &shape)?.into_any()))
     }
 
+    #[doc = docstring!("Simulation.mass_matrix")]
     fn mass_matrix<'py>(&self, py: Python<'py>) -> Array<'py> {
         let nv = self.sim.nv();
         array(py, self.sim.look(py, |sim| sim.mass_matrix())?, &[self.sim.num_envs(), nv, nv])
     }
 
+    #[doc = docstring!("Simulation.bias_force")]
     fn bias_force<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.bias_force())?, &[self.sim.num_envs(), self.sim.nv()])
     }
 
+    #[doc = docstring!("Simulation.forward_dynamics")]
     fn forward_dynamics<'py>(&self, py: Python<'py>, torque: Bound<'py, PyAny>) -> Array<'py> {
         let (n, nv, joints) = (self.sim.num_envs(), self.sim.nv(), self.sim.num_joints());
         let given = numbers("torque", &torque, &[vec![joints], vec![n, joints], vec![nv], vec![n, nv]])?;
@@ -387,6 +415,7 @@ impl Simulation {
         array(py, qacc, &[n, nv])
     }
 
+    #[doc = docstring!("Simulation.inverse_dynamics")]
     fn inverse_dynamics<'py>(&self, py: Python<'py>, qacc: Bound<'py, PyAny>) -> Array<'py> {
         let (n, nv) = (self.sim.num_envs(), self.sim.nv());
         let qacc = numbers("qacc", &qacc, &[vec![nv], vec![n, nv]])?;
@@ -394,6 +423,7 @@ impl Simulation {
         array(py, force, &[n, nv])
     }
 
+    #[doc = docstring!("Simulation.jacobian")]
     #[pyo3(signature = (link, point=[0.0, 0.0, 0.0]))]
     fn jacobian<'py>(&self, py: Python<'py>, link: Bound<'py, PyAny>, point: [f64; 3]) -> Array<'py> {
         let link = link_of(&link, self.sim.num_links())?;
@@ -401,26 +431,31 @@ impl Simulation {
         array(py, rows, &[self.sim.num_envs(), 6, self.sim.nv()])
     }
 
+    #[doc = docstring!("Simulation.ground_gap")]
     fn ground_gap<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.ground_gap())?, &[self.sim.num_envs(), self.sim.num_links()])
     }
 
+    #[doc = docstring!("Simulation.energy")]
     fn energy<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let (kinetic, potential) = self.sim.look(py, |sim| sim.energy())?;
         let shape = [self.sim.num_envs()];
         Ok((array(py, kinetic, &shape)?.into_any(), array(py, potential, &shape)?.into_any()))
     }
 
+    #[doc = docstring!("Simulation.center_of_mass")]
     fn center_of_mass<'py>(&self, py: Python<'py>) -> Array<'py> {
         array(py, self.sim.look(py, |sim| sim.center_of_mass())?, &[self.sim.num_envs(), 3])
     }
 
+    #[doc = docstring!("Simulation.momentum")]
     fn momentum<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let (linear, angular) = self.sim.look(py, |sim| sim.momentum())?;
         let shape = [self.sim.num_envs(), 3];
         Ok((array(py, linear, &shape)?.into_any(), array(py, angular, &shape)?.into_any()))
     }
 
+    #[doc = docstring!("Simulation.set_mass")]
     #[pyo3(signature = (link, mass, env_ids=None))]
     fn set_mass(
         &mut self,
@@ -435,6 +470,7 @@ impl Simulation {
         self.sim.run(py, |sim| sim.set_mass(ids.as_deref(), link.id(), &mass))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.set_com")]
     #[pyo3(signature = (link, com, env_ids=None))]
     fn set_com(
         &mut self,
@@ -449,6 +485,7 @@ impl Simulation {
         self.sim.run(py, |sim| sim.set_com(ids.as_deref(), link.id(), &com))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.set_inertia")]
     #[pyo3(signature = (link, inertia, env_ids=None))]
     fn set_inertia(
         &mut self,
@@ -468,6 +505,7 @@ impl Simulation {
             .map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.set_friction")]
     #[pyo3(signature = (r#static, dynamic=None, env_ids=None))]
     fn set_friction(
         &mut self,
@@ -485,6 +523,7 @@ impl Simulation {
             .map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.set_gains")]
     #[pyo3(signature = (kp=None, kd=None, env_ids=None))]
     fn set_gains(
         &mut self,
@@ -502,6 +541,7 @@ impl Simulation {
             .map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.set_armature")]
     #[pyo3(signature = (armature, env_ids=None))]
     fn set_armature(
         &mut self,
@@ -514,11 +554,13 @@ impl Simulation {
         self.sim.run(py, |sim| sim.set_armature(ids.as_deref(), &armature))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("Simulation.snapshot")]
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = self.sim.run(py, |sim| sim.snapshot())?.map_err(|error| to_python(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
+    #[doc = docstring!("Simulation.restore")]
     fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
         self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| to_python(py, error))
     }

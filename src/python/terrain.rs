@@ -10,6 +10,7 @@ use polypod::config::{Library, TaskConfig};
 use polypod::terrain::{Mesh, TerrainLayout, border, generate};
 use polypod::world::{self, Ground};
 
+#[doc = docstring!("terrain")]
 #[pyfunction]
 #[pyo3(signature = (task, overrides=Vec::new()))]
 pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) -> PyResult<Bound<'py, PyDict>> {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use bevy_ecs::prelude::Mut;
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyUntypedArray,
+    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2, PyUntypedArray,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -37,6 +37,7 @@ struct Arrays {
     command: Py<PyArray2<f32>>,
 }
 
+#[doc = docstring!("VecSim")]
 #[pyclass(module = "polypod._core")]
 pub(super) struct VecSim {
     sim: Guarded<Sim>,
@@ -234,57 +235,70 @@ impl VecSim {
         Ok(this)
     }
 
+    #[doc = docstring!("VecSim.num_envs")]
     #[getter]
     fn num_envs(&self) -> usize {
         self.sim.num_envs()
     }
+    #[doc = docstring!("VecSim.share")]
     #[getter]
     fn share(&self) -> (usize, usize) {
         let envs = &self.sim.share().envs;
         (envs.start, envs.end)
     }
+    #[doc = docstring!("VecSim.total_num_envs")]
     #[getter]
     fn total_num_envs(&self) -> usize {
         self.sim.share().num_envs
     }
+    #[doc = docstring!("VecSim.simd")]
     #[getter]
     fn simd(&self) -> &'static str {
         self.sim.simd().name()
     }
+    #[doc = docstring!("VecSim.num_obs")]
     #[getter]
     fn num_obs(&self) -> usize {
         self.sim.task().groups[0].columns.len()
     }
+    #[doc = docstring!("VecSim.num_actions")]
     #[getter]
     fn num_actions(&self) -> usize {
         self.sim.batch().num_actions
     }
+    #[doc = docstring!("VecSim.max_episode_length")]
     #[getter]
     fn max_episode_length(&self) -> u32 {
         self.sim.task().max_episode_length
     }
+    #[doc = docstring!("VecSim.step_dt")]
     #[getter]
     fn step_dt(&self) -> f64 {
         self.sim.task().config.sim.step_dt()
     }
+    #[doc = docstring!("VecSim.robots")]
     #[getter]
     fn robots(&self) -> Vec<&str> {
         self.sim.morphologies().iter().map(|m| m.name()).collect()
     }
+    #[doc = docstring!("VecSim.canonical_joint_names")]
     #[getter]
     fn canonical_joint_names(&self) -> Vec<String> {
         self.sim.slots().joint_names()
     }
+    #[doc = docstring!("VecSim.feet_names")]
     #[getter]
     fn feet_names(&self) -> Vec<&'static str> {
         self.sim.slots().feet_names()
     }
+    #[doc = docstring!("VecSim.action_mask")]
     #[getter]
     fn action_mask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
         let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
         PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)
     }
 
+    #[doc = docstring!("VecSim.observation_mask")]
     #[pyo3(signature = (robot, group=POLICY_GROUP))]
     fn observation_mask(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<bool>> {
         let index = self.robot_index(py, robot)?;
@@ -295,27 +309,33 @@ impl VecSim {
         })?;
         mask.map_err(|error| to_python(py, error.into()))
     }
+    #[doc = docstring!("VecSim.task_name")]
     #[getter]
     fn task_name(&self) -> &str {
         &self.sim.task().config.name
     }
+    #[doc = docstring!("VecSim.experiment_name")]
     #[getter]
     fn experiment_name(&self) -> &str {
         &self.sim.task().config.experiment_name
     }
+    #[doc = docstring!("VecSim.threads")]
     #[getter]
     fn threads(&self) -> usize {
         self.sim.threads()
     }
+    #[doc = docstring!("VecSim.seed")]
     #[getter]
     fn seed(&self) -> u64 {
         self.sim.seed()
     }
+    #[doc = docstring!("VecSim.observation_layout")]
     #[getter]
     fn observation_layout(&self) -> Vec<(&str, usize)> {
         let task = self.sim.task();
         task.terms_of(&task.groups[0]).iter().map(|term| (term.name.as_str(), term.size)).collect()
     }
+    #[doc = docstring!("VecSim.observation_groups")]
     #[getter]
     fn observation_groups<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         // in their order
@@ -326,6 +346,7 @@ impl VecSim {
         Ok(groups)
     }
 
+    #[doc = docstring!("VecSim.observation_terms")]
     #[pyo3(signature = (group=POLICY_GROUP))]
     fn observation_terms(&self, py: Python<'_>, group: &str) -> PyResult<String> {
         #[derive(Serialize)]
@@ -355,6 +376,7 @@ impl VecSim {
         written(py, serde_json::to_string(&terms.collect::<Vec<_>>()))
     }
 
+    #[doc = docstring!("VecSim.observation_mirror")]
     #[pyo3(signature = (robot, group=POLICY_GROUP))]
     fn observation_mirror(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<(usize, f32)>> {
         let index = self.robot_index(py, robot)?;
@@ -369,25 +391,30 @@ impl VecSim {
         mirror.map_err(|error| to_python(py, error.into()))
     }
 
+    #[doc = docstring!("VecSim.action_mirror")]
     fn action_mirror(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(usize, f32)>> {
         let index = self.robot_index(py, robot)?;
         self.sim.look(py, |sim| sim.morphologies()[index].mirrored_columns(sim.batch().num_actions))
     }
 
+    #[doc = docstring!("VecSim.env_ids")]
     fn env_ids(&self, py: Python<'_>, robot: &str) -> PyResult<(usize, usize)> {
         let range = self.sim.env_ids(self.robot_index(py, robot)?);
         Ok((range.start, range.end))
     }
 
+    #[doc = docstring!("VecSim.joint_map")]
     fn joint_map(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<(&str, usize)>> {
         let morphology = &self.sim.morphologies()[self.robot_index(py, robot)?];
         Ok(morphology.joint_names_by_slot().into_iter().zip(morphology.joint_of_slot()).collect())
     }
 
+    #[doc = docstring!("VecSim.robot_info")]
     fn robot_info(&self, py: Python<'_>) -> PyResult<String> {
         self.json_of_robots(py, MorphologyModel::describe)
     }
 
+    #[doc = docstring!("VecSim.command_ranges")]
     fn command_ranges(&self) -> BTreeMap<&str, BTreeMap<&str, [f64; 2]>> {
         let ranges = |config: &VelocityCommandConfig| {
             [("lin_vel_x", config.lin_vel_x), ("lin_vel_y", config.lin_vel_y), ("ang_vel_z", config.ang_vel_z)]
@@ -396,22 +423,59 @@ impl VecSim {
         robots.map(|(robot, config)| (robot.name(), ranges(config).into_iter().collect())).collect()
     }
 
+    #[doc = docstring!("VecSim.network_torques")]
+    #[pyo3(signature = (robot, error, velocity, memory=None))]
+    fn network_torques<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        error: &Bound<'py, PyAny>,
+        velocity: &Bound<'py, PyAny>,
+        memory: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f32>>)> {
+        let model = &self.sim.morphologies()[self.robot_index(py, robot)?];
+        let (joints, remembered) = (model.topology.num_joints(), model.num_remembered());
+        let rows = error.cast::<PyUntypedArray>().ok().and_then(|array| array.shape().first().copied()).unwrap_or(1);
+        let error: PyReadonlyArray2<'_, f32> = array("error", error, "float32", &[rows, joints])?;
+        let velocity: PyReadonlyArray2<'_, f32> = array("velocity", velocity, "float32", &[rows, joints])?;
+        let mut after = match memory {
+            Some(memory) => {
+                let memory: PyReadonlyArray2<'_, f32> = array("memory", memory, "float32", &[rows, remembered])?;
+                memory.as_slice()?.to_vec()
+            }
+            None => vec![0.0_f32; rows * remembered],
+        };
+        let (error, velocity): (&[f32], &[f32]) = (error.as_slice()?, velocity.as_slice()?);
+        let mut torques = Vec::with_capacity(rows * joints);
+        for row in 0..rows {
+            let of_row = row * joints..(row + 1) * joints;
+            let memory = &mut after[row * remembered..(row + 1) * remembered];
+            torques.extend(model.network_torques(&error[of_row.clone()], &velocity[of_row], memory));
+        }
+        let shaped = |numbers, width| PyArray1::from_vec(py, numbers).reshape([rows, width]);
+        Ok((shaped(torques, joints)?, shaped(after, remembered)?))
+    }
+
+    #[doc = docstring!("VecSim.robot_shapes")]
     fn robot_shapes(&self, py: Python<'_>) -> PyResult<String> {
         self.json_of_robots(py, MorphologyModel::outline)
     }
 
+    #[doc = docstring!("VecSim.qpos")]
     fn qpos<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let index = self.robot_index(py, robot)?;
         let states = self.sim.run(py, |sim| sim.robot_states(index))?;
         rows(py, states.qpos, self.sim.env_ids(index).len())
     }
 
+    #[doc = docstring!("VecSim.qvel")]
     fn qvel<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let index = self.robot_index(py, robot)?;
         let states = self.sim.run(py, |sim| sim.robot_states(index))?;
         rows(py, states.qvel, self.sim.env_ids(index).len())
     }
 
+    #[doc = docstring!("VecSim.link_pose")]
     fn link_pose<'py>(
         &mut self,
         py: Python<'py>,
@@ -426,6 +490,7 @@ impl VecSim {
         ))
     }
 
+    #[doc = docstring!("VecSim.contact_forces")]
     fn contact_forces<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let index = self.robot_index(py, robot)?;
         let (envs, bodies) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].topology.num_bodies);
@@ -433,14 +498,17 @@ impl VecSim {
         PyArray1::from_vec(py, forces).reshape([envs, bodies, 3])
     }
 
+    #[doc = docstring!("VecSim.resolved_config")]
     fn resolved_config(&self, py: Python<'_>) -> PyResult<String> {
         self.sim.look(py, Sim::resolved_config)
     }
 
+    #[doc = docstring!("VecSim.config_hash")]
     fn config_hash(&self, py: Python<'_>) -> PyResult<String> {
         Ok(format!("{:016x}", self.sim.look(py, Sim::config_hash)?))
     }
 
+    #[doc = docstring!("VecSim.reset")]
     #[pyo3(signature = (seed=None, mask=None))]
     fn reset(
         &mut self,
@@ -456,6 +524,7 @@ impl VecSim {
         self.publish(py)
     }
 
+    #[doc = docstring!("VecSim.step")]
     fn step(&mut self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<()> {
         let shape = [self.sim.num_envs(), self.sim.batch().num_actions];
         let actions = array::<f32, numpy::Ix2>("actions", actions, "float32", &shape)?;
@@ -464,41 +533,51 @@ impl VecSim {
         self.publish(py)
     }
 
+    #[doc = docstring!("VecSim.observation")]
     #[getter]
     fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.observation_of(py, POLICY_GROUP)
     }
+    #[doc = docstring!("VecSim.observation_of")]
     fn observation_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
         self.columns(py, self.arrays.observations[self.arrays.current].bind(py), group)
     }
+    #[doc = docstring!("VecSim.reward")]
     #[getter]
     fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         self.arrays.reward.bind(py).clone()
     }
+    #[doc = docstring!("VecSim.terminated")]
     #[getter]
     fn terminated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         self.arrays.terminated.bind(py).clone()
     }
+    #[doc = docstring!("VecSim.truncated")]
     #[getter]
     fn truncated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         self.arrays.truncated.bind(py).clone()
     }
+    #[doc = docstring!("VecSim.final_obs")]
     #[getter]
     fn final_obs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.final_obs_of(py, POLICY_GROUP)
     }
+    #[doc = docstring!("VecSim.final_obs_of")]
     fn final_obs_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
         self.columns(py, self.arrays.final_obs.bind(py), group)
     }
+    #[doc = docstring!("VecSim.final_mask")]
     #[getter]
     fn final_mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         self.arrays.final_mask.bind(py).clone()
     }
+    #[doc = docstring!("VecSim.command")]
     #[getter]
     fn command<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
         self.arrays.command.bind(py).clone()
     }
 
+    #[doc = docstring!("VecSim.state")]
     fn state<'py>(&mut self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let Some(known) = StateField::ALL.into_iter().find(|known| known.name() == field) else {
             let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
@@ -511,6 +590,7 @@ impl VecSim {
         Ok(rows)
     }
 
+    #[doc = docstring!("VecSim.terminate")]
     fn terminate(&mut self, py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<()> {
         let n = self.sim.num_envs();
         let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
@@ -521,7 +601,7 @@ impl VecSim {
         fill(py, workers, &self.arrays.truncated, &batch.truncated)
     }
 
-    /// Where each env's origin is in the world, and how high the ground is there.
+    #[doc = docstring!("VecSim.env_origins")]
     fn env_origins<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let rows = self.sim.run(py, |sim| {
             let ground = sim.world().resource::<Ground>().clone();
@@ -539,13 +619,13 @@ impl VecSim {
         PyArray1::from_vec(py, rows).reshape([self.sim.num_envs(), 3])
     }
 
-    /// The ground that all envs share, as `_core.terrain` has it.
+    #[doc = docstring!("VecSim.terrain")]
     fn terrain<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let ground = self.sim.world().resource::<Ground>();
         terrain::entry(py, &self.sim.task().config, ground)
     }
 
-    /// Level and type of each env's tile.
+    #[doc = docstring!("VecSim.terrain_tiles")]
     fn terrain_tiles<'py>(&mut self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<i64>>, Vec<String>)> {
         let (levels, names) = self.sim.run(py, |sim| {
             let (mut levels, mut names) = (vec![0; sim.num_envs()], Vec::new());
@@ -564,6 +644,7 @@ impl VecSim {
         Ok((PyArray1::from_vec(py, levels), names))
     }
 
+    #[doc = docstring!("VecSim.episode_length")]
     #[getter]
     fn episode_length<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i64>>> {
         let lengths = self.sim.run(py, |sim| {
@@ -577,6 +658,7 @@ impl VecSim {
         Ok(PyArray1::from_vec(py, lengths))
     }
 
+    #[doc = docstring!("VecSim.set_episode_length")]
     fn set_episode_length(&mut self, py: Python<'_>, episode_length: &Bound<'_, PyAny>) -> PyResult<()> {
         let n = self.sim.num_envs();
         let lengths = array::<i64, numpy::Ix1>("episode_length", episode_length, "int64", &[n])?;
@@ -584,6 +666,7 @@ impl VecSim {
         self.sim.run(py, |sim| sim.set_episode_lengths(lengths))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("VecSim.set_command")]
     fn set_command(&mut self, py: Python<'_>, command: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let n = self.sim.num_envs();
         let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &[n, 3])).transpose()?;
@@ -592,6 +675,35 @@ impl VecSim {
         self.publish_commands(py)
     }
 
+    #[doc = docstring!("VecSim.push")]
+    fn push(&mut self, py: Python<'_>, velocity: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let velocity = array::<f32, numpy::Ix2>("velocity", velocity, "float32", &[n, 3])?;
+        let velocity = velocity.as_slice()?;
+        self.sim.run(py, |sim| sim.push(velocity))?.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.reward_terms")]
+    fn reward_terms(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<&str>> {
+        Ok(self.sim.reward_terms(self.robot_index(py, robot)?))
+    }
+
+    #[doc = docstring!("VecSim.reward_sums")]
+    fn reward_sums<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let index = self.robot_index(py, robot)?;
+        let (envs, terms) = (self.sim.env_ids(index).len(), self.sim.reward_terms(index).len());
+        let sums = self.sim.run(py, |sim| sim.reward_sums(index))?;
+        PyArray1::from_vec(py, sums).reshape([envs, terms])
+    }
+
+    #[doc = docstring!("VecSim.height_scan")]
+    fn height_scan<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let points = self.sim.run(py, Sim::height_scan)?;
+        let (envs, rays) = (self.sim.num_envs(), points.len() / (3 * self.sim.num_envs()).max(1));
+        PyArray1::from_vec(py, points).reshape([envs, rays, 3])
+    }
+
+    #[doc = docstring!("VecSim.log")]
     fn log(&mut self, py: Python<'_>) -> PyResult<BTreeMap<String, f64>> {
         self.sim.run(py, |sim| {
             sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {
@@ -600,15 +712,18 @@ impl VecSim {
         })
     }
 
+    #[doc = docstring!("VecSim.take_logs")]
     fn take_logs<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = self.sim.run(py, Sim::take_logs)?.map_err(|error| to_python(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
+    #[doc = docstring!("VecSim.add_logs")]
     fn add_logs(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
         self.sim.run(py, |sim| sim.add_logs(data))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("VecSim.episode_stats")]
     #[pyo3(signature = (clear=true))]
     fn episode_stats(
         &mut self,
@@ -639,16 +754,19 @@ impl VecSim {
         Ok(stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect())
     }
 
+    #[doc = docstring!("VecSim.set_dump_dir")]
     #[pyo3(signature = (dump_dir))]
     fn set_dump_dir(&mut self, py: Python<'_>, dump_dir: Option<PathBuf>) -> PyResult<()> {
         self.sim.run(py, |sim| sim.set_dump_dir(dump_dir))
     }
 
+    #[doc = docstring!("VecSim.snapshot")]
     fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = self.sim.run(py, Sim::snapshot)?.map_err(|error| to_python(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
+    #[doc = docstring!("VecSim.restore")]
     fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
         self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| to_python(py, error))?;
         self.publish(py)

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
+use serde::Deserialize;
 
 use super::chains::{LimbChain, ZeroPose};
 use super::error::{Diagnosis, RobotError, nearest_name};
@@ -14,8 +15,9 @@ use super::quadruped::{self, CANONICAL_JOINT_NAMES, CORNERS, LEG_ROLES};
 /// Chains that an error lists.
 const LISTED: usize = 12;
 
-/// What part of the robot a contact body is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+/// What part of the robot a contact body is, and as terms name it in configs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum BodyGroup {
     /// Part of the base link.
     Base,
@@ -33,7 +35,8 @@ pub enum BodyGroup {
     Arm,
     /// Part of a head.
     Head,
-    /// None of these.
+    /// None of these; configs cannot name it.
+    #[serde(skip)]
     Other,
 }
 

@@ -24,6 +24,8 @@ pub(super) struct Env {
     bounds: Vec<f64>,
     /// Contact impulses of the last physics step.
     contacts: Contacts<f64>,
+    /// What the networks of actuators remember.
+    pub(super) memory: Vec<f64>,
     /// Effort of each actuator in the last physics step, N m or N.
     pub(super) effort: Vec<f64>,
     /// Net force on each contact body in the last physics step, N, world axes.
@@ -32,7 +34,7 @@ pub(super) struct Env {
 
 impl Env {
     /// All numbers zero, to be read into.
-    pub(super) fn zeros(topology: &Topology) -> Self {
+    pub(super) fn zeros(topology: &Topology, remembered: usize) -> Self {
         let joints = topology.num_joints();
         let (pose, twist) = if topology.floating { (POSE, TWIST) } else { (0, 0) };
         Self {
@@ -40,6 +42,7 @@ impl Env {
             qvel: vec![0.0; twist + joints],
             bounds: vec![0.0; joints],
             contacts: Contacts::new(),
+            memory: vec![0.0; remembered],
             effort: vec![0.0; joints],
             force: vec![[0.0; 3]; topology.num_bodies],
         }
@@ -50,15 +53,17 @@ impl Env {
         self.qpos.len() == other.qpos.len()
             && self.qvel.len() == other.qvel.len()
             && self.bounds.len() == other.bounds.len()
+            && self.memory.len() == other.memory.len()
             && self.effort.len() == other.effort.len()
             && self.force.len() == other.force.len()
             && self.contacts.iter().all(|c| (c.contact as usize) < topology.num_impulses())
     }
 
-    /// Forgets the impulses of the last physics step.
-    pub(super) fn forget_impulses(&mut self) {
+    /// Forgets the impulses of the last physics step, and what networks remember.
+    pub(super) fn forget(&mut self) {
         self.contacts.clear();
         self.bounds.fill(0.0);
+        self.memory.fill(0.0);
     }
 
     /// Reads pose and velocity into a lane. A fixed base stays as it is there.
@@ -161,6 +166,16 @@ impl RobotRows for EnvRows<'_> {
             &[same] => to.iter_mut().for_each(|x| x.set_lane(lane, same)),
             row => put(to, row, lane),
         }
+    }
+
+    #[inline]
+    fn memory(&self, row: usize) -> &[f64] {
+        &self.envs[row].memory
+    }
+
+    #[inline]
+    fn memory_mut(&mut self, row: usize) -> &mut [f64] {
+        &mut self.envs[row].memory
     }
 
     #[inline]

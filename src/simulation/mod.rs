@@ -268,7 +268,7 @@ impl Simulation {
     /// A list of numbers of all envs, `[num_envs, width]`.
     fn collect(&self, width: usize, list: impl Fn(&Env) -> &[f64]) -> Vec<f64> {
         let mut out = Vec::with_capacity(self.num_envs() * width);
-        let mut env = Env::zeros(&self.robot.topology);
+        let mut env = self.robot.env();
         for index in 0..self.num_envs() {
             self.engine.fetch(index, EnvRows::of(&mut env));
             out.extend(list(&env));
@@ -283,7 +283,7 @@ impl Simulation {
     }
 
     /// Sets positions (`[n, nq]`), velocities (`[n, nv]`) or both in the `n` envs `env_ids`, or in all; one row serves for
-    /// all of them. Quaternions are normalised. The contact solver starts anew there.
+    /// all of them. Quaternions are normalised. The contact solver and networks of actuators start anew there.
     ///
     /// # Errors
     /// Another number of values, one that is not finite, a quaternion of length zero, or an env that does not exist.
@@ -311,10 +311,10 @@ impl Simulation {
                 rotations.push(unit);
             }
         }
-        let mut env = Env::zeros(&self.robot.topology);
+        let mut env = self.robot.env();
         for row in 0..envs.len() {
             self.engine.fetch(envs.get(row), EnvRows::of(&mut env));
-            env.forget_impulses();
+            env.forget();
             if let Some(qpos) = qpos {
                 env.qpos.iter_mut().enumerate().for_each(|(k, q)| *q = qpos.get(row, k));
                 if let Some(rotation) = rotations.get(row) {
@@ -379,7 +379,7 @@ impl Simulation {
     pub fn contact_forces(&self) -> Vec<f64> {
         let links = self.num_links();
         let mut out = vec![[0.0; 3]; self.num_envs() * links];
-        let mut env = Env::zeros(&self.robot.topology);
+        let mut env = self.robot.env();
         for (index, out) in out.chunks_exact_mut(links).enumerate() {
             self.engine.fetch(index, EnvRows::of(&mut env));
             for (body, force) in self.robot.model.bodies.iter().zip(&env.force) {

@@ -211,6 +211,11 @@ impl Simulation {
             None => Ok(None),
         };
         let (kp, kd) = (rows("kp", kp)?, rows("kd", kd)?);
+        if !self.robot.networks.is_empty() && (kp.is_some() || kd.is_some()) {
+            let element = if kp.is_some() { "kp" } else { "kd" };
+            let problem = "this robot's actuators are networks, which have no gains";
+            return Err(Error::argument(element, problem, "leave the gains out, or pass torques"));
+        }
         if let Some(rows) = kp {
             self.edit_joints(&envs, |p| &mut p.stiffness, &rows);
         }

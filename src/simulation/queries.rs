@@ -5,7 +5,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::Simulation;
-use super::envs::{Env, EnvRows};
+use super::envs::EnvRows;
 use super::parameters::LinkId;
 use super::rows::Rows;
 use crate::dynamics::math::{Spatial, mul_vec, mul_vec_transposed, quat_to_mat};
@@ -40,7 +40,7 @@ impl Simulation {
         let topology = &self.robot.topology;
         let rows = MatrixRows { data: &mut out, width };
         self.workers.for_each_chunk(rows, self.num_envs(), |first, count, mut rows| {
-            let (mut state, mut row) = (State::zeros(topology), Env::zeros(topology));
+            let (mut state, mut row) = (State::zeros(topology), self.robot.env());
             let mut work = Workspace::new(topology);
             for i in 0..count {
                 let env = first + i;

@@ -4,11 +4,12 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
+use super::envs::Env;
 use super::options::{SimulationOptions, check_non_negative};
 use super::rows::Rows;
 use crate::config::Library;
 use crate::dynamics::math::Spatial;
-use crate::dynamics::{ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
+use crate::dynamics::{ActuatorNetwork, ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
 use crate::engine::Kind;
 use crate::error::Error;
 use crate::morphology::ConfiguredRobot;
@@ -26,6 +27,8 @@ pub(super) struct Robot {
     pub(super) shape_pairs: Vec<[usize; 2]>,
     /// Joint positions to begin with, rad or m.
     pub(super) default_position: Vec<f64>,
+    /// Networks that drive joints.
+    pub(super) networks: Vec<ActuatorNetwork>,
 }
 
 impl Robot {
@@ -57,24 +60,35 @@ impl Robot {
         let position: Vec<f64> = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
         let reference = options.self_collision.unwrap_or(false).then_some(&position[..]);
         let articulation = Articulation::new(&model, !options.fixed_base, &[], reference);
-        Ok(Self::assemble(model, articulation, position))
+        Ok(Self::assemble(model, articulation, position, Vec::new()))
     }
 
     fn of_library(options: &SimulationOptions) -> Result<Self, Error> {
         let loaded = Library::new(Vec::new()).robot(&options.robot)?;
         let robot = ConfiguredRobot::new(&loaded, &options.package_dirs, !options.fixed_base, options.self_collision)?;
-        Ok(Self::assemble(robot.model, robot.articulation, robot.default_position))
+        Ok(Self::assemble(robot.model, robot.articulation, robot.default_position, robot.networks))
     }
 
-    fn assemble(model: Model, articulation: Articulation, default_position: Vec<f64>) -> Self {
+    fn assemble(
+        model: Model,
+        articulation: Articulation,
+        default_position: Vec<f64>,
+        networks: Vec<ActuatorNetwork>,
+    ) -> Self {
         let Articulation { topology, parameters: nominal, align, shape_pairs } = articulation;
-        Self { model, topology, nominal, align, shape_pairs, default_position }
+        Self { model, topology, nominal, align, shape_pairs, default_position, networks }
     }
 
     /// What an engine knows of it; `nominal` are the numbers of `count` of them.
     pub(super) fn kind<'a>(&'a self, nominal: &'a Parameters<f64>, count: usize) -> Kind<'a, f64> {
-        let Self { model, topology, align, shape_pairs, .. } = self;
-        Kind { model, topology, align, shape_pairs, nominal, body_groups: &[], feet: &[], max_delay: 0, count }
+        let Self { model, topology, align, shape_pairs, networks, .. } = self;
+        let (body_groups, feet): (&[_], &[_]) = (&[], &[]);
+        Kind { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, max_delay: 0, count }
+    }
+
+    /// An env to be read into, all numbers zero.
+    pub(super) fn env(&self) -> Env {
+        Env::zeros(&self.topology, self.networks.iter().map(ActuatorNetwork::num_remembered).sum())
     }
 
     /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base

@@ -14,7 +14,7 @@ use crate::sealed::{self, Header};
 
 const KIND: &str = "polypod snapshot of a simulation";
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 6;
+const FORMAT: u32 = 7;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
@@ -28,6 +28,9 @@ struct Snapshot {
 /// A hash of what decides a step but for the state and the envs' own numbers. `substeps` are those of the engine `avian`.
 pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: EngineKind, substeps: usize) -> u64 {
     let mut text = format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal);
+    if !robot.networks.is_empty() {
+        text += &format!(" {:?}", robot.networks);
+    }
     if engine == EngineKind::Avian {
         text += &format!(" avian {substeps}");
     }
@@ -48,7 +51,7 @@ impl Simulation {
     /// When it cannot be encoded.
     pub fn snapshot(&self) -> Result<Vec<u8>, Error> {
         let unwritable = |error: postcard::Error| Error::Snapshot(error.to_string());
-        let mut envs = vec![Env::zeros(&self.robot.topology); self.num_envs()];
+        let mut envs = vec![self.robot.env(); self.num_envs()];
         envs.iter_mut().enumerate().for_each(|(index, env)| self.engine.fetch(index, EnvRows::of(env)));
         let engine = self.engine.save().map_err(unwritable)?;
         let snapshot = Snapshot { steps: self.steps, envs, bodies: self.bodies.clone(), engine };
@@ -62,7 +65,7 @@ impl Simulation {
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // nothing is written before all is checked
-        let (topology, zeros) = (&self.robot.topology, Env::zeros(&self.robot.topology));
+        let (topology, zeros) = (&self.robot.topology, self.robot.env());
         let envs_fit =
             snapshot.envs.len() == self.num_envs() && snapshot.envs.iter().all(|env| env.fits(&zeros, topology));
         let bodies_fit = snapshot.bodies.len() == self.num_envs()

@@ -5,7 +5,7 @@
 use serde::Deserialize;
 
 use super::motion_terms::is_moving;
-use super::norm;
+use super::{STANDING, norm};
 use crate::dynamics::elementary::{exp, tanh_positive};
 use crate::systems::groups::BodiesInContact;
 use crate::systems::terms::Registry;
@@ -71,7 +71,7 @@ pub(super) fn register(registry: &mut Registry) {
 
 #[inline(always)]
 fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
-    if norm(&r.command[..2]) <= 0.1 {
+    if norm(&r.command[..2]) <= STANDING {
         return 0.0;
     }
     let c = r.contacts;
@@ -84,7 +84,7 @@ fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
 #[inline(always)]
 fn undesired_contacts(p: &BodiesInContact, r: &RobotView) -> f32 {
     let bodies = r.contacts.peak_force.iter().zip(&r.morphology.body_groups);
-    bodies.filter(|(force, group)| **force > p.threshold && p.bodies.iter().any(|g| g.holds(**group))).count() as f32
+    bodies.filter(|(force, group)| **force > p.threshold && p.bodies.contains(group)).count() as f32
 }
 
 #[inline(always)]

@@ -4,13 +4,11 @@
 
 use serde::Deserialize;
 
-use super::norm;
+use super::{STANDING, norm};
 use crate::dynamics::elementary::exp;
 use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
 
-/// Planar speed up to which a robot is told to stand, m/s.
-const STANDING: f32 = 0.1;
 /// Commanded yaw rate at which feet may step unevenly, rad/s: the width of a bell curve.
 const TURNING: f32 = 0.25;
 

@@ -81,6 +81,9 @@ fn sum_of_squares(x: &[f32]) -> f32 {
     x.iter().fold(0.0, |sum: f32, &x| x.mul_add(x, sum))
 }
 
+/// Planar speed up to which a robot is told to stand, m/s.
+const STANDING: f32 = 0.1;
+
 /// Euclidean norm.
 #[inline(always)]
 fn norm(x: &[f32]) -> f32 {

@@ -9,7 +9,9 @@ use serde::Deserialize;
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::{TermKind, TermSpec};
-use crate::config::{ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params};
+use crate::config::{
+    ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
+};
 use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
 use crate::morphology::{Morphologies, MorphologyModel};

@@ -1,5 +1,7 @@
 //! What several promises share: a task in which much happens, reproducible actions, and envs as bits.
 
+pub mod facts;
+
 use std::ops::Range;
 
 use polypod::components::{

@@ -26,6 +26,7 @@ pub fn move_freely(
         parameters,
         kind: None,
         drive: &Drive::zeros(topology, 1),
+        substeps: 0..steps,
         state,
         report: &mut Report::zeros(topology, steps),
         work: &mut Workspace::new(topology),

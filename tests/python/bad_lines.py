@@ -68,7 +68,14 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--seconds": FLOATS, "--warm-up": FLOATS, "--fps": COUNTS}
         | {"--record": OUTPUTS, "--video": OUTPUTS, "--command": FLOATS, "--size": COUNTS, "--robot": NAMES}
-        | {"--port": [*COUNTS, "99999"]},
+        | {"--port": [*COUNTS, "99999"], "--host": ["", "x y", "256.1.1.1", "nowhere.invalid", "-", "\udcff"]},
+    ),
+    "film": (
+        ("walk", "film.gif", *_CHECKPOINT, "--seconds", "0.1", "--warm-up", "0"),
+        _WITH_TASK
+        | {"": [*NAMES, "training", "mujoco"], "--checkpoint": FILES, "--seconds": FLOATS, "--warm-up": FLOATS}
+        | {"--fps": COUNTS, "--size": COUNTS, "--command": FLOATS, "--parts": COUNTS, "--push": FLOATS}
+        | {"--robot": NAMES},
     ),
     "sim2sim": (
         (*_CHECKPOINT, "--num-envs", "1", "--steps", "1", "--robots", "spot"),
@@ -113,7 +120,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("--robot", "nobody"),
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
         | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS}
-        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--kinds": ["", ",", "x", "bolt", "x,y"]},
+        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--device": ["", "gpu", "cuda:0"]}
+        | {"--kinds": ["", ",", "x", "bolt", "x,y"]},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),
@@ -125,7 +133,7 @@ _POLYPOD_SWITCHES = {
     "train": ("--headless", "--no-headless"),
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised"),
     "export": ("--fold", "--no-fold"),
-    "play": ("--headless", "--no-headless"),
+    "play": ("--headless", "--no-headless", "--meshes", "--no-meshes"),
     "sim2sim": ("--soft-contact", "--no-soft-contact"),
     "robot": ("--force", "--no-force"),
     "bodies": ("--force", "--no-force"),

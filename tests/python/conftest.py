@@ -4,9 +4,11 @@ import contextlib
 import logging
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -170,3 +172,28 @@ def exported_policy(built_once: Callable[..., Path]) -> tuple[Path, Any]:
 
     folder = built_once("exported_policy", export)
     return folder / "policy", pickle.loads((folder / "done.pickle").read_bytes())
+
+
+@pytest.fixture(scope="session")
+def cpp_loop(built_once: Callable[..., Path]) -> Path | None:
+    """The program of `examples/deploy/policy_loop.cpp`; None without a compiler or onnxruntime's headers."""
+    compiler, runtime = shutil.which("g++"), find_spec("onnxruntime")
+    root = Path(os.environ.get("ONNXRUNTIME", "/usr/local"))
+    folders = [root / "include", root / "include" / "onnxruntime", Path("/usr/include/onnxruntime")]
+    include = next((folder for folder in folders if (folder / "onnxruntime_cxx_api.h").is_file()), None)
+    if compiler is None or include is None or runtime is None or runtime.origin is None:
+        return None
+    # a release has the library; otherwise that of the Python package serves, whose interface is the same
+    libraries = [*root.glob("lib*/libonnxruntime.so*"), *Path(runtime.origin).parent.glob("capi/libonnxruntime.so*")]
+    if not libraries:
+        return None
+
+    def build(folder: Path) -> None:
+        # the name that the library gives itself
+        (folder / "libonnxruntime.so.1").symlink_to(libraries[0])
+        source = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "policy_loop.cpp"
+        flags = [f"-I{include}", str(folder / "libonnxruntime.so.1"), f"-Wl,-rpath,{folder}"]
+        command = [compiler, "-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", str(source), *flags]
+        subprocess.run([*command, "-o", str(folder / "policy_loop")], check=True)
+
+    return built_once("policy_loop", build) / "policy_loop"

@@ -3,8 +3,10 @@
 import json
 
 import pytest
+import torch
 
 from polypod.bench import walking, workers
+from polypod.bench.learners import Options
 
 TINY = 'extends = "quick"\n[run]\nnum_envs = 32\nnum_steps_per_env = 4\nmax_iterations = 2\n'
 
@@ -55,3 +57,24 @@ def test_a_network_takes_the_gradients_twice():
     # two workers send all once; four send three quarters twice
     assert workers.limit_s({"1": {"sent_bytes": 0}, "2": {"sent_bytes": 10}}, 5.0) == pytest.approx(4.0)
     assert workers.limit_s({"4": {"sent_bytes": 15}, "2": {"sent_bytes": 10}}, 5.0) == pytest.approx(4.0)
+
+
+def test_figures_of_gpus_name_them_and_their_messages():
+    rows = {
+        "1": {"threads": 8, "iteration_s": 0.5, "backend": "none"},
+        "2": {"threads": 4, "iteration_s": 0.25, "backend": "nccl"},
+        "4": {"threads": 2, "iteration_s": 0.4, "backend": "gloo"},
+    }
+    result = {**Options().conditions(), "samples": 1000, "device": "cuda", "gpus": ["T4", "T4"], "workers": rows}
+    table = workers.table(result)
+    assert "rsl_rl on 2 x T4" in table
+    assert "| 2 x 4 | 2 | nccl | 0.250 | 4,000 | 200% |" in table
+    assert "| 4 x 2 | 2 | gloo | 0.400 | 2,500 | 125% |" in table
+
+
+def test_gpus_that_are_not_there_are_refused(cli, tmp_path):
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    finished = cli("bench", "--workers", "1", "--device", "cuda")
+    assert finished.returncode == 2
+    assert "no CUDA device" in finished.stderr

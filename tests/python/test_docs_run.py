@@ -26,7 +26,11 @@ from polypod.export import export_checkpoint
 from polypod.training import config, sweep
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "CONTRIBUTING.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")))
+PAGES = (
+    "README.md",
+    "CONTRIBUTING.md",
+    *sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/**/*.md")),
+)
 LANGUAGES = ("bash", "json", "python", "rust", "toml")
 FENCE = re.compile(r" *```")
 
@@ -85,7 +89,11 @@ def of(language: str) -> list[Block]:
     return [block for block in BLOCKS if block.language == language and block.is_checked]
 
 
-SECTIONS = {(block.page, block.section): block for block in reversed(of("python"))}
+TUTORIALS = "docs/tutorials/"
+"""`test_tutorials.py` runs these pages from top to bottom."""
+SECTIONS = {
+    (block.page, block.section): block for block in reversed(of("python")) if not block.page.startswith(TUTORIALS)
+}
 """The first Python block of each section."""
 
 
@@ -219,9 +227,9 @@ def check_command(words: list[str], page: str) -> None:
         case "export":
             (assignment,) = arguments
             assert re.fullmatch(r"\w+=.+", assignment)
-        case "cp" | "mkdir" | "tar" | "ray" | ".venv/bin/tensorboard":
+        case "cp" | "mkdir" | "tar" | "ray" | "pip" | "uvx" | "podman" | ".venv/bin/tensorboard":
             pass
-        case ".venv/bin/python":
+        case ".venv/bin/python" | "python":
             check_example(words[1], words[2:])
         case _:
             pytest.fail(f"{shlex.join(words)}: test_docs_run.py does not know {program}")

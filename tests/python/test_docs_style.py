@@ -10,9 +10,16 @@ import torch
 from common import FLAT_POLICY, ROUGH_POLICY
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", *sorted(f"docs/{page.name}" for page in ROOT.glob("docs/*.md")))
+PAGES = (
+    "README.md",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+    *sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/**/*.md")),
+)
 MOST_BYTES = 3_000_000
 WIDTH = 100
+MOST_PROSE = 200
+"""Lines of text of a page, without its tables and its code."""
 UNWRAPPED = re.compile(r"\||#|!\[|<!--|\[[^\]]+\]: ")
 """How lines begin that cannot be wrapped: tables, headings, pictures, marks and addresses of links."""
 
@@ -32,6 +39,11 @@ def prose(page: str) -> list[tuple[int, str]]:
 def test_lines_are_wrapped(page):
     wide = [f"{page}:{number}" for number, line in prose(page) if len(line) > WIDTH and " " in line.strip()]
     assert not wide
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_are_short(page):
+    assert len([line for _, line in prose(page) if line.strip()]) <= MOST_PROSE
 
 
 def test_the_readme_is_short():

@@ -1,10 +1,16 @@
 """Other learners see what `step` returned: each keeps the observations of 50 steps, and they are compared."""
 
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import polypod
 
+ROOT = Path(__file__).resolve().parents[2]
 STEPS = 50
 ENVS = 16
 OPTIONS = {"robots": ["spot", "unitree_a1"], "seed": 4, "overrides": {"sim.episode_length_s": 0.4}}
@@ -187,6 +193,60 @@ def test_rllib_needs_a_task():
         polypod.rllib.make({})
     env = polypod.rllib.make({"task": "Velocity-Flat-Spot-v0", "seed": 1})
     assert env.observation_space.shape == (48,)
+
+
+def whole_batch() -> np.ndarray:
+    """The observations that the shares of several workers are rows of."""
+    return polypod.make("velocity_flat", ENVS, **OPTIONS, threads=1).sim.observation.copy()
+
+
+def test_env_runners_of_rllib_share_one_batch():
+    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test-learners")
+    from ray.rllib.algorithms.ppo import PPOConfig
+
+    import polypod.rllib
+
+    config = PPOConfig().environment(polypod.rllib.register(), env_config={"task": "velocity_flat", **OPTIONS})
+    config.env_runners(env_runner_cls=polypod.rllib.EnvRunner, num_env_runners=2, num_envs_per_env_runner=ENVS // 2)
+    seen = []
+    for index in (1, 2):
+        runner = polypod.rllib.EnvRunner(config=config.copy(copy_frozen=True), worker_index=index, num_workers=2)
+        batch = runner.env.unwrapped
+        assert (batch.num_envs, batch.sim.threads) == (ENVS // 2, 1)
+        seen.append(batch.sim.observation.copy())
+        runner.stop()
+    np.testing.assert_array_equal(np.concatenate(seen), whole_batch())
+
+
+def test_workers_of_torchrl_share_one_batch():
+    pytest.importorskip("torchrl", reason="needs torchrl: make test-learners")
+    import polypod.torchrl
+
+    options = {key: value for key, value in OPTIONS.items() if key != "seed"}
+    envs = [create() for create in polypod.torchrl.creators("velocity_flat", ENVS, 2, **OPTIONS)]
+    assert [env.batch_size for env in envs] == [(ENVS // 2,)] * 2
+    seen = [env._env.reset(seed=OPTIONS["seed"])[0] for env in envs]
+    np.testing.assert_array_equal(np.concatenate(seen), whole_batch())
+    seeds = {create.keywords["seed"] for create in polypod.torchrl.creators("velocity_flat", ENVS, 2, **options)}
+    assert len(seeds) == 1, "workers without a seed draw one together"
+    with pytest.raises(polypod.ConfigError, match="multiple of the workers"):
+        polypod.torchrl.creators("velocity_flat", ENVS, 3)
+    with pytest.raises(polypod.ConfigError, match="copy=False"):
+        polypod.torchrl.make("velocity_flat", ENVS, copy=False)
+
+
+@pytest.mark.parametrize(
+    ("package", "script", "flag"),
+    [("ray.rllib", "rllib_workers.py", "--runners"), ("torchrl", "torchrl_workers.py", "--workers")],
+)
+def test_examples_train_with_two_workers(package, script, flag, tmp_path):
+    pytest.importorskip(package, reason=f"needs {package}: make test-learners")
+    words = [sys.executable, ROOT / "examples" / script, flag, "2", "--num-envs", "64", "--iterations", "10"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    figures = re.findall(r"^iteration (\d+): (\d+) steps, mean \w+ (-?[\d.]+)$", done.stdout, re.MULTILINE)
+    assert [int(number) for number, _, _ in figures] == list(range(1, 11))
+    assert all(int(steps) >= 24 * 64 for _, steps, _ in figures)
 
 
 def test_rsl_rl(record):

@@ -37,9 +37,11 @@ def test_a_run_goes_on_with_the_other_learner(first, second, tmp_path):
 
 
 def test_auto_is_native_for_perceptrons_on_a_cpu():
-    flat, urma = config.load("flat"), config.load("flat_urma")
+    flat, urma = config.load("flat"), config.load("flat_joints")
     assert flat.with_learner_resolved(None, "cpu").run.learner == "native"
-    assert flat.with_learner_resolved(None, "cuda").run.learner == "rsl_rl"
+    assert flat.with_learner_resolved(None, "cuda").run.learner == "native"
+    assert flat.with_learner_resolved(None, "cuda", True).run.learner == "rsl_rl"
+    assert flat.with_learner_resolved(None, "cpu", True).run.learner == "native"
     assert flat.with_learner_resolved("rsl_rl", "cpu").run.learner == "rsl_rl"
     assert urma.with_learner_resolved(None, "cpu").run.learner == "rsl_rl"
     with pytest.raises(polypod.ConfigError, match="perceptrons"):

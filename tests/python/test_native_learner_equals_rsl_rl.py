@@ -16,6 +16,7 @@ from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 
 ENVS, STEPS, UPDATES = 64, 24, 3
+OF_BATCHES = ("order", "places", "batch_sizes")
 TOLERANCE = 1e-4
 """Relative to the norm of what is compared."""
 
@@ -94,7 +95,9 @@ def assert_near(found, expected, what):
 def store(reference, samples, last_observations):
     """Puts the samples of the native learner into rsl_rl's storage as its own loop would, and estimates advantages."""
     alg = reference.alg
-    shape = {name: torch.from_numpy(array).view(STEPS, ENVS, -1) for name, array in samples.items() if name != "order"}
+    shape = {
+        name: torch.from_numpy(array).view(STEPS, ENVS, -1) for name, array in samples.items() if name not in OF_BATCHES
+    }
     last = reference.env.get_observations()
     last["policy"] = torch.from_numpy(last_observations.copy())
     for step in range(STEPS):
@@ -130,7 +133,7 @@ def test_updates_are_equal(variant, tmp_path, monkeypatch):
     for update in range(UPDATES):
         native.current_learning_iteration = update
         native._collect(native.env.get_observations())
-        samples = native._learner.rollout()
+        samples = native._learner.rollout(sim)
         with torch.inference_mode():
             for end, count in store(reference, samples, sim.observation).items():
                 ends[end] += count

@@ -177,5 +177,5 @@ def test_a_film_and_a_recording_of_a_rough_policy(tmp_path, capsys):
     data = zstandard.ZstdDecompressor().decompressobj().decompress(recording.read_bytes()[8:])
     scene = msgspec.msgpack.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
     messages = [message for _, message in scene["messages"]]
-    (ground,) = (message for message in messages if message.get("name") == "/ground" and "props" in message)
+    (ground,) = (message for message in messages if message.get("name") == "/world/ground" and "props" in message)
     assert ground["type"] == "GlbMessage"

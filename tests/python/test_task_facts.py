@@ -7,7 +7,7 @@ import pytest
 
 import polypod
 from common import SMALL_TERRAIN, size
-from polypod.training.config import tomllib
+from polypod.compat import tomllib
 
 TERMS = {
     "base_lin_vel": (3, 0.1),

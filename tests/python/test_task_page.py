@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from polypod import _core
-from polypod.training.config import tomllib
+from polypod.compat import tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "task.md").read_text(encoding="utf-8")

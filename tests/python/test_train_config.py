@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 import polypod
-from polypod.training import config
+from polypod.training import config, schema, session
 
 
 @pytest.mark.parametrize("name", ["flat", "flat_universal", "rough", "quick"])
@@ -69,7 +69,7 @@ def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
             "'UrmaModel' is not one of MLPModel, RNNModel, polypod",
         ),
         ('extends = "flat"\n[actor]\nnum_heads = 4\n', r"\[actor\] num_heads is of networks of joints"),
-        (f'extends = "flat"\n[actor]\nclass_name = "{config.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
+        (f'extends = "flat"\n[actor]\nclass_name = "{schema.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
         ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),
         ("[run]\nnum_envs = 1\n", "extends"),
         ("[run\n", "not valid TOML"),
@@ -139,3 +139,12 @@ def test_goals_out_of_range_are_refused(wrong) -> None:
     base = config.load("quick").as_dict()
     with pytest.raises(polypod.ConfigError, match=rf"\[anneal\] {next(iter(wrong))}"):
         config.parse({**base, "anneal": base["anneal"] | wrong}, "test")
+
+
+def test_the_learners_device_decides_mixed_precision(monkeypatch):
+    asked = []
+    monkeypatch.setattr(session, "_device", lambda *_: "cuda:0")
+    monkeypatch.setattr(schema, "_computes_in_bfloat16", lambda kind: asked.append(kind) or True)
+    plan = session.new_plan(session.Options(train_config="quick"))
+    assert asked == ["cuda"]
+    assert plan.config.algorithm.mixed_precision == "on"

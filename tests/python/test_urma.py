@@ -1,6 +1,8 @@
-"""The network of joints: the same weights for any number of joints, and a network like any other to all tools."""
+"""The network of joints: the same weights for any bodies in one batch, and a network like any other to all tools."""
 
 import dataclasses
+import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,227 +15,280 @@ from tensordict import TensorDict
 import polypod
 import polypod.rsl_rl
 from common import ROBOTS
-from polypod import networks
+from polypod import _core, networks
 from polypod.evaluation import evaluate_checkpoint, load_network
 from polypod.export import OnnxPolicy, export_checkpoint, onnx_graph
 from polypod.export.checkpoint import compare
-from polypod.networks.joints import joint_table
+from polypod.networks.joints import joint_columns
 from polypod.observation import layout_of as layout_of_terms
 from polypod.observation import terms_of
 from polypod.training import config, run_dir, session
+from polypod.training.symmetry import Mirror
 
-CONFIG = Path(__file__).parents[2] / "configs" / "train" / "flat_urma.toml"
 URMA = "polypod.networks:UrmaModel"
-TASK = "velocity_flat_universal"
-BODIES = {
-    "quadruped": [f"{leg}_{role}" for role in ("HAA", "HFE", "KFE") for leg in ("LF", "LH", "RF", "RH")],
-    "two joints per leg": [f"{leg}_{role}" for role in ("HFE", "KFE") for leg in ("LF", "LH", "RF", "RH")],
-    "hexapod": [f"{leg}_{role}" for role in ("HAA", "HFE", "KFE") for leg in ("LF", "LM", "LH", "RF", "RM", "RH")],
-}
+TASK = "velocity_flat_joints"
+FOLDER = Path(__file__).parents[1] / "data/bodies/configs/robots"
+BODIES = ["unitree_go2", *(str(FOLDER / f"small_{kind}.toml") for kind in ("biped", "hexapod", "quadruped"))]
+"""With 12, 8, 18 and 8 joints, 38 slots in all."""
+GENERAL, STATES, NUMBERS = 12, 3, 19
+"""Of the task: numbers that belong to no joint, of a joint's state, of its description."""
 
 
-def layout_of(joint_names):
-    joints, roles = len(joint_names), len({name.split("_")[1] for name in joint_names})
+def layout_of(joints):
     terms = ["base_lin_vel", "base_ang_vel", "projected_gravity", "velocity_commands"]
     per_joint = ["joint_pos_rel", "joint_vel_rel", "last_action"]
-    return [
-        *((term, 3) for term in terms),
-        *((term, joints) for term in per_joint),
-        ("morphology", 7 + 5 * roles + joints + 1),
-    ]
+    return [*((term, 3) for term in terms), *((term, joints) for term in per_joint), ("joint_descriptors", 19 * joints)]
 
 
-def build(joint_names, layout=None, seed=0, **changes):
-    """A network for these joints, and its number of observations."""
-    layout = layout or layout_of(joint_names)
-    num_obs = sum(size for _, size in layout)
+def build(joints, layout=None, seed=0, **changes):
+    """A network for so many slots."""
+    layout = layout or layout_of(joints)
     torch.manual_seed(seed)
     model = {
         "class_name": URMA,
-        "num_obs": num_obs,
-        "num_actions": len(joint_names),
+        "num_obs": sum(size for _, size in layout),
+        "num_actions": joints,
         "hidden_dims": [24, 16],
         "activation": "elu",
         "obs_normalization": False,
-        "joint_dim": 8,
+        "joint_dim": 16,
         "num_heads": 4,
         "observation_layout": layout,
-        "joint_names": joint_names,
-        "distribution_cfg": {"class_name": "polypod.networks:RoleGaussian", "joint_names": joint_names},
+        "joint_names": [f"J{joint}" for joint in range(joints)],
+        "distribution_cfg": {"class_name": "polypod.networks:JointGaussian"},
     }
-    return networks.build_actor({**model, **changes}).eval(), num_obs
+    return networks.build_actor({**model, **changes}).eval()
+
+
+def batch_of(observations):
+    rows = torch.as_tensor(observations)
+    return TensorDict({"policy": rows}, batch_size=[len(rows)])
 
 
 def actions_of(network, observations):
-    batch = TensorDict({"policy": torch.as_tensor(observations)}, batch_size=[len(observations)])
     with torch.no_grad():
-        return network(batch)
+        return network(batch_of(observations))
 
 
-def test_the_same_weights_serve_any_number_of_joints():
-    first, _ = build(BODIES["quadruped"], obs_normalization=True)
-    for names in BODIES.values():
-        network, num_obs = build(names, seed=1, obs_normalization=True)
-        network.load_state_dict(first.state_dict(), strict=True)
-        batch = TensorDict({"policy": torch.randn(5, num_obs)}, batch_size=[5])
-        actions = network(batch, stochastic_output=True)
-        assert actions.shape == (5, len(names))
-        assert torch.isfinite(actions).all()
-        assert network.output_std.shape == (5, len(names))
-        assert network.get_output_log_prob(actions).shape == (5,)
-        network.output_mean.square().mean().backward()
-        silent = [name for name, weight in network.mlp.named_parameters() if not weight.grad.abs().sum() > 0.0]
-        assert silent == []
+def observations_of(rows, joints, lacks=(), seed=0):
+    """Random observations [rows, n]; `lacks` names slots of rows (row, slot) that hold no joint."""
+    generator = torch.Generator().manual_seed(seed)
+    general = torch.randn(rows, GENERAL, generator=generator)
+    of_joints = torch.randn(rows, STATES + NUMBERS, joints, generator=generator)
+    for row, slot in lacks:
+        of_joints[row, :, slot] = 0.0
+    return torch.cat([general, of_joints.flatten(1)], dim=1)
 
 
-@pytest.mark.parametrize("names", BODIES.values(), ids=BODIES.keys())
-def test_no_joint_has_a_column_of_its_own(names):
-    """In another order of the joints, the same joints take the same actions."""
-    order = np.random.default_rng(0).permutation(len(names))
-    # the roles stay in their order, for which the description has a block each
-    order = np.array(sorted(order, key=lambda joint: names[joint].split("_")[1]))
-    assert (order != np.arange(len(names))).any()
-    network, num_obs = build(names)
-    other, _ = build([names[joint] for joint in order])
-    observations = torch.randn(6, num_obs)
-    columns = np.arange(num_obs)
-    for start in (12, 12 + len(names), 12 + 2 * len(names), num_obs - 1 - len(names)):
-        columns[start : start + len(names)] = start + order
-    torch.testing.assert_close(actions_of(other, observations[:, columns]), actions_of(network, observations)[:, order])
-    assert not torch.allclose(actions_of(network, observations[:, columns]), actions_of(network, observations))
+def mixed_env(robots=BODIES, per_robot=3, slots=()):
+    overrides = ["observations.enable_noise=false"]
+    env = polypod.make(TASK, per_robot * len(robots), robots=robots, seed=3, overrides=overrides, slots=slots)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        env.step(rng.standard_normal((env.num_envs, env.sim.num_actions)).astype(np.float32))
+    return env
 
 
-def test_joints_are_told_apart():
-    """By what the description says of them: equal states, different actions."""
-    network, num_obs = build(BODIES["quadruped"])
-    actions = actions_of(network, torch.full((1, num_obs), 0.3))[0]
-    assert len({round(float(action), 5) for action in actions}) == 12
+def network_of(env, **changes):
+    sim = env.sim
+    layout = [tuple(entry) for entry in sim.observation_layout]
+    network = build(sim.num_actions, layout, joint_names=sim.canonical_joint_names, obs_normalization=True, **changes)
+    network.train()
+    network.update_normalization(batch_of(sim.observation.copy()))
+    return network.eval()
 
 
-def test_features_are_read_from_their_columns():
-    names = BODIES["quadruped"]
-    table = joint_table(layout_of(names), names)
-    observation = np.arange(83, dtype=np.float32)
-    rows = observation[table.column] * table.factor + table.constant
-    np.testing.assert_array_equal(table.selection() @ observation + table.constant, rows)
-    joint = names.index("RH_HFE")
-    description = 48
-    expected = [
-        *(12 + joint, 0.1 * (24 + joint), 36 + joint),  # position, velocity, last action
-        *(0, 0, 0, 0, 1, -1, -1, 1, 0, 0, 0, 0),  # a right hind leg's flexion
-        *(-0.5 * (description + 1), -0.5 * (description + 2)),  # its hip, behind and right
-        description + 22 + joint,  # default position
-        *range(description + 12, description + 17),  # stiffness, damping, effort, inertia, torque of the HFE
-        *(description, *range(description + 3, description + 7), description + 34),
-    ]
-    np.testing.assert_allclose(rows[joint], expected, rtol=1e-6)
-    normalized = joint_table(layout_of(names), names, normalized=True)
-    assert (normalized.factor[:, :3] == 1.0).all()
-    np.testing.assert_array_equal(normalized.factor[:, 3:], table.factor[:, 3:])
-    assert table.general.tolist() == [*range(12), *range(description, description + 7), description + 34]
+def test_a_robot_acts_in_company_as_it_does_alone_and_what_it_lacks_is_zero():
+    env = mixed_env()
+    network = network_of(env)
+    together = actions_of(network, env.sim.observation.copy())
+    mask = torch.from_numpy(env.action_mask)
+    assert (mask.sum(1).numpy() == np.repeat([12, 8, 18, 8], 3)).all()
+    assert (together[~mask] == 0.0).all()
+    assert (together[mask] != 0.0).all()
+    for robot in env.robots:
+        rows = slice(*env.sim.env_ids(robot))
+        alone = actions_of(network, env.sim.observation[rows].copy())
+        torch.testing.assert_close(alone, together[rows], rtol=1e-5, atol=1e-6)
+        # and where there are no slots but its own
+        own = [name for name, real in zip(env.canonical_joint_names, mask[rows.start], strict=True) if real]
+        keep = torch.cat([torch.ones(GENERAL, dtype=torch.bool), mask[rows.start].repeat(STATES + NUMBERS)])
+        small = build(len(own), joint_names=own, obs_normalization=True)
+        small.load_state_dict(network.state_dict(), strict=True)
+        observation = torch.from_numpy(env.sim.observation[rows])[:, keep]
+        torch.testing.assert_close(actions_of(small, observation), alone[:, mask[rows.start]], rtol=1e-5, atol=1e-6)
+    env.close()
 
 
-def test_terms_are_known_by_what_they_are():
+def test_a_robot_without_joints_takes_no_actions():
+    observations = observations_of(3, 5)
+    observations[:, GENERAL:] = 0.0
+    assert (actions_of(build(5, obs_normalization=True), observations) == 0.0).all()
+
+
+def test_no_slot_has_a_column_of_its_own():
+    """In another order of the slots, the same joints take the same actions."""
+    joints, rows = 14, 6
+    lacks = [(row, slot) for row in range(rows) for slot in range(joints) if (row + slot) % 5 == 0]
+    observations = observations_of(rows, joints, lacks)
+    order = torch.from_numpy(np.random.default_rng(0).permutation(joints))
+    of_joints = observations[:, GENERAL:].unflatten(1, (-1, joints))[:, :, order]
+    permuted = torch.cat([observations[:, :GENERAL], of_joints.flatten(1)], dim=1)
+    network = build(joints)
+    torch.testing.assert_close(actions_of(network, permuted), actions_of(network, observations)[:, order])
+    critic = networks.UrmaModel(
+        batch_of(observations),
+        {"critic": ["policy"]},
+        "critic",
+        1,
+        joint_dim=16,
+        num_heads=4,
+        observation_layout=layout_of(joints),
+        joint_names=[""] * joints,
+    )
+    torch.testing.assert_close(critic(batch_of(permuted)), critic(batch_of(observations)))
+
+
+def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
+    env = mixed_env()
+    network = network_of(env)
+    observations = batch_of(env.sim.observation.copy())
+    mask = torch.from_numpy(env.action_mask)
+    actions = network(observations, stochastic_output=True)
+    assert (actions[~mask] == 0.0).all()
+    normal = torch.distributions.Normal(network.output_mean, network.output_std)
+    real = mask.float()
+    torch.testing.assert_close(network.get_output_log_prob(actions), (normal.log_prob(actions) * real).sum(1))
+    torch.testing.assert_close(network.output_entropy, (normal.entropy() * real).sum(1))
+    old = tuple(tensor.detach() for tensor in network.output_distribution_params)
+    # what stands in slots that a robot lacks counts for nothing
+    new = (old[0] + 0.3 + 5.0 * ~mask, old[1], old[2])
+    expected = (real * (0.3 / old[1]).square() / 2.0).sum(1)
+    torch.testing.assert_close(network.get_kl_divergence(old, new), expected)
+    (network.get_output_log_prob(actions).sum() + network.output_entropy.sum()).backward()
+    gradients = {name: weight.grad for name, weight in network.named_parameters()}
+    assert [name for name, gradient in gradients.items() if gradient is None or not gradient.abs().sum() > 0] == []
+    env.close()
+
+
+def test_joints_begin_apart_and_alike_ones_of_different_robots_together():
+    """What a network of joints cannot tell apart it cannot learn: codes of one robot's joints, and of two robots'."""
+    env = polypod.make(TASK, 8, seed=0)
+    network = build(12, joint_dim=256, obs_normalization=True)
+    network.train()
+    network.update_normalization(batch_of(env.sim.observation.copy()))
+    joints = network.mlp._joints(torch.from_numpy(env.sim.observation.copy()))
+    code = torch.sin(network.mlp.code(joints.relative)).unflatten(0, (8, 12))
+    code = code / code.norm(dim=2, keepdim=True)
+    within = torch.einsum("rjk,rik->rji", code, code) - torch.eye(12)
+    # a correlation of 1 would be a joint that acts as another one does
+    assert within.abs().max() < 0.85
+    assert within.abs().mean() < 0.15
+    a1, go2 = (env.robots.index(name) for name in ("unitree_a1", "unitree_go2"))
+    between = torch.einsum("jk,ik->ji", code[a1], code[go2])
+    assert (between.argmax(dim=1) == torch.arange(12)).all()
+    env.close()
+
+
+def test_columns_are_read_by_what_their_terms_are():
     """Under other names, with what the simulator states of them, the observation is read in the same way."""
-    names = BODIES["quadruped"]
     env = polypod.make(TASK, num_envs=8)
     layout = layout_of_terms(terms_of(env.sim))
     env.close()
-    assert [(entry["term"], entry["size"]) for entry in layout] == layout_of(names)
+    assert [(entry["term"], entry["size"]) for entry in layout] == layout_of(12)
     renamed = [{**entry, "term": f"own_{index}"} for index, entry in enumerate(layout)]
-    old, new = joint_table(layout_of(names), names), joint_table(renamed, names)
+    old, new = joint_columns(layout_of(12), 12), joint_columns(renamed, 12)
     for field in dataclasses.fields(old):
         np.testing.assert_array_equal(getattr(new, field.name), getattr(old, field.name))
+    assert old.states[1].tolist() == list(range(24, 36))
+    assert old.magnitudes.tolist() == [1.0, 10.0, 1.0]
+    assert old.descriptions[2].tolist() == list(range(48 + 24, 48 + 36))
+    assert old.general.tolist() == list(range(12))
     # another term of a joint is one more number of its state
     more = [*renamed, {"term": "motor_temperature", "size": 12, "kind": "per_joint", "magnitude": 50.0, "blocks": []}]
-    table = joint_table(more, names)
-    assert table.num_states == 4
-    assert (table.column[3, 3], table.factor[3, 3]) == (83 + 3, np.float32(0.02))
-    blocks = [{**block, "per": "wheel"} if block["per"] == "length" else block for block in layout[-1]["blocks"]]
-    with pytest.raises(polypod.ConfigError, match="own_7 has numbers per wheel"):
-        joint_table([*renamed[:-1], {**renamed[-1], "blocks": blocks}], names)
-
-
-def test_places_of_four_legs_are_orthogonal():
-    place = joint_table(layout_of(BODIES["quadruped"]), BODIES["quadruped"]).place
-    np.testing.assert_array_equal(place @ place.T, 4.0 * np.eye(12))
+    table = joint_columns(more, 12)
+    assert table.states.shape == (4, 12)
+    assert table.states[3, 3] == table.num_obs - 12 + 3
 
 
 @pytest.mark.parametrize(
-    ("names", "layout", "message"),
+    ("joints", "layout", "message"),
     [
-        (["LF_HAA", "ankle"], None, "'ankle' is not the name"),
-        (BODIES["quadruped"], [*layout_of(BODIES["quadruped"])[:-1]], "morphology, which the task lacks"),
-        (BODIES["quadruped"], [*layout_of(BODIES["quadruped"])[:-1], ("morphology", 34)], "has 34 numbers"),
-        (BODIES["quadruped"][:11], layout_of(BODIES["quadruped"]), "joint_pos_rel has 12 numbers"),
+        (12, layout_of(12)[:-1], "says what each joint is, such as joint_descriptors, which the task lacks"),
+        (12, [layout_of(12)[0], layout_of(12)[-1]], "says what each joint does, such as joint_pos_rel"),
+        (11, layout_of(12), "joint_pos_rel has 12 numbers, which are no multiple of 11 joints"),
     ],
 )
-def test_what_does_not_fit_is_named(names, layout, message):
+def test_what_does_not_fit_is_named(joints, layout, message):
     with pytest.raises(polypod.ConfigError, match=message):
-        build(names, layout or [("joint_pos_rel", len(names))])
+        build(joints, layout)
 
 
-def test_numbers_of_one_kind_are_normalised_alike():
-    """The velocities of all knees by one mean and deviation, and so for every kind; checked against a plain sum."""
-    names = BODIES["quadruped"]
-    network, num_obs = build(names, obs_normalization=True)
-    network.train()
-    batches = [2.0 + torch.randn(50, num_obs) * torch.linspace(0.5, 3.0, num_obs) for _ in range(3)]
+def test_normalisation_counts_the_joints_that_there_are():
+    """One mean and deviation for all joints of all robots; checked against a plain sum."""
+    joints, rows = 6, 50
+    lacks = [(row, slot) for row in range(rows) for slot in range(joints) if slot > 3 or row % 3 == slot]
+    network = build(joints, obs_normalization=True).train()
+    batches = [2.0 * observations_of(rows, joints, lacks, seed) for seed in range(3)]
     for batch in batches:
-        network.update_normalization(TensorDict({"policy": batch}, batch_size=[50]))
-    rows = torch.cat(batches)
-    kinds = [
-        *([column] for column in range(12)),  # velocities, gravity and command
-        *([24 + joint for joint in range(12) if names[joint].endswith(role)] for role in ("HAA", "HFE", "KFE")),
-        *([48 + 22 + joint for joint in range(12) if names[joint].endswith(role)] for role in ("HAA", "HFE", "KFE")),
-        *([48 + number] for number in (*range(22), 34)),  # body, and gains of the roles
-    ]
-    for columns in kinds:
-        torch.testing.assert_close(network.obs_normalizer.mean[columns], rows[:, columns].mean().expand(len(columns)))
-        deviation = rows[:, columns].std(unbiased=False)
-        torch.testing.assert_close(network.obs_normalizer.std[columns], deviation.expand(len(columns)))
+        network.update_normalization(batch_of(batch))
+    every = torch.cat(batches)
+    of_joints = every[:, GENERAL:].unflatten(1, (-1, joints)).transpose(1, 2).flatten(0, 1)
+    real = of_joints[(of_joints[:, STATES:] != 0.0).any(1)]
+    assert len(real) == 3 * (rows * joints - len(lacks))
+    scale = torch.tensor([1.0, 0.1, 1.0])
+    moments = network.mlp.moments
+    for name, numbers in (("states", real[:, :STATES] * scale), ("numbers", real[:, STATES:])):
+        torch.testing.assert_close(moments[name].mean, numbers.mean(0))
+        torch.testing.assert_close(moments[name].std, numbers.std(0, unbiased=False))
+    torch.testing.assert_close(moments["general"].mean, every[:, :GENERAL].mean(0))
     network.eval()
-    before = network.obs_normalizer.mean
-    network.update_normalization(TensorDict({"policy": 100.0 + batches[0]}, batch_size=[50]))
-    assert torch.equal(network.obs_normalizer.mean, before)
+    before = moments["states"].mean
+    network.update_normalization(batch_of(100.0 + batches[0]))
+    assert torch.equal(moments["states"].mean, before)
 
 
-def test_what_a_body_lacks_is_not_forgotten():
-    whole, num_obs = build(BODIES["quadruped"], obs_normalization=True)
-    whole.train()
-    whole.update_normalization(TensorDict({"policy": 3.0 + torch.randn(50, num_obs)}, batch_size=[50]))
-    part, num_part = build(BODIES["two joints per leg"], obs_normalization=True)
-    part.load_state_dict(whole.state_dict(), strict=True)
-    part.train()
-    part.update_normalization(TensorDict({"policy": torch.randn(50, num_part)}, batch_size=[50]))
-    again, _ = build(BODIES["quadruped"], obs_normalization=True)
-    again.load_state_dict(part.state_dict(), strict=True)
-    hips, knees = (
-        [24 + joint for joint in range(12) if BODIES["quadruped"][joint].endswith(r)] for r in ("HAA", "KFE")
-    )
-    torch.testing.assert_close(again.obs_normalizer.mean[hips], whole.obs_normalizer.mean[hips])
-    assert (again.obs_normalizer.mean[knees] < whole.obs_normalizer.mean[knees] - 0.5).all()
-
-
-@pytest.mark.parametrize("names", BODIES.values(), ids=BODIES.keys())
 @pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
-def test_the_graph_computes_what_torch_does(names, activation):
-    network, num_obs = build(names, activation=activation, obs_normalization=activation != "relu")
-    network.train()
-    network.update_normalization(TensorDict({"policy": 1.0 + 2.0 * torch.randn(99, num_obs)}, batch_size=[99]))
+def test_the_graph_computes_what_torch_does(activation):
+    joints = 9
+    lacks = [(row, slot) for row in range(99) for slot in range(joints) if (row + slot) % 4 == 0]
+    observations = observations_of(99, joints, lacks)
+    network = build(joints, activation=activation, obs_normalization=activation != "relu").train()
+    network.update_normalization(batch_of(observations))
     network.eval()
-    graph = OnnxPolicy(onnx_graph.network_model(network, num_obs, len(names), {}).SerializeToString())
+    num_obs = observations.shape[1]
+    graph = OnnxPolicy(onnx_graph.network_model(network, num_obs, joints, {}).SerializeToString())
     assert compare(graph, network.as_jit(), {"obs": num_obs}, ["actions"]) <= 1e-5
+    found = torch.from_numpy(graph(obs=observations.numpy())["actions"])
+    torch.testing.assert_close(found, actions_of(network, observations), rtol=1e-5, atol=1e-5)
+    assert (found[[row for row, _ in lacks], [slot for _, slot in lacks]] == 0.0).all()
 
 
 def test_a_height_scan_belongs_to_the_body():
-    layout = [*layout_of(BODIES["quadruped"]), ("height_scan", 187)]
-    network, num_obs = build(BODIES["quadruped"], layout)
-    assert num_obs == 270
-    observations = torch.randn(3, 270)
+    network = build(12, [*layout_of(12), ("height_scan", 187)])
+    observations = torch.cat([observations_of(3, 12), torch.randn(3, 187)], dim=1)
     changed = observations.clone()
-    changed[:, 200] += 1.0
+    changed[:, -50] += 1.0
     assert (actions_of(network, observations) != actions_of(network, changed)).any(dim=1).all()
+
+
+def test_mirror_images_of_different_bodies_are_observations_of_bodies():
+    """The image of a symmetric body in its mirrored pose is what the mirror makes of the observation."""
+    env = mixed_env()
+    adapter = polypod.rsl_rl.VecEnv(env)
+    observations = adapter.get_observations()
+    images, actions = Mirror(adapter, "cpu").augment(adapter, observations, torch.ones(env.num_envs, 38))
+    count = env.num_envs
+    mask = torch.from_numpy(env.action_mask)
+    network = network_of(env)
+    network(images, stochastic_output=True)
+    assert torch.equal(network.distribution.mask[:count].bool(), mask)
+    assert torch.equal(network.distribution.mask[count:].bool(), actions[count:].abs().bool() & mask)
+    # descriptions of a robot that is its own image stay, up to the small differences of its URDF
+    numbers = images["policy"][:, GENERAL + STATES * 38 :].unflatten(1, (NUMBERS, 38))
+    go2 = slice(*env.sim.env_ids("unitree_go2"))
+    torch.testing.assert_close(numbers[count:][go2][:, :13], numbers[:count][go2][:, :13], atol=2e-3, rtol=0.0)
+    env.close()
 
 
 @pytest.fixture
@@ -243,6 +298,7 @@ def small(tmp_path):
     path.write_text(
         'extends = "flat"\n'
         f'[run]\ntask = "{TASK}"\nnum_envs = 32\nsymmetry = true\nnormalize_reward_per_robot = true\n'
+        "normalize_advantage_per_robot = true\n"
         f'[actor]\nclass_name = "{URMA}"\nhidden_dims = [24, 16]\njoint_dim = 8\nnum_heads = 4\n'
         "obs_normalization = true\n"
         f'[critic]\nclass_name = "{URMA}"\nhidden_dims = [24]\njoint_dim = 8\nnum_heads = 4\n'
@@ -284,7 +340,7 @@ def test_it_trains_resumes_exports_and_is_evaluated_like_any_other(tmp_path, sma
     done = export_checkpoint(whole, tmp_path / "exported", robots=["spot"])
     assert done.difference <= 1e-5
     network = load_network(run_dir.load_checkpoint(whole), run_dir.read_manifest(whole)["policy"])
-    observations = torch.randn(7, 83)
+    observations = observations_of(7, 12)
     script = torch.jit.load(str(tmp_path / "exported" / "policy.pt"))
     torch.testing.assert_close(script(observations), actions_of(network, observations), rtol=1e-5, atol=1e-5)
     folded = torch.jit.load(str(tmp_path / "exported" / "policy_spot.pt"))
@@ -295,22 +351,57 @@ def test_it_trains_resumes_exports_and_is_evaluated_like_any_other(tmp_path, sma
     torch.testing.assert_close(folded(*sensors)[1], torch.from_numpy(wanted["actions"]), rtol=1e-5, atol=1e-5)
 
 
-def test_mixed_precision_is_close(small):
-    network, num_obs = build(BODIES["quadruped"])
-    observations = torch.randn(64, num_obs)
+def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small):
+    checkpoint = train(tmp_path / "run", small, robots=BODIES, max_iterations=1)
+    assert run_dir.read_manifest(checkpoint)["policy"]["num_actions"] == 38
+    # one robot alone, and one that the training did not know
+    assert list(evaluate_checkpoint(checkpoint, robots=BODIES[1:2], num_envs=2, steps=5).robots) == ["small_biped"]
+    exported = export_checkpoint(checkpoint, fold=True, robots=[BODIES[2]])
+    graph = OnnxPolicy(exported.files[0].parent / "policy_small_hexapod.onnx")
+    found = graph(**{name: np.ones((2, size), dtype=np.float32) for name, size in graph.inputs.items()})
+    assert found["actions"].shape == (2, 38)
+    assert (found["actions"] != 0.0).sum() == 2 * 18
+    assert found["joint_pos_target"].shape == (2, 18)
+    # the loop of the example runs it
+    deployed = robot_loop().Policy(str(exported.files[0].parent / "policy_small_hexapod.onnx"))
+    zeros = np.zeros(18)
+    state = robot_loop().State(zeros, zeros, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+    targets = [deployed.act(state, (0.5, 0.0, 0.0)) for _ in range(2)]
+    assert (targets[0] != targets[1]).all()
+
+
+def robot_loop():
+    path = Path(__file__).parents[2] / "examples" / "deploy" / "robot_loop.py"
+    spec = importlib.util.spec_from_file_location("robot_loop", path)
+    module = sys.modules["robot_loop"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_mixed_precision_is_close():
+    network = build(12)
+    observations = observations_of(64, 12)
     exact = actions_of(network, observations)
     with torch.amp.autocast("cpu", dtype=torch.bfloat16):
         rough = actions_of(network, observations)
     assert (exact - rough).abs().max() < 0.05 * exact.abs().max()
 
 
-def test_the_shipped_config_is_no_larger_than_the_perceptron_for_rough_ground():
-    actor = config.load(str(CONFIG)).actor
-    env = polypod.make(TASK, num_envs=8)
-    size = {"num_obs": env.sim.num_obs, "num_actions": 12}
-    network = networks.build_actor({**size, **actor.model_cfg(env.sim)})
-    perceptron = networks.build_actor({**size, **config.load("rough").actor.model_cfg(None)})
+def test_a_policy_for_averages_of_legs_says_what_it_lacks():
+    """Networks of joints of earlier versions read the term `morphology`."""
+    layout = [*layout_of(12)[:-1], ("morphology", 35)]
+    with pytest.raises(_core.ConfigError, match="joint_descriptors, which the task lacks"):
+        build(12, layout)
+
+
+@pytest.mark.parametrize("name", ["flat_joints", "legged_joints"])
+def test_the_shipped_configs_are_no_larger_than_the_perceptron_for_rough_ground(name):
+    shipped = config.load(name)
+    env = polypod.make(shipped.run.task, num_envs=24)
+    size = {"num_obs": env.sim.num_obs, "num_actions": env.sim.num_actions}
+    network = networks.build_actor({**size, **shipped.actor.model_cfg(env.sim)})
+    perceptron = networks.build_actor({"num_obs": 235, "num_actions": 12, **config.load("rough").actor.model_cfg(None)})
     weights, others = (sum(weight.numel() for weight in each.parameters()) for each in (network, perceptron))
     assert isinstance(perceptron, MLPModel)
-    assert weights < others / 2
+    assert weights < 1.1 * others
     env.close()

@@ -15,7 +15,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from polypod.training import run_dir
 from polypod.training.advantages import normalize_per_robot
 from polypod.training.reward_scale import RewardScale
-from polypod.training.workers import Workers, slow_workers
+from polypod.training.workers import Workers, _backend, slow_workers
 from same_bits import equal
 
 CONFIG = """
@@ -118,9 +118,10 @@ def test_curves_tell_how_long_each_worker_took(train):
             assert all(0.0 < value < 30.0 for value in seconds)
 
 
-def test_a_killed_worker_is_named(team, tmp_path):
+@pytest.mark.parametrize("learner", ["native", "rsl_rl"])
+def test_a_killed_worker_is_named(team, tmp_path, learner):
     (tmp_path / "mine.toml").write_text(CONFIG)
-    processes = team.start(2, command(tmp_path, iterations=2000), tmp_path)
+    processes = team.start(2, (*command(tmp_path, iterations=2000), "--learner", learner), tmp_path)
     end = time.monotonic() + 40
     while not list(tmp_path.glob("logs/rsl_rl/*/*/model_3.pt")):
         assert time.monotonic() < end
@@ -228,6 +229,30 @@ def test_rewards_and_advantages_are_scaled_as_by_one_process():
         thread.join(timeout=30)
     assert torch.allclose(torch.cat([of[0] for of in found], 1), expected, rtol=1e-5)
     assert torch.allclose(torch.cat([of[1] for of in found], 1), advantages, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("gpus", "backend"),
+    [
+        (["a", "b"], "cpu:gloo,cuda:nccl"),
+        (["a", "a"], "gloo"),
+        (["a", "b", "a"], "gloo"),
+        (["a", ""], "gloo"),
+        (["", ""], "gloo"),
+    ],
+)
+def test_nccl_is_for_workers_with_gpus_of_their_own(gpus, backend):
+    """All workers choose alike, although each knows its own GPU alone."""
+    store, found = torch.distributed.HashStore(), []
+    threads = [
+        threading.Thread(target=lambda index=index: found.append(_backend(store, index, len(gpus), gpus[index])))
+        for index in range(len(gpus))
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=30)
+    assert found == [backend] * len(gpus)
 
 
 def test_slow_workers_are_those_far_above_the_median():

@@ -97,7 +97,7 @@ impl Play {
             slots: manifest.canonical_joint_names.clone(),
             ..SimOptions::new(task, num_envs)
         })?;
-        let policy = Policy::load(&self.policy, num_envs)?;
+        let mut policy = Policy::load(&self.policy, num_envs)?;
         policy.check(&sim)?;
         if let Some(command) = &self.command {
             sim.set_commands(Some(&command.repeat(num_envs)))?;
@@ -124,6 +124,9 @@ impl Play {
                 policy.act(&rows.flat_map(|row| &row[..observed]).copied().collect::<Vec<_>>())?
             };
             sim.step(&actions)?;
+            let batch = sim.batch();
+            let ends = batch.terminated.iter().zip(&batch.truncated[..]).map(|(a, b)| *a || *b);
+            policy.reset(Some(&ends.collect::<Vec<_>>()))?;
             advance(&mut sim, &mut tracks);
             progress.inc(1);
             if tracks.iter().all(|track| track.ended) {

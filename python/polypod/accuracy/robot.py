@@ -45,6 +45,8 @@ class Actuators:
     """Fewest and most physics steps by which targets come late, [joints, 2]."""
     groups: tuple[str, ...]
     """Name of each joint's group; joints of a group are late together."""
+    networks: npt.NDArray[np.bool_]
+    """Joints whose torque a network gives in the place of the gains, [joints]."""
 
     def effort_range(self, position: Array, velocity: Array) -> Array:
         """Least and most effort [..., joints, 2] of each actuator at the joints' positions and velocities."""
@@ -103,8 +105,19 @@ def names(task: str | None = None) -> list[str]:
 
 @functools.cache
 def load(name: str) -> Robot:
-    """Reads a robot of the library with its actuators. Raises UnknownNameError."""
-    return of(_core.VecSim(TASK, 1, robots=[name], threads=1), name, name)
+    """Reads a robot of the library with its actuators.
+
+    Raises:
+        UnknownNameError: for another name.
+        ConfigError: for a robot whose actuators are networks.
+    """
+    robot = of(_core.VecSim(TASK, 1, robots=[name], threads=1), name, name)
+    if robot.actuators.networks.any():
+        raise _core.ConfigError(
+            f"{name}: its actuators are networks, and accuracy compares engines under gains; compare the robot it "
+            "extends, or its policy with polypod sim2sim"
+        )
+    return robot
 
 
 def of(sim: _core.VecSim, name: str, source: str) -> Robot:
@@ -142,10 +155,11 @@ def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[
     def column(key: str, default: float) -> Array:
         return np.array([row.get(key, default) for row in rows], dtype=np.float64)
 
-    motor = np.array([row["model"] == "dc_motor" for row in rows])
+    motor = np.array(["saturation_effort" in row for row in rows])
+    networks = np.array(["network_file" in row for row in rows])
     return Actuators(
-        stiffness=column("stiffness", 0.0),
-        damping=column("damping", 0.0),
+        stiffness=np.where(networks, 0.0, column("stiffness", 0.0)),
+        damping=np.where(networks, 0.0, column("damping", 0.0)),
         armature=column("armature", 0.0),
         joint_damping=column("joint_damping", np.nan),
         friction=column("friction", np.nan),
@@ -155,4 +169,5 @@ def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[
         effort_tables=tuple(table(row, sign) for row, sign in zip(rows, signs, strict=True)),
         delay=np.array([row.get("delay", [0, 0]) for row in rows], dtype=np.float64),
         groups=groups,
+        networks=networks,
     )

@@ -78,7 +78,9 @@ def training(
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
     kind = torch.device(device).type
-    train_config = train_config.with_mixed_precision_resolved(kind).with_learner_resolved(learner, kind)
+    train_config = train_config.with_mixed_precision_resolved(kind).with_learner_resolved(
+        learner, kind, workers is not None and workers.count > 1
+    )
     run = train_config.run
     if options.threads is not None:
         torch.set_num_threads(options.threads)
@@ -97,7 +99,7 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     """Seconds per iteration of every learner that this machine has, one after the other."""
     learners = [("native", "cpu", "off"), ("rsl_rl", "cpu", "off"), ("rsl_rl, bfloat16", "cpu", "auto")]
     if torch.cuda.is_available():
-        learners.append(("rsl_rl, CUDA", CUDA, "off"))
+        learners += [("native, CUDA", CUDA, "off"), ("rsl_rl, CUDA", CUDA, "off")]
     rows: dict[str, dict[str, float]] = {}
     for name, device, precision in learners:
         progress(f"{name} on {device}")

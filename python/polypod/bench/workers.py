@@ -1,7 +1,8 @@
 """How trainings scale over workers of one machine: `polypod bench --workers`.
 
 The same cores are shared out among more and more workers. What is measured is what several workers cost: the time that
-they wait for one another, and the bytes that they send.
+they wait for one another, and the bytes that they send. On GPUs rsl_rl learns, worker 0 on the first GPU, worker 1 on
+the second; workers beyond the GPUs share them.
 """
 
 import json
@@ -11,6 +12,8 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+import torch
 
 from polypod import _core
 from polypod.bench.learners import Options, heading, training
@@ -22,31 +25,43 @@ ITERATIONS = 8
 """Timed after one that is not. The fastest one counts: whatever else the machine does makes workers wait."""
 NETWORKS = {"1 Gbit/s": 1e9 / 8, "10 Gbit/s": 1e10 / 8, "100 Gbit/s": 1e11 / 8}
 """Bytes per second that a worker sends, of the networks that limits are given for."""
+CUDA = "cuda"
+LEARNERS = {"cpu": "native", CUDA: "rsl_rl"}
+"""What learns on each kind of device."""
 LONGEST_S = 600.0
 """Of one number of workers."""
 
 
-def measure(options: Options, counts: Sequence[int], progress: Progress) -> dict[str, Any]:
+def measure(options: Options, counts: Sequence[int], progress: Progress, device: str = "cpu") -> dict[str, Any]:
     """Trains with each number of workers in turn.
+
+    Args:
+        options: what to train; its threads are those of all workers.
+        counts: numbers of workers.
+        progress: is told what is measured.
+        device: cpu, for the native learner, or cuda, for rsl_rl.
 
     Raises:
         ConfigError: for envs that so many workers cannot share, and for a training that fails.
     """
     cores = options.threads or _core.info()["threads"]
     train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
+    if device == CUDA and not torch.cuda.is_available():
+        raise _core.ConfigError("--device cuda, but torch finds no CUDA device; leave it out for the native learner")
     for count in counts:
-        _core.share_of_worker(train_config.run.num_envs, 0, count)
+        Workers(0, count, 0, count, None).share(train_config.run.num_envs, LEARNERS[device])
     rows = {}
     for count in counts:
         threads = max(1, cores // count)
         progress(f"{count} workers of {threads} threads")
-        rows[str(count)] = _measured(options, count, threads)
+        rows[str(count)] = _measured(options, count, threads, device)
     samples = train_config.run.num_envs * train_config.run.num_steps_per_env
-    return {**options.conditions(), "samples": samples, "workers": rows}
+    gpus = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())] if device == CUDA else []
+    return {**options.conditions(), "samples": samples, "device": device, "gpus": gpus, "workers": rows}
 
 
-def _measured(options: Options, count: int, threads: int) -> dict[str, Any]:
-    asked = {"train_config": options.train_config, "num_envs": options.num_envs, "seed": options.seed}
+def _measured(options: Options, count: int, threads: int, device: str) -> dict[str, Any]:
+    asked = {"train_config": options.train_config, "num_envs": options.num_envs, "seed": options.seed, "device": device}
     words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)]
     words += ["-m", __name__, json.dumps({**asked, "threads": threads})]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -63,6 +78,8 @@ def _measured(options: Options, count: int, threads: int) -> dict[str, Any]:
 
 def table(result: Mapping[str, Any]) -> str:
     """The figures as Markdown, and the limits of networks that follow from them."""
+    if result["device"] == CUDA:
+        return _table_of_gpus(result)
     rows = result["workers"]
     first = next(iter(rows.values()))
     lines = [
@@ -88,6 +105,26 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _table_of_gpus(result: Mapping[str, Any]) -> str:
+    """The same for rsl_rl, whose messages are not counted."""
+    rows, gpus = result["workers"], result["gpus"]
+    first = next(iter(rows.values()))
+    names = ", ".join(f"{gpus.count(name)} x {name}" for name in dict.fromkeys(gpus))
+    what = f"{result['samples']} samples an iteration, rsl_rl on {names}, fastest of {ITERATIONS} iterations"
+    lines = [
+        *heading(result, what),
+        "| workers x threads | GPUs | messages of GPUs | iteration, s | samples/s | speed |",
+        "|---|---|---|---|---|---|",
+    ]
+    for count, row in rows.items():
+        seconds = row["iteration_s"]
+        lines.append(
+            f"| {count} x {row['threads']} | {min(int(count), len(gpus))} | {row['backend']} | {seconds:.3f} | "
+            f"{result['samples'] / seconds:,.0f} | {first['iteration_s'] / seconds:.0%} |"
+        )
+    return "\n".join(lines)
+
+
 def limit_s(rows: Mapping[str, Mapping[str, Any]], bytes_per_second: float) -> float:
     """Seconds that a network takes for what many workers send in an iteration.
 
@@ -100,21 +137,27 @@ def limit_s(rows: Mapping[str, Mapping[str, Any]], bytes_per_second: float) -> f
 
 def _work(asked: Mapping[str, Any]) -> None:
     """What a worker does; worker 0 prints the figures."""
-    workers = Workers.join(False)
+    is_cuda = asked["device"] == CUDA
+    workers = Workers.join(is_cuda)
+    device = f"{CUDA}:{torch.cuda.current_device()}" if is_cuda else "cpu"
     options = Options(asked["train_config"], asked["num_envs"], asked["threads"], asked["seed"])
     times = []
-    with training(options, "native", "cpu", workers=workers) as runner:
+    with training(options, LEARNERS[asked["device"]], device, workers=workers) as runner:
+        runner.alg.train_mode()
         observations = runner.env.get_observations()
         for iteration in range(ITERATIONS + 1):
             begin, used, waited, sent = time.perf_counter(), time.process_time(), workers.waited, workers.sent
             observations = runner._iterate(iteration, ITERATIONS + 1, observations)
+            if is_cuda:
+                torch.cuda.synchronize()
             seconds, used = time.perf_counter() - begin, time.process_time() - used
             used = sum(workers.gather_messages(used))
             times.append((seconds, used, workers.waited - waited, workers.sent - sent))
+    backend = workers.backend
     workers.close()
     if workers.is_first:
         names = ("iteration_s", "cpu_s", "wait_s", "sent_bytes")
-        print(json.dumps(dict(zip(names, min(times[1:]), strict=True))))
+        print(json.dumps({**dict(zip(names, min(times[1:]), strict=True)), "backend": backend}))
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def positive(value: int | None, flag: str) -> int | None:
     return value
 
 
-def checked_threads(value: int | None, flag: str) -> int | None:
+def thread_count(value: int | None, flag: str) -> int | None:
     """A number of threads. Raises ConfigError."""
     if value is not None and not 1 <= value <= MAX_THREADS:
         raise _core.ConfigError(f"{flag} {value} must be from 1 to {MAX_THREADS}; leave it out for one per core")

@@ -4,10 +4,10 @@ import dataclasses
 import functools
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import Count, arg, checked_threads, names, positive, write_json
+from polypod.commands.arguments import Count, arg, names, positive, thread_count, write_json
 
 NUM_ENVS = 4096
 
@@ -25,6 +25,8 @@ class Bench:
     kinds: Annotated[str | None, arg(metavar="ROBOT,ROBOT")] = None
     """Measure instead a batch of these kinds of bodies beside the same kinds one by one; `all`: sixteen kinds with two,
     four and six legs."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What --workers measures: the native learner on the CPU, or rsl_rl on the machine's GPUs."""
     train_config: str = "quick"
     """What --learner, --walk and --workers train."""
     seeds: int = 3
@@ -61,12 +63,12 @@ class Bench:
             (self.largest, "--largest"),
         ):
             positive(value, flag)
-        checked_threads(self.threads, "--threads")
+        thread_count(self.threads, "--threads")
         options = bench.Options(
             robot=self.robot,
             num_envs=NUM_ENVS if self.num_envs is None else self.num_envs,
             threads=self.threads,
-            step_threads=checked_threads(self.step_threads, "--step-threads"),
+            step_threads=thread_count(self.step_threads, "--step-threads"),
             seed=self.seed or 0,
             quick=self.quick,
             largest=self.largest,
@@ -86,7 +88,7 @@ class Bench:
         result = kinds.measure(
             robots,
             positive(self.num_envs, "--num-envs") or NUM_ENVS,
-            checked_threads(self.step_threads, "--step-threads"),
+            thread_count(self.step_threads, "--step-threads"),
             self.seed or 0,
             functools.partial(print, file=sys.stderr, flush=True),
         )
@@ -101,7 +103,7 @@ class Bench:
         from polypod.bench import learners, walking
         from polypod.training.session import DEFAULT_SEED
 
-        threads = checked_threads(self.step_threads, "--step-threads")
+        threads = thread_count(self.step_threads, "--step-threads")
         num_envs, seed = positive(self.num_envs, "--num-envs"), DEFAULT_SEED if self.seed is None else self.seed
         is_walk = self.walk and self.workers is None and not self.learner
         train_config = self.train_config or ("quick" if is_walk else "flat_universal")
@@ -110,7 +112,7 @@ class Bench:
         if self.workers is not None:
             from polypod.bench import workers
 
-            result = workers.measure(options, _counts(self.workers), progress)
+            result = workers.measure(options, _counts(self.workers), progress, self.device)
             print(workers.table(result))
         elif self.learner:
             result = learners.measure(options, progress)

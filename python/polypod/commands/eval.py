@@ -5,17 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from polypod import _core
-from polypod.commands.arguments import (
-    Count,
-    Name,
-    Overrides,
-    Robots,
-    arg,
-    check_names,
-    checked_threads,
-    names,
-    write_json,
-)
+from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, thread_count, write_json
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +49,7 @@ class Eval:
         from polypod.evaluation import evaluate_checkpoints, plot, summarize
         from polypod.training.report import Reporter
 
-        threads = checked_threads(self.threads, "--threads")
+        threads = thread_count(self.threads, "--threads")
         if threads is not None:
             torch.set_num_threads(threads)
         if not self.checkpoint:

@@ -12,8 +12,8 @@ from polypod.commands.arguments import (
     Velocity,
     arg,
     check_names,
-    checked_threads,
     names,
+    thread_count,
 )
 
 
@@ -26,7 +26,7 @@ class Play:
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None
-    """Forward and left velocity (m/s) and yaw rate (rad/s) for all robots. Default: drawn as the task draws them."""
+    """Forward and left velocity (m/s) and yaw rate (rad/s) for all robots. Default: drawn from the task's ranges."""
     task: Name = None
     """Name or alias of the task. Default: the run's."""
     num_envs: int = 1
@@ -45,8 +45,12 @@ class Play:
     """Width and height of the film, pixels."""
     headless: bool = False
     """Neither browser nor file: only the table of how the robots did."""
+    host: str = "127.0.0.1"
+    """Address that the page is served at; 0.0.0.0 lets other machines in, and anyone who reaches it steers."""
     port: int = 8080
     """Port of the browser's page; 0 takes a free one."""
+    meshes: bool = False
+    """Show the makers' meshes, which the package robot_descriptions downloads once; needs the extra meshes."""
     seed: int = 0
     """Seed of every random stream."""
     threads: Count = None
@@ -75,9 +79,11 @@ class Play:
                 fps=self.fps,
                 size=self.size,
                 headless=self.headless,
+                host=self.host,
                 port=self.port,
+                meshes=self.meshes,
                 seed=self.seed,
-                threads=checked_threads(self.threads, "--threads"),
+                threads=thread_count(self.threads, "--threads"),
                 overrides=list(self.set),
             )
         )

@@ -5,17 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import (
-    Count,
-    Name,
-    Overrides,
-    Robots,
-    arg,
-    check_names,
-    checked_threads,
-    names,
-    positive,
-)
+from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +78,7 @@ class Train:
             run_name=self.run_name,
             log_dir=self.log_dir,
             device=self.device,
-            threads=checked_threads(self.threads, "--threads"),
+            threads=thread_count(self.threads, "--threads"),
             overrides=list(self.set),
         )
         if self.ray is not None:

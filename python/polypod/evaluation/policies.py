@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.networks import build_actor
+from polypod.networks.onnx_network import OnnxNetwork
 
 Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 """Observations [num_envs, num_obs] to actions [num_envs, num_actions], as `polypod.policy.Policy.act`."""
@@ -63,7 +64,7 @@ class NetworkPolicy:
 
     def reset(self, ends: npt.NDArray[np.bool_] | None = None) -> None:
         """Forgets what the envs of the mask have seen, [num_envs]; None: all, of whatever number."""
-        if isinstance(self.network, RNNModel):
+        if isinstance(self.network, RNNModel | OnnxNetwork):
             with torch.inference_mode():
                 self.network.reset(None if ends is None else torch.from_numpy(ends.astype(np.int64)))
 

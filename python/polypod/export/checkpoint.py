@@ -3,23 +3,22 @@
 import dataclasses
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
-from rsl_rl.models import RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.export import metadata, onnx_graph
+from polypod.export import metadata, onnx_graph, states
 from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
-from polypod.networks.onnx_network import OnnxNetwork
-from polypod.observation import Term, check_memory
+from polypod.networks.onnx_network import OnnxNetwork, output_of
+from polypod.observation import Term
 from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
 
 Format = Literal["onnx", "torchscript"]
@@ -29,6 +28,8 @@ FOLDER = "exported"
 TOLERANCE = 1e-5
 """Largest difference from torch's result, relative to numbers beyond 1."""
 _ROWS = 256
+_NETWORK = ("class_name", "hidden_dims", "activation", "rnn_type", "rnn_hidden_dim", "rnn_num_layers")
+"""What the manifest says of the network."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,11 +65,6 @@ def export_checkpoint(
     """
     policy = load(checkpoint)
     manifest = policy.manifest
-    if isinstance(policy.network, RNNModel):
-        raise _core.ConfigError(
-            f"{checkpoint} is recurrent, which this version does not export; distil it into a perceptron with "
-            "history_length, or use rsl_rl's own exporter"
-        )
     if isinstance(policy.network, OnnxNetwork) and "torchscript" in formats:
         raise _core.ConfigError(f"{checkpoint} is an ONNX file, of which no TorchScript is made; use --formats onnx")
     known = interfaces(manifest)
@@ -114,22 +110,24 @@ class _Writer:
         any_robot = next(iter(robots.values()))
         self.terms = any_robot.terms
         self.scan_points = any_robot.scan_points.tolist()
-        module = self.network.as_jit()
+        module = states.as_module(self.network)
         sizes = {"obs": self.num_obs}
+        memory = states.of_network(self.network)
         if "onnx" in self.formats:
             # gains and poses are one robot's: of several, each graph that is folded for one says its own
             alone = any_robot if len(robots) == 1 else None
             described = self._metadata("policy", alone)
             model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, described)
-            self._write_onnx("policy", model, module, sizes, ["actions"])
+            self._write_onnx("policy", model, module, sizes, ["actions"], memory)
         if "torchscript" in self.formats:
-            self._write_torchscript("policy", module, sizes)
+            self._write_torchscript("policy", module, sizes, memory)
         self._write_manifest(
             "policy",
             {
                 "kind": "policy",
                 "inputs": [_tensor("obs", self.num_obs, "the observation: see observation_layout")],
                 "outputs": [_tensor("actions", self.num_actions, "the action, in canonical order")],
+                "states": states.describe(memory),
                 "robots": self.manifest["robot_sources"],
                 "robot_info": {name: self._robot(robot) for name, robot in robots.items()},
             },
@@ -137,31 +135,38 @@ class _Writer:
 
     def write_robot(self, robot: RobotInterface) -> None:
         """The graph folded for one robot, with a manifest about it."""
-        check_memory(robot.terms, "a graph that is folded for a robot has")
         name = f"policy_{robot.name}"
         module = RobotPolicy(self.network, robot).eval()
         sizes, outputs = robot.inputs(), {"joint_pos_target": len(robot.joint_names), "actions": self.num_actions}
+        memory = robot.states() | states.of_network(self.network)
         if "onnx" in self.formats:
             model = onnx_graph.robot_model(self.network, robot, self._metadata(name, robot))
-            self._write_onnx(name, model, module, sizes, list(outputs))
+            self._write_onnx(name, model, module, sizes, list(outputs), memory)
         if "torchscript" in self.formats:
-            self._write_torchscript(name, module, sizes)
+            self._write_torchscript(name, module, sizes, memory)
         self._write_manifest(
             name,
             {
                 "kind": "robot",
                 "inputs": [_tensor(key, size, robot.meaning(key)) for key, size in sizes.items()],
                 "outputs": [_tensor(key, size, OUTPUTS[key]) for key, size in outputs.items()],
+                "states": states.describe(memory),
                 "robots": [robot.name],
                 "robot_info": {robot.name: self._robot(robot)},
             },
         )
 
     def _write_onnx(
-        self, name: str, model: Any, module: torch.nn.Module, sizes: dict[str, int], outputs: list[str]
+        self,
+        name: str,
+        model: Any,
+        module: torch.nn.Module,
+        sizes: dict[str, int],
+        outputs: list[str],
+        memory: dict[str, states.Shape],
     ) -> None:
         data = model.SerializeToString()
-        difference = compare(OnnxPolicy(data), module, sizes, outputs)
+        difference = compare(OnnxPolicy(data), module, sizes, outputs, memory)
         if not difference <= TOLERANCE:
             raise _core.PolypodError(
                 f"{name}.onnx differs from the checkpoint by {difference:.1e}, more than {TOLERANCE:g}; "
@@ -170,9 +175,12 @@ class _Writer:
         self.difference = max(self.difference, difference)
         self._write_graph(f"{name}.onnx", data)
 
-    def _write_torchscript(self, name: str, module: torch.nn.Module, sizes: dict[str, int]) -> None:
+    def _write_torchscript(
+        self, name: str, module: torch.nn.Module, sizes: dict[str, int], memory: dict[str, states.Shape]
+    ) -> None:
         # two rows, so that nothing is taken for a constant
-        inputs = tuple(torch.zeros(2, size) for size in sizes.values())
+        shapes = [(2, size) for size in sizes.values()] + [states.full_shape(shape, 2) for shape in memory.values()]
+        inputs = tuple(torch.zeros(shape) for shape in shapes)
         self._write_graph(f"{name}.pt", torchscript(module, inputs))
 
     def _write_graph(self, name: str, data: bytes) -> None:
@@ -208,7 +216,7 @@ class _Writer:
             else None,
             "num_obs": self.num_obs,
             "num_actions": self.num_actions,
-            "network": {key: self.manifest["policy"][key] for key in ("class_name", "hidden_dims", "activation")},
+            "network": {key: value for key, value in self.manifest["policy"].items() if key in _NETWORK},
             "versions": {"polypod": _core.__version__, "torch": torch.__version__},
             "files": {file: digest for file, digest in self.sums.items() if Path(file).stem == name},
         }
@@ -236,10 +244,19 @@ class _Writer:
         }
 
 
-def compare(policy: OnnxPolicy, module: torch.nn.Module, sizes: dict[str, int], outputs: Sequence[str]) -> float:
+def compare(
+    policy: OnnxPolicy,
+    module: torch.nn.Module,
+    sizes: dict[str, int],
+    outputs: Sequence[str],
+    memory: Mapping[str, states.Shape] = {},
+) -> float:
     """Largest difference of an ONNX graph from its torch module on random inputs, relative to numbers beyond 1."""
     random = np.random.default_rng(0)
-    inputs = {name: random.standard_normal((_ROWS, size), dtype=np.float32) for name, size in sizes.items()}
+    shapes = {name: (_ROWS, size) for name, size in sizes.items()}
+    shapes |= {name: states.full_shape(shape, _ROWS) for name, shape in memory.items()}
+    inputs = {name: random.standard_normal(shape, dtype=np.float32) for name, shape in shapes.items()}
+    outputs = [*outputs, *map(output_of, memory)]
     with torch.inference_mode():
         found = module(*(torch.from_numpy(value) for value in inputs.values()))
     wanted = [found.numpy()] if isinstance(found, torch.Tensor) else [value.numpy() for value in found]

@@ -5,22 +5,25 @@ depends on its version. `checkpoint.export_checkpoint` compares every graph with
 """
 
 import functools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from rsl_rl.models import MLPModel
+from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
-from polypod.export import sources
+from polypod.export import sources, states
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
+from polypod.export.states import HISTORY, Shape
 from polypod.extras import package
 from polypod.networks import JointNetwork
-from polypod.networks.onnx_network import OnnxNetwork
-from polypod.observation import Treatment
+from polypod.networks.onnx_network import OnnxNetwork, output_of
+from polypod.networks.urma import LOG_FLOOR, OUTSIDE, RELATIVE_FLOOR
+from polypod.observation import Term, Treatment
 
 OPSET = 17
 """Of ONNX's default domain: old enough for the runtimes in use."""
@@ -36,6 +39,8 @@ class Graph:
         self.onnx = package("onnx", "exporting to ONNX", "export")
         self.name = name
         self.nodes: list[Any] = []
+        self.states: dict[str, Shape] = {}
+        """What it remembers, by the names of the inputs; their outputs are computed by nodes."""
         self.constants: list[Any] = []
         self.opsets = {"": OPSET}
         self.ir_version = IR_VERSION
@@ -60,6 +65,7 @@ class Graph:
             )
         self.ir_version = max(model.ir_version, self.ir_version)
         names = {network.input: source, network.output: target}
+        self.states |= network.states
         inner = self.onnx.compose.add_prefix_graph(model.graph, "network_", rename_inputs=False, rename_outputs=False)
         for node in inner.node:
             node.input[:] = [names.get(name, name) for name in node.input]
@@ -68,18 +74,23 @@ class Graph:
         self.constants += list(inner.initializer)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int], metadata: Mapping[str, str]) -> Any:
-        """The checked model; inputs and outputs are float32 [batch, size]."""
+        """The checked model; inputs and outputs are float32 [batch, size], and after them come the states."""
         helper = self.onnx.helper
 
-        def tensors(sizes: Mapping[str, int]) -> list[Any]:
+        def tensors(sizes: Mapping[str, int], memory: Mapping[str, Shape]) -> list[Any]:
             kind = self.onnx.TensorProto.FLOAT
-            documents = {**INPUTS, **OUTPUTS}
+            documents = {**INPUTS, **OUTPUTS, **states.MEANINGS}
+            shapes: dict[str, list[int | str]] = {name: ["batch", size] for name, size in sizes.items()}
+            for name, shape in memory.items():
+                shapes[name] = ["batch", *shape] if len(shape) == 1 else [shape[0], "batch", *shape[1:]]
             return [
-                helper.make_tensor_value_info(name, kind, ["batch", size], doc_string=documents.get(name, ""))
-                for name, size in sizes.items()
+                helper.make_tensor_value_info(name, kind, shape, doc_string=documents.get(name, ""))
+                for name, shape in shapes.items()
             ]
 
-        graph = helper.make_graph(self.nodes, self.name, tensors(inputs), tensors(outputs), self.constants)
+        after = {output_of(name): shape for name, shape in self.states.items()}
+        ends = tensors(inputs, self.states), tensors(outputs, after)
+        graph = helper.make_graph(self.nodes, self.name, *ends, self.constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid(domain, version) for domain, version in self.opsets.items()],
@@ -87,7 +98,11 @@ class Graph:
             producer_name="polypod",
             producer_version=_core.__version__,
         )
-        helper.set_model_props(model, dict(metadata))
+        fed_back = {
+            "state_inputs": ",".join(self.states),
+            "state_outputs": ",".join(after),
+        }
+        helper.set_model_props(model, {**metadata, **(fed_back if self.states else {})})
         self.onnx.checker.check_model(model, full_check=True)
         return model
 
@@ -104,12 +119,19 @@ def robot_model(network: MLPModel | OnnxNetwork, robot: RobotInterface, metadata
     graph = Graph(f"policy_{robot.name}")
     inputs = robot.inputs()
     do = _Operations(graph, robot)
+    history = _History(graph, robot) if robot.states() else None
     columns = []
     for term in robot.terms:
         do.term = term.term
         column = sources.compute(do, term, term.inputs)
         # a constant is what the policy observes already
-        columns.append(_add_treatment(graph, term.treatment, column, term.term) if term.inputs else column)
+        if term.inputs:
+            column = _add_treatment(graph, term.treatment, column, term.term)
+            if history is not None and term.history_length > 1:
+                column = history.add(term, column)
+        columns.append(column)
+    if history is not None:
+        history.finish()
     observation = graph.node("Concat", *columns, output="obs", axis=1)
     if len(robot.columns) == robot.num_actions:
         _add_network(graph, network, observation, "actions")
@@ -120,6 +142,43 @@ def robot_model(network: MLPModel | OnnxNetwork, robot: RobotInterface, metadata
     graph.node("Gemm", "actions", spread, do.default_pose, output="joint_pos_target")
     outputs = {"joint_pos_target": len(robot.joint_names), "actions": robot.num_actions}
     return graph.model(inputs, outputs, metadata)
+
+
+class _History:
+    """What the terms of a folded graph remember, see `polypod.export.states`."""
+
+    def __init__(self, graph: Graph, robot: RobotInterface) -> None:
+        self.graph = graph
+        graph.states |= robot.states()
+        self.start = 1
+        flag = self._columns(HISTORY, 0, 1, "history_flag")
+        half = graph.constant("history_half", np.array(0.5, dtype=np.float32))
+        self.begun = graph.node("Greater", flag, half, output="history_begun")
+        zero, one = (graph.constant(f"history_{x:g}", np.array(x, dtype=np.float32)) for x in (0.0, 1.0))
+        # as many rows as the input has
+        self.after = [graph.node("Add", graph.node("Mul", flag, zero, output="history_none"), one, output="history_on")]
+
+    def add(self, term: Term, newest: str) -> str:
+        """The whole of a term, the oldest numbers first; a new episode remembers its first numbers."""
+        graph, name, past = self.graph, term.term, term.size - term.width
+        remembered = self._columns(HISTORY, self.start, self.start + past, f"{name}_remembered")
+        self.start += past
+        repeated = graph.node("Concat", *[newest] * (term.history_length - 1), output=f"{name}_repeated", axis=1)
+        older = graph.node("Where", self.begun, remembered, repeated, output=f"{name}_older")
+        whole = graph.node("Concat", older, newest, output=f"{name}_whole", axis=1)
+        self.after.append(self._columns(whole, term.width, term.size, f"{name}_kept"))
+        return whole
+
+    def finish(self) -> None:
+        """Gives back what is to be remembered."""
+        self.graph.node("Concat", *self.after, output=output_of(HISTORY), axis=1)
+
+    def _columns(self, source: str, start: int, end: int, output: str) -> str:
+        limits = [
+            self.graph.constant(f"{output}_{name}", np.array([value], dtype=np.int64))
+            for name, value in (("start", start), ("end", end), ("axis", 1))
+        ]
+        return self.graph.node("Slice", source, *limits, output=output)
 
 
 class _Operations:
@@ -202,6 +261,8 @@ def _add_network(graph: Graph, network: MLPModel | OnnxNetwork, source: str, tar
         mean = graph.constant("obs_mean", _numpy(normalizer.mean))
         scale = graph.constant("obs_std", _numpy(normalizer.std + normalizer.eps))
         value = graph.node("Div", graph.node("Sub", value, mean, output="obs_centred"), scale, output="obs_normalized")
+    if isinstance(network, RNNModel):
+        value = _add_recurrent_layers(graph, network, value)
     if isinstance(network.mlp, JointNetwork):
         _add_joint_network(graph, network.mlp, value, target)
     else:
@@ -219,47 +280,156 @@ def _add_layers(graph: Graph, layers: Sequence[torch.nn.Module], source: str, ta
             value = _add_activation(graph, layer, value, output)
 
 
+def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
+    """Adds the recurrent layers, each fed with one step of a sequence; returns the name of the last one's output."""
+    rnn: Any = network.rnn.rnn
+    graph.states |= states.of_network(network)
+    is_lstm = isinstance(rnn, torch.nn.LSTM)
+    # torch has the gates of an LSTM as input, forget, cell, output, and ONNX as input, output, forget, cell; those of a
+    # GRU are reset, update, new, and update, reset, new
+    order = [0, 3, 1, 2] if is_lstm else [1, 0, 2]
+
+    def gates(name: str) -> npt.NDArray[np.float32]:
+        parts = np.split(_numpy(getattr(rnn, name)), len(order))
+        return np.concatenate([parts[gate] for gate in order])
+
+    axis = graph.constant("sequence_axis", np.array([0], dtype=np.int64))
+    value = graph.node("Unsqueeze", source, axis, output="sequence")
+    ends: dict[str, list[str]] = {name: [] for name in graph.states if name != HISTORY}
+    for layer in range(rnn.num_layers):
+        name = f"recurrent_{layer}"
+        weights = [
+            graph.constant(f"{name}_{key}", gates(f"weight_{key}_l{layer}")[np.newaxis]) for key in ("ih", "hh")
+        ]
+        bias = np.concatenate([gates(f"bias_{key}_l{layer}") for key in ("ih", "hh")])[np.newaxis]
+        begins = []
+        for state in ends:
+            limits = [
+                graph.constant(f"{name}_{state}_{key}", np.array([at], dtype=np.int64))
+                for key, at in (("start", layer), ("end", layer + 1), ("axis", 0))
+            ]
+            begins.append(graph.node("Slice", state, *limits, output=f"{name}_{state}"))
+            ends[state].append(f"{name}_{output_of(state)}")
+        inputs = [value, *weights, graph.constant(f"{name}_bias", bias), "", *begins]
+        outputs = [f"{name}_all", *(names[-1] for names in ends.values())]
+        extra = {} if is_lstm else {"linear_before_reset": 1}
+        operator = "LSTM" if is_lstm else "GRU"
+        graph.nodes.append(
+            graph.onnx.helper.make_node(operator, inputs, outputs, name=name, hidden_size=rnn.hidden_size, **extra)
+        )
+        value = ends["h_in"][-1]
+    for state, names in ends.items():
+        graph.node("Concat", *names, output=output_of(state), axis=0)
+    return graph.node("Squeeze", value, axis, output="recurrent")
+
+
 def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target: str) -> None:
-    """Adds what `JointNetwork.forward` does, with the layers of all joints written out."""
-    joints, joint_dim = network.num_joints, network.state.out_features
-
-    def shape(name: str, *sizes: int) -> str:
-        return graph.constant(name, np.array(sizes, dtype=np.int64))
-
-    def of_each_joint(name: str, matrix: torch.Tensor, offset: torch.Tensor) -> str:
-        weight, bias = graph.constant(f"{name}_weight", _numpy(matrix)), graph.constant(f"{name}_bias", _numpy(offset))
-        encoded = graph.node("Gemm", source, weight, bias, output=f"{name}_encoded")
-        active = _add_activation(graph, network.activation, encoded, f"{name}_active")
-        return graph.node("Reshape", active, shape(f"{name}_shape", 0, joints, joint_dim), output=name)
+    """Adds what `JointNetwork.forward` gives as means, for all slots; see there for what each step is for."""
+    slots, last, of_joints = network.num_joints, _index(graph, "last_axis", 2), _index(graph, "joint_axis", 1)
 
     def linear(layer: torch.nn.Linear, value: str, name: str) -> str:
-        weight = graph.constant(f"{name}_weight", _numpy(layer.weight.t()))
-        product = graph.node("MatMul", value, weight, output=f"{name}_product")
+        product = graph.node(
+            "MatMul", value, graph.constant(f"{name}_weight", _numpy(layer.weight.t())), output=f"{name}_product"
+        )
+        if layer.bias is None:
+            return product
         return graph.node("Add", product, graph.constant(f"{name}_bias", _numpy(layer.bias)), output=name)
 
-    descriptions = of_each_joint("descriptions", *network.description_layer())
-    states = of_each_joint("states", *network.state_layer())
-    by_place = graph.constant("attention_by_place", _numpy(network.place_attention(network.place)))
-    attention = linear(network.attention, descriptions, "attention_by_description")
-    attention = graph.node("Add", attention, by_place, output="attention")
-    weights = graph.node("Softmax", attention, output="attention_weights", axis=1)
-    heads = graph.node("Transpose", weights, output="attention_heads", perm=[0, 2, 1])
-    gathered = graph.node("MatMul", heads, states, output="gathered_heads")
-    flat = shape("gathered_shape", 0, network.attention.out_features * joint_dim)
-    gathered = graph.node("Reshape", gathered, flat, output="gathered")
-    general = graph.node(
-        "Gather", source, shape("general_columns", *network.general.tolist()), output="general", axis=1
+    def layers(modules: torch.nn.Sequential, value: str, name: str) -> str:
+        for index, layer in enumerate(modules):
+            output = f"{name}_{index}"
+            if isinstance(layer, torch.nn.Linear):
+                value = linear(layer, value, output)
+            else:
+                value = _add_activation(graph, layer, value, output)
+        return value
+
+    def number(name: str, value: float) -> str:
+        return graph.constant(name, np.array(value, dtype=np.float32))
+
+    def affine(value: str, scale: torch.Tensor, offset: torch.Tensor, name: str) -> str:
+        scaled = graph.node("Mul", value, graph.constant(f"{name}_scale", _numpy(scale)), output=f"{name}_scaled")
+        return graph.node("Add", scaled, graph.constant(f"{name}_offset", _numpy(offset)), output=name)
+
+    def normalized(value: str, name: str, magnitude: torch.Tensor | None = None) -> str:
+        moments = network.moments[name]
+        if isinstance(moments, EmpiricalNormalization):
+            scale = 1.0 / (moments.std + moments.eps)
+            return affine(value, scale * (1.0 if magnitude is None else magnitude), -moments.mean * scale, name)
+        if magnitude is not None:
+            return graph.node("Mul", value, graph.constant(f"{name}_magnitude", _numpy(magnitude)), output=name)
+        return value
+
+    def gathered(columns: torch.Tensor, name: str) -> str:
+        indices = graph.constant(f"{name}_columns", columns.cpu().numpy())
+        return graph.node("Gather", source, indices, output=f"{name}_observed", axis=1)
+
+    def of_each_joint(columns: torch.Tensor, name: str) -> str:
+        shape = graph.constant(f"{name}_shape", np.array([0, len(columns) // slots, slots], dtype=np.int64))
+        rows = graph.node("Reshape", gathered(columns, name), shape, output=f"{name}_by_number")
+        return graph.node("Transpose", rows, output=f"{name}_by_joint", perm=[0, 2, 1])
+
+    def total(value: str, axis: str, name: str) -> str:
+        return graph.node("ReduceSum", value, axis, output=name, keepdims=1)
+
+    def per_joint(value: str, name: str) -> str:
+        return graph.node("Div", total(value, of_joints, f"{name}_total"), joints, output=name)
+
+    states = normalized(of_each_joint(network.state_columns, "state"), "states", network.state_scale)
+    numbers = of_each_joint(network.description_columns, "description")
+    sizes = graph.node("Abs", numbers, output="description_sizes")
+    present = graph.node("Sign", total(sizes, last, "description_size"), output="present")
+    joints = graph.node("Max", total(present, of_joints, "joints_found"), number("one", 1.0), output="joints")
+    absolute = graph.node("Mul", normalized(numbers, "numbers"), present, output="absolute")
+    apart = graph.node("Sub", absolute, per_joint(absolute, "mean_joint"), output="apart_of_all")
+    apart = graph.node("Mul", apart, present, output="apart")
+    spread = graph.node(
+        "Sqrt", per_joint(graph.node("Mul", apart, apart, output="apart_squared"), "variance"), output="spread"
     )
-    whole = graph.node("Concat", gathered, general, output="body_0", axis=1)
-    _add_layers(graph, list(network.body), whole, "body", "body_layer")
-    decoder = graph.constant("decoder_weight", _numpy(network.decoder.weight.t()))
-    view = graph.node("MatMul", "body", decoder, output="view")
-    view = graph.node("Unsqueeze", view, shape("last_axis", 2), output="view_column")
-    read = graph.node("MatMul", descriptions, view, output="read_by_description")
-    read = graph.node("Add", read, linear(network.reflex, states, "reflex"), output="read_column")
-    read = graph.node("Reshape", read, shape("actions_shape", 0, joints), output="read")
-    by_place = graph.constant("decoder_by_place", _numpy((network.place @ network.place_decoder.weight).t()))
-    graph.node("Add", read, graph.node("MatMul", "body", by_place, output="read_by_place"), output=target)
+    spread = graph.node("Add", spread, number("relative_floor", RELATIVE_FLOOR), output="spread_floored")
+    relative = graph.node("Div", apart, spread, output="relative")
+    logarithms = graph.node("Add", sizes, number("log_floor", LOG_FLOOR), output="description_floored")
+    logarithms = normalized(graph.node("Log", logarithms, output="description_logarithms"), "logarithms")
+    logarithms = graph.node("Mul", logarithms, present, output="logarithms_present")
+    described = graph.node("Concat", absolute, logarithms, relative, output="described", axis=2)
+
+    description = layers(network.describe, described, "describe")
+    state = graph.node(
+        "Add",
+        linear(network.state, states, "state_read"),
+        linear(network.state_by_description, description, "state_by_description"),
+        output="state_sum",
+    )
+    state = _add_activation(graph, network.activation, state, "state")
+    code = graph.node("Sin", linear(network.code, relative, "code_angle"), output="code_sine")
+    code = graph.node("Mul", code, number("code_scale", math.sqrt(2.0)), output="code")
+    attention = graph.node(
+        "Add", linear(network.attention, description, "attention"), linear(network.focus, code, "focus"), output="looks"
+    )
+    outside = graph.node("Sub", present, "one", output="less_present")
+    outside = graph.node("Mul", outside, number("outside", -OUTSIDE), output="outside_of_body")
+    attention = graph.node("Add", attention, outside, output="looks_at_body")
+    shares = graph.node("Softmax", attention, output="shares", axis=1)
+    heads = graph.node("Transpose", shares, output="heads", perm=[0, 2, 1])
+    pooled = graph.node("MatMul", heads, linear(network.value, state, "value"), output="pooled_heads")
+    flat = np.array([0, network.attention.out_features * network.value.out_features], dtype=np.int64)
+    pooled = graph.node("Reshape", pooled, graph.constant("pooled_shape", flat), output="pooled")
+    if len(network.general_columns):
+        general = normalized(gathered(network.general_columns, "general"), "general")
+        pooled = graph.node("Concat", pooled, general, output="body_0", axis=1)
+    _add_layers(graph, list(network.body), pooled, "body", "body_layer")
+
+    request = graph.node("Unsqueeze", _add_gemm(graph, network.request, "body", "request"), last, output="requested")
+    keys = graph.node("Concat", code, description, output="keys_unscaled", axis=2)
+    keys = graph.node("Mul", keys, number("key_scale", network.code.out_features**-0.5), output="keys")
+    read = graph.node("MatMul", keys, request, output="read")
+    read = graph.node("Add", read, layers(network.reflex, state, "reflex"), output="read_with_reflex")
+    read = graph.node("Mul", read, present, output="read_present")
+    graph.node("Reshape", read, graph.constant("slots", np.array([0, slots], dtype=np.int64)), output=target)
+
+
+def _index(graph: Graph, name: str, value: int) -> str:
+    return graph.constant(name, np.array([value], dtype=np.int64))
 
 
 def _add_gemm(graph: Graph, layer: torch.nn.Linear, value: str, output: str) -> str:

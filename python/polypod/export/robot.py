@@ -66,13 +66,21 @@ class RobotInterface:
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
 
     def inputs(self) -> dict[str, int]:
-        """Names and sizes of the folded graph's inputs."""
+        """Names and sizes of what the robot's sensors give to the folded graph."""
         joints = len(self.joint_names)
-        sizes = {term.inputs[0]: term.size for term in self.terms if len(term.inputs) == 1}
+        sizes = {term.inputs[0]: term.width for term in self.terms if len(term.inputs) == 1}
         sizes |= {"joint_pos": joints, "joint_vel": joints, "last_action": self.num_actions}
         needed = [name for term in self.terms for name in term.inputs]
         in_order = [name for name in INPUTS if name in needed] + [name for name in needed if name not in INPUTS]
         return {name: sizes.get(name, 3) for name in dict.fromkeys(in_order)}
+
+    def remembered(self) -> int:
+        """Past numbers of the terms that the folded graph remembers."""
+        return sum(term.size - term.width for term in self.terms if term.inputs)
+
+    def states(self) -> dict[str, tuple[int, ...]]:
+        """What the folded graph remembers, beside the network's own states; see `polypod.export.states`."""
+        return {"history_in": (1 + self.remembered(),)} if self.remembered() else {}
 
     def meaning(self, name: str) -> str:
         """What an input or output of the folded graph is."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.extras import package
 from polypod.files import read_bytes
+from polypod.networks.onnx_network import output_of
 from polypod.training.manifest import export_sums
 
 MAX_BYTES = 1 << 30
@@ -35,14 +36,42 @@ class OnnxPolicy:
             self._session = runtime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime raises classes of its compiled half
             raise _core.ConfigError(f"{name} is not loaded by onnxruntime: {str(error).splitlines()[0]}") from error
-        self.inputs: dict[str, int] = {entry.name: entry.shape[1] for entry in self._session.get_inputs()}
-        """Names and sizes."""
         self.outputs: list[str] = [entry.name for entry in self._session.get_outputs()]
+        entries = self._session.get_inputs()
+        self.states = {
+            entry.name: tuple(entry.shape)
+            for entry in entries
+            if entry.name.endswith("_in") and output_of(entry.name) in self.outputs
+        }
+        """Shapes of what it remembers, the batch as a name; see `polypod.export.states`."""
+        self.inputs: dict[str, int] = {entry.name: entry.shape[1] for entry in entries if entry.name not in self.states}
+        """Names and sizes of the others."""
+        self._memory: dict[str, Array] = {}
 
     def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Array]:
-        """Runs the graph on float32 [batch, size] per input."""
+        """Runs the graph on float32 [batch, size] per input.
+
+        States that are not given are those after the call before, or zeros after `reset`.
+        """
         feeds = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
-        return dict(zip(self.outputs, self._session.run(self.outputs, feeds), strict=True))
+        rows = next((len(feeds[name]) for name in self.inputs if name in feeds), 1)
+        for state, shape in self.states.items():
+            if state not in feeds:
+                wanted = tuple(size if isinstance(size, int) else rows for size in shape)
+                kept = self._memory.get(state)
+                feeds[state] = kept if kept is not None and kept.shape == wanted else np.zeros(wanted, dtype=np.float32)
+        outputs = dict(zip(self.outputs, self._session.run(self.outputs, feeds), strict=True))
+        self._memory = {state: outputs[output_of(state)] for state in self.states}
+        return outputs
+
+    def reset(self, ends: npt.NDArray[np.bool_] | None = None) -> None:
+        """Forgets what the rows of the mask have seen, [batch]; None: all, of whatever number."""
+        if ends is None:
+            self._memory = {}
+        for state, memory in self._memory.items():
+            kept = memory.copy()
+            kept[(slice(None),) * (not isinstance(self.states[state][0], str)) + (ends,)] = 0.0
+            self._memory[state] = kept
 
 
 def _read(path: Path) -> bytes:

@@ -9,16 +9,15 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.networks.masked import ACTION_MASK, MaskedGaussian, MaskedMLPModel
-from polypod.networks.urma import JointNetwork, KindNormalization, RoleGaussian, UrmaModel
+from polypod.networks.urma import JointGaussian, JointNetwork, UrmaModel
 
 __all__ = [
     "ACTION_MASK",
     "NETWORKS",
+    "JointGaussian",
     "JointNetwork",
-    "KindNormalization",
     "MaskedGaussian",
     "MaskedMLPModel",
-    "RoleGaussian",
     "UrmaModel",
     "build_actor",
 ]

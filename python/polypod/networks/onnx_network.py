@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from tensordict import TensorDict
 
@@ -11,10 +12,16 @@ from polypod import _core
 from polypod.extras import package
 
 
+def output_of(state: str) -> str:
+    """The output that is fed back to an input of a state: `h_out` for `h_in`."""
+    return f"{state.removesuffix('_in')}_out"
+
+
 class OnnxNetwork(torch.nn.Module):
     """The network of an ONNX file, run by onnxruntime.
 
-    Its one input is float32 [batch, num_obs], its first output float32 [batch, num_actions].
+    Its one input is float32 [batch, num_obs], its first output float32 [batch, num_actions]. Further inputs are states,
+    which the network gives back: see `polypod.export.states`. It remembers them until `reset`.
     """
 
     def __init__(self, data: bytes, name: str = "the model", threads: int = 1) -> None:
@@ -33,11 +40,16 @@ class OnnxNetwork(torch.nn.Module):
             reason = next((line for line in str(error).splitlines() if line), type(error).__name__)
             raise _core.ConfigError(f"{name} is not loaded by onnxruntime: {reason}") from error
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        if len(inputs) != 1:
+        given = {entry.name for entry in outputs}
+        if not inputs or not all(entry.name.endswith("_in") and output_of(entry.name) in given for entry in inputs[1:]):
             raise _core.ConfigError(
                 f"{name} has the inputs {', '.join(entry.name for entry in inputs) or 'none'}; a policy has one, the "
-                "observation: pass policy.onnx rather than a graph that is folded for a robot"
+                "observation, and states that it gives back: pass policy.onnx rather than a graph that is folded for a "
+                "robot"
             )
+        self.states = {entry.name: _state(entry, name) for entry in inputs[1:]}
+        """Sizes of what it remembers, as in `polypod.export.states`."""
+        self._memory: dict[str, npt.NDArray[np.float32]] = {}
         self.data, self.name = data, name
         self.input, self.output = inputs[0].name, outputs[0].name
         """Names of the tensors."""
@@ -50,12 +62,45 @@ class OnnxNetwork(torch.nn.Module):
     def forward(self, observations: torch.Tensor | TensorDict) -> torch.Tensor:
         """Actions [batch, num_actions] for observations [batch, num_obs], or for their group `policy`."""
         rows = observations if isinstance(observations, torch.Tensor) else observations["policy"]
-        feed = {self.input: np.ascontiguousarray(rows.numpy(), dtype=np.float32)}
-        return torch.from_numpy(self._session.run([self.output], feed)[0])
+        for state, shape in self.states.items():
+            wanted = (shape[0], len(rows), *shape[1:])
+            if state not in self._memory or self._memory[state].shape != wanted:
+                self._memory[state] = np.zeros(wanted, dtype=np.float32)
+        actions, *after = self.step(rows, self._memory)
+        self._memory = {state: value.numpy() for state, value in zip(self.states, after, strict=True)}
+        return actions
+
+    def step(self, observations: torch.Tensor, states: Mapping[str, npt.NDArray[np.float32]]) -> list[torch.Tensor]:
+        """Actions and next states for observations and states."""
+        feed = {self.input: np.ascontiguousarray(observations.numpy(), dtype=np.float32)}
+        outputs = [self.output, *map(output_of, self.states)]
+        return [torch.from_numpy(output) for output in self._session.run(outputs, feed | dict(states))]
+
+    def reset(self, ends: torch.Tensor | None = None) -> None:
+        """Forgets what the rows of the mask have seen, [batch]; None: all, of whatever number."""
+        if ends is None:
+            self._memory = {}
+        for memory in self._memory.values():
+            memory[:, ends.numpy() == 1] = 0.0  # type: ignore[union-attr]
 
     def as_jit(self) -> "OnnxNetwork":
         """Itself: other networks return a module that can be traced."""
         return self
+
+
+def _state(tensor: Any, name: str) -> tuple[int, ...]:
+    """The sizes of a [layers, batch, size] tensor, the batch left out. Raises ConfigError."""
+    shape = tensor.shape
+    sizes = [shape[0], *shape[2:]] if len(shape) == 3 else []
+    if tensor.type != "tensor(float)" or not sizes or not all(isinstance(size, int) and size > 0 for size in sizes):
+        raise _core.ConfigError(
+            f"{name}: {tensor.name} is {tensor.type} of shape {shape}; a state is float32 [layers, batch, size]"
+        )
+    if isinstance(shape[1], int):
+        raise _core.ConfigError(
+            f"{name}: {tensor.name} has the fixed shape {shape}; export it with a batch axis of any size"
+        )
+    return tuple(sizes)
 
 
 def _width(tensor: Any, name: str) -> int:

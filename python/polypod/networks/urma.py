@@ -1,127 +1,287 @@
-"""A network for any number of joints: it learns what a joint is, not which column of the observation it has.
+"""A network of joints: it learns what a joint is, not which column of the observation it has.
 
 After URMA, Bohlinger et al., "One Policy to Run Them All: an End-to-end Learning Approach to Multi-Embodiment
 Locomotion", CoRL 2024: every joint is described, one encoder reads all joints, attention over the joints gathers the
-body's state, and one decoder turns it into each joint's action by the joint's description. Here the attention has
-several heads, and the decoder is bilinear: the description gives the weights that read the action off the body's state.
+body's state, and one decoder turns it into each joint's action by the joint's description. As there, the deviation of
+an action depends on the joint's description. As in the author's later networks, a joint's action is an inner product of
+the body's state and the joint's key. Here each head shares its attention among a robot's joints.
+
+Joints must be told apart before anything can be learned about them. What tells joints of one robot apart is how their
+descriptions differ from each other, so every description is compared with those of the other joints, and sines of the
+comparison are the joint's code. Codes of different joints are nearly orthogonal for any robot, so that each joint
+begins with a reading and a key of its own, and codes of corresponding joints of different robots are nearly the same.
 """
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
-from rsl_rl.modules.distribution import GaussianDistribution
+from rsl_rl.modules.distribution import Distribution, HeteroscedasticGaussianDistribution
 from rsl_rl.utils import resolve_nn_activation
 from tensordict import TensorDict
 from torch.distributions import Normal
 
 from polypod import _core
-from polypod.networks.joints import NUM_PLACES, ROLES, JointTable, joint_table, leg_and_role
+from polypod.networks.joints import JointColumns, as_range, joint_columns
+from polypod.networks.masked import MaskedGaussian
 from polypod.observation import Layout
 
-_FIRST_FOCUS = 2.0
-"""Deviation of the first weights on a place: a head's largest share of twelve joints is then 0.7 on average."""
+LOG_FLOOR = 0.01
+"""Least magnitude that the logarithm of a description's number tells from zero."""
+RELATIVE_FLOOR = 0.1
+"""Deviation within a robot, in deviations over all joints, below which joints count as alike."""
+STD_RANGE = (0.01, 2.0)
+"""Of actions; URMA has 2 at most."""
+_FIRST_FOCUS = 5.0
+"""Deviation of the first attention over a robot's joints: each head begins by looking at one joint or two."""
+_FIRST_FREQUENCY = 1.0
+"""Deviation of the first weights of a code: joints that differ by one deviation in n numbers have codes with a
+correlation of exp(-n / 2)."""
+OUTSIDE = -1e4
+"""Attention to joints that a robot lacks, before the softmax."""
+
+
+class _Joints(NamedTuple):
+    """The joints of a batch, one row each: the real ones alone, or all places where that is as cheap."""
+
+    states: torch.Tensor
+    """[rows, numbers], scaled."""
+    descriptions: torch.Tensor
+    """[rows, features]."""
+    relative: torch.Tensor
+    """[rows, numbers], the part of the descriptions that compares joints of one robot."""
+    present: torch.Tensor
+    """[batch, places], which of a sample's places hold a joint."""
+    place_of_row: torch.Tensor | None
+    """[rows], place of each row in batch x places; None: rows are all places."""
+    sample_of_row: torch.Tensor | None
+    """[rows]; None: likewise."""
+    slot_of_row: torch.Tensor | None
+    """[rows], place of each row in batch x slots; None: places are slots."""
+
+    def at_places(self, rows: torch.Tensor) -> torch.Tensor:
+        """[rows, n] to [batch, places, n], zeros where there is no row."""
+        if self.place_of_row is not None:
+            places = rows.new_zeros(self.present.numel(), rows.shape[1])
+            rows = places.index_copy(0, self.place_of_row, rows)
+        return rows.reshape(*self.present.shape, rows.shape[1])
+
+    def of_rows(self, samples: torch.Tensor) -> torch.Tensor:
+        """[batch, n] to [rows, n]."""
+        if self.sample_of_row is None:
+            places = self.present.shape[1]
+            return samples.unsqueeze(1).expand(-1, places, -1).flatten(0, 1)
+        return samples.index_select(0, self.sample_of_row)
+
+    def at_slots(self, rows: torch.Tensor, slots: int) -> torch.Tensor:
+        """[rows] to [batch, slots], exactly zero where a robot has no joint."""
+        batch = self.present.shape[0]
+        if self.slot_of_row is None:
+            return rows.reshape(self.present.shape) * self.present
+        return rows.new_zeros(batch * slots).index_copy(0, self.slot_of_row, rows).reshape(batch, slots)
 
 
 class JointNetwork(torch.nn.Module):
-    """From observations [batch, num_obs] to one number per joint, or to numbers about the whole body.
+    """From observations [batch, num_obs] to actions of joints, or to numbers about the whole body.
 
-    No parameter's shape depends on the number of joints, so weights go from one body to another.
+    No parameter's shape depends on the number of joints, so weights go from one body to another. The output of an actor
+    is [batch, 3, slots]: mean, deviation, and 1 where there is a joint; mean and mask are exactly zero elsewhere.
     """
 
-    select_states: torch.Tensor
-    state_constants: torch.Tensor
-    select_descriptions: torch.Tensor
-    description_constants: torch.Tensor
-    place: torch.Tensor
-    general: torch.Tensor
+    state_columns: torch.Tensor
+    description_columns: torch.Tensor
+    general_columns: torch.Tensor
+    state_scale: torch.Tensor
 
     def __init__(
         self,
-        table: JointTable,
+        columns: JointColumns,
         num_outputs: int | None,
         joint_dim: int,
         num_heads: int,
         hidden_dims: Sequence[int],
         activation: str,
+        normalize: bool = False,
+        init_std: float = 1.0,
     ) -> None:
         """Draws the weights.
 
         Args:
-            table: where the observation holds what.
-            num_outputs: numbers about the whole body; None: one per joint.
-            joint_dim: what is known of one joint, and of its description.
-            num_heads: of the attention; each gathers `joint_dim` numbers.
-            hidden_dims: sizes of the layers between the gathered state and the outputs.
+            columns: where the observation holds what.
+            num_outputs: numbers about the whole body; None: actions of the joints.
+            joint_dim: width of a joint's encodings, at least 4.
+            num_heads: of the attention; each gathers `joint_dim` / 4 numbers.
+            hidden_dims: sizes of the layers between the gathered state and the decoder.
             activation: in rsl_rl's words.
+            normalize: by running mean and deviation, which all joints share; else states by their magnitudes alone.
+            init_std: first deviation of the actions.
         """
         super().__init__()
-        self.num_joints = table.num_joints
-        # the rows of the joints are linear in the observation, and so is a layer on them: one product does both
-        for name, first in (("state", 0), ("description", table.num_states)):
-            self.register_buffer(f"select_{name}s", torch.from_numpy(table.selection(first)), persistent=False)
-            constants = torch.from_numpy(table.constant[:, first:].copy())
-            self.register_buffer(f"{name}_constants", constants, persistent=False)
-        self.register_buffer("place", torch.from_numpy(table.place), persistent=False)
-        self.register_buffer("general", torch.from_numpy(table.general), persistent=False)
-        features = table.column.shape[1]
+        self.num_joints = columns.num_joints
+        self.num_states, self.num_descriptions = len(columns.states), len(columns.descriptions)
+        for name in ("state", "description", "general"):
+            of_kind = torch.from_numpy(getattr(columns, f"{name}s" if name != "general" else name).reshape(-1).copy())
+            self.register_buffer(f"{name}_columns", of_kind, persistent=False)
+        self._blocks = {
+            name: as_range(getattr(self, f"{name}_columns").tolist()) for name in ("state", "description", "general")
+        }
+        self.register_buffer("state_scale", torch.from_numpy(1.0 / columns.magnitudes), persistent=False)
+        self.normalize = normalize
+        sizes = {"states": self.num_states, "numbers": self.num_descriptions, "logarithms": self.num_descriptions}
+        sizes["general"] = len(columns.general)
+        self.moments = torch.nn.ModuleDict(
+            {name: EmpiricalNormalization(size) if normalize else torch.nn.Identity() for name, size in sizes.items()}
+        )
+        described = 3 * self.num_descriptions
         self.activation: torch.nn.Module = resolve_nn_activation(activation)
-        self.state = torch.nn.Linear(features, joint_dim)
-        self.description = torch.nn.Linear(features - table.num_states, joint_dim)
+        self.describe = torch.nn.Sequential(
+            torch.nn.Linear(described, joint_dim),
+            resolve_nn_activation(activation),
+            torch.nn.Linear(joint_dim, joint_dim),
+            resolve_nn_activation(activation),
+        )
+        self.state = torch.nn.Linear(self.num_states, joint_dim)
+        self.state_by_description = torch.nn.Linear(joint_dim, joint_dim, bias=False)
+        self.value = torch.nn.Linear(joint_dim, max(joint_dim // 4, 1))
+        self.code = torch.nn.Linear(self.num_descriptions, joint_dim)
+        torch.nn.init.normal_(self.code.weight, std=_FIRST_FREQUENCY)
+        torch.nn.init.uniform_(self.code.bias, 0.0, 2.0 * math.pi)
         self.attention = torch.nn.Linear(joint_dim, num_heads)
-        self.place_attention = torch.nn.Linear(NUM_PLACES, num_heads, bias=False)
-        # the heads begin by looking at different joints: from equal weights they would have to find out first
-        torch.nn.init.normal_(self.place_attention.weight, std=_FIRST_FOCUS)
+        # heads begin by looking at different joints: from equal weights they would have to find out first
+        self.focus = torch.nn.Linear(joint_dim, num_heads, bias=False)
+        torch.nn.init.normal_(self.focus.weight, std=_FIRST_FOCUS / joint_dim**0.5)
         layers: list[torch.nn.Module] = []
-        width = num_heads * joint_dim + len(table.general)
+        width = num_heads * self.value.out_features + len(columns.general)
         for size in hidden_dims:
             layers += [torch.nn.Linear(width, size), resolve_nn_activation(activation)]
             width = size
         self.body = torch.nn.Sequential(*layers)
         self.per_joint = num_outputs is None
         if num_outputs is None:
-            self.decoder = torch.nn.Linear(width, joint_dim, bias=False)
-            self.place_decoder = torch.nn.Linear(width, NUM_PLACES, bias=False)
-            self.reflex = torch.nn.Linear(joint_dim, 1)
+            self.request = torch.nn.Linear(width, 2 * joint_dim)
+            self.reflex = torch.nn.Sequential(
+                torch.nn.Linear(joint_dim, joint_dim), resolve_nn_activation(activation), torch.nn.Linear(joint_dim, 1)
+            )
+            self.deviation = torch.nn.Linear(described, 1)
+            torch.nn.init.zeros_(self.deviation.weight)
+            torch.nn.init.constant_(self.deviation.bias, math.log(init_std))
         else:
             self.decoder = torch.nn.Linear(width, num_outputs)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """[batch, num_obs] to [batch, joints] or [batch, num_outputs]."""
-        descriptions = self._of_each_joint(observations, *self.description_layer())
-        states = self._of_each_joint(observations, *self.state_layer())
-        weights = torch.softmax(self.attention(descriptions) + self.place_attention(self.place), dim=1)
-        gathered = torch.matmul(weights.transpose(1, 2), states).flatten(1)
-        body = self.body(torch.cat([gathered, observations.index_select(1, self.general)], dim=1))
+        """[batch, num_obs] to [batch, 3, slots] or [batch, num_outputs]."""
+        joints = self._joints(observations)
+        description = self.describe(joints.descriptions)
+        state = self.activation(self.state(joints.states) + self.state_by_description(description))
+        # of deviation 1
+        code = math.sqrt(2.0) * torch.sin(self.code(joints.relative).float())
+        attention = joints.at_places(self.attention(description) + self.focus(code))
+        shares = attention.masked_fill(~joints.present.unsqueeze(-1), OUTSIDE).softmax(dim=1)
+        values = joints.at_places(self.value(state))
+        gathered = torch.matmul(shares.transpose(1, 2).to(values.dtype), values).flatten(1)
+        body = self.body(torch.cat([gathered, self._general(observations)], dim=1))
         if not self.per_joint:
             return self.decoder(body)
-        read = torch.matmul(descriptions, self.decoder(body).unsqueeze(-1)) + self.reflex(states)
-        return read.squeeze(-1) + torch.matmul(self.place_decoder(body), self.place.t())
+        keys = torch.cat([code.to(description.dtype), description], dim=1) / code.shape[1] ** 0.5
+        read = (joints.of_rows(self.request(body)) * keys).sum(dim=1) + self.reflex(state).squeeze(-1)
+        means = joints.at_slots(read.float(), self.num_joints)
+        deviations = joints.at_slots(self.deviations(joints.descriptions), self.num_joints)
+        mask = self._mask(observations).to(means.dtype)
+        return torch.stack([means, deviations + (1.0 - mask), mask], dim=1)
 
-    def state_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Matrix [num_obs, joints * joint_dim] and offset of the layer that encodes the joints' states."""
-        return _on_every_joint(self.select_states, self.state_constants, self.state)
+    def deviations(self, descriptions: torch.Tensor) -> torch.Tensor:
+        """[rows, features] to [rows]."""
+        # the weights are summed over so many features: a step of the optimiser shall move the logarithm by about itself
+        weight = self.deviation.weight / self.deviation.in_features
+        with torch.amp.autocast(descriptions.device.type, enabled=False):
+            logarithms = torch.nn.functional.linear(descriptions, weight, self.deviation.bias).squeeze(-1)
+            return logarithms.exp().clamp(*STD_RANGE)
 
-    def description_layer(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """The same for the joints' descriptions."""
-        return _on_every_joint(self.select_descriptions, self.description_constants, self.description)
+    def update(self, observations: torch.Tensor) -> None:
+        """Takes observations [batch, num_obs] into the running means and deviations: of joints, the real ones alone."""
+        if not self.normalize:
+            return
+        rows = self._features(observations).flatten(0, 1)
+        rows = rows.index_select(0, self._mask(observations).flatten().nonzero().squeeze(1))
+        states, numbers = rows[:, : self.num_states], rows[:, self.num_states :]
+        self._moments("states").update(states * self.state_scale)
+        self._moments("numbers").update(numbers)
+        self._moments("logarithms").update(_logarithms(numbers))
+        self._moments("general").update(self._block(observations, "general"))
 
-    def _of_each_joint(self, observations: torch.Tensor, matrix: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
-        encoded = torch.addmm(offset, observations, matrix)
-        return self.activation(encoded).unflatten(1, (self.num_joints, -1))
+    def _moments(self, name: str) -> EmpiricalNormalization:
+        moments = self.moments[name]
+        assert isinstance(moments, EmpiricalNormalization)
+        return moments
+
+    def _general(self, observations: torch.Tensor) -> torch.Tensor:
+        general: torch.Tensor = self.moments["general"](self._block(observations, "general"))
+        return general
+
+    def _block(self, observations: torch.Tensor, name: str) -> torch.Tensor:
+        block = self._blocks[name]
+        if block is not None:
+            return observations[:, block.start : block.stop]
+        return observations.index_select(1, getattr(self, f"{name}_columns"))
+
+    def _mask(self, observations: torch.Tensor) -> torch.Tensor:
+        """[batch, slots], where there is a joint: its description holds more than zeros."""
+        numbers = self._block(observations, "description").reshape(-1, self.num_descriptions, self.num_joints)
+        return (numbers != 0.0).any(dim=1)
+
+    def _features(self, observations: torch.Tensor) -> torch.Tensor:
+        """[batch, slots, states and numbers of descriptions], as they are observed."""
+        features = torch.cat([self._block(observations, "state"), self._block(observations, "description")], dim=1)
+        return features.reshape(-1, self.num_states + self.num_descriptions, self.num_joints).transpose(1, 2)
+
+    def _joints(self, observations: torch.Tensor) -> _Joints:
+        mask, features = self._mask(observations), self._features(observations)
+        batch, slots = observations.shape[0], self.num_joints
+        counts = mask.sum(dim=1)
+        place_of_row = sample_of_row = slot_of_row = None
+        present = mask
+        # a graph has all slots: what it leaves out must not depend on the example that it is traced with
+        tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+        fewest, most = (slots, slots) if tracing else (int(number) for number in torch.stack(counts.aminmax()))
+        if fewest < slots:
+            ranks = mask.cumsum(dim=1) - 1
+            slot_of_row = mask.flatten().nonzero().squeeze(1)
+            sample_of_row = torch.div(slot_of_row, slots, rounding_mode="floor")
+            place_of_row = sample_of_row * most + ranks.flatten().index_select(0, slot_of_row)
+            rows = features.flatten(0, 1).index_select(0, slot_of_row)
+            features = rows.new_zeros(batch * most, rows.shape[1]).index_copy(0, place_of_row, rows)
+            features = features.reshape(batch, most, rows.shape[1])
+            present = torch.arange(most, device=mask.device) < counts.unsqueeze(1)
+        states, numbers = features[..., : self.num_states], features[..., self.num_states :]
+        states = self.moments["states"](states * self.state_scale)
+        there, counted = present.unsqueeze(-1).to(states.dtype), counts.clamp(min=1).view(-1, 1, 1).to(states.dtype)
+        absolute = self.moments["numbers"](numbers) * there
+        differences = (absolute - absolute.sum(dim=1, keepdim=True) / counted) * there
+        deviations = (differences.square().sum(dim=1, keepdim=True) / counted).sqrt()
+        relative = differences / (deviations + RELATIVE_FLOOR)
+        logarithms = self.moments["logarithms"](_logarithms(numbers)) * there
+        descriptions = torch.cat([absolute, logarithms, relative], dim=2).flatten(0, 1)
+        states, relative = states.flatten(0, 1), relative.flatten(0, 1)
+        if place_of_row is not None:
+            states, descriptions, relative = (x.index_select(0, place_of_row) for x in (states, descriptions, relative))
+        return _Joints(states, descriptions, relative, present, place_of_row, sample_of_row, slot_of_row)
 
 
-def _on_every_joint(
-    select: torch.Tensor, constants: torch.Tensor, layer: torch.nn.Linear
-) -> tuple[torch.Tensor, torch.Tensor]:
-    matrix = torch.einsum("jfn,hf->njh", select, layer.weight).flatten(1)
-    return matrix, (torch.matmul(constants, layer.weight.t()) + layer.bias).flatten()
+def _logarithms(numbers: torch.Tensor) -> torch.Tensor:
+    """Of magnitudes: efforts, gains and inertias of robots differ by factors."""
+    return (numbers.abs() + LOG_FLOOR).log()
 
 
 class UrmaModel(MLPModel):
-    """rsl_rl's model with a `JointNetwork` in the place of its perceptron, as actor or as critic."""
+    """rsl_rl's model with a `JointNetwork` in the place of its perceptron, as actor or as critic.
+
+    Which slots a robot has is read off its description, so that batches of different bodies need no mask.
+    """
+
+    mlp: JointNetwork
 
     def __init__(
         self,
@@ -129,7 +289,7 @@ class UrmaModel(MLPModel):
         obs_groups: dict[str, list[str]],
         obs_set: str,
         output_dim: int,
-        hidden_dims: Sequence[int] = (128, 128),
+        hidden_dims: Sequence[int] = (256, 128),
         activation: str = "elu",
         obs_normalization: bool = False,
         distribution_cfg: dict[str, Any] | None = None,
@@ -148,99 +308,57 @@ class UrmaModel(MLPModel):
             output_dim: number of outputs.
             hidden_dims: see `JointNetwork`.
             activation: likewise.
-            obs_normalization: normalise observations, see `KindNormalization`.
-            distribution_cfg: as of `MLPModel`; `RoleGaussian` fits any number of joints.
+            obs_normalization: normalise observations, see `JointNetwork`.
+            distribution_cfg: a `JointGaussian`, for an actor.
             joint_dim: see `JointNetwork`.
             num_heads: likewise.
             observation_layout: terms of the observation, see `polypod.observation.layout_of`.
-            joint_names: canonical joints; for each one number comes out, but of a critic.
+            joint_names: slots of the action.
 
         Raises:
             ConfigError: for an observation without what the network reads.
         """
         super().__init__(obs, obs_groups, obs_set, output_dim, [1], activation, False, distribution_cfg)
-        table = joint_table(observation_layout, joint_names, obs_normalization)
-        if table.num_obs != self.obs_dim:
+        columns = joint_columns(observation_layout, len(joint_names))
+        if columns.num_obs != self.obs_dim:
             raise _core.ConfigError(
-                f"observation_layout counts {table.num_obs} numbers, but an observation has {self.obs_dim}"
+                f"observation_layout counts {columns.num_obs} numbers, but an observation has {self.obs_dim}"
             )
-        if obs_normalization:
-            self.obs_normalization = True
-            self.obs_normalizer = KindNormalization(table)
         outputs = output_dim if obs_set == "critic" else None
-        if outputs is None and output_dim != table.num_joints:
-            raise _core.ConfigError(f"{table.num_joints} joint_names, but an action has {output_dim} numbers")
-        self.mlp = JointNetwork(table, outputs, joint_dim, num_heads, hidden_dims, activation)
+        if outputs is None and output_dim != columns.num_joints:
+            raise _core.ConfigError(f"{columns.num_joints} joint_names, but an action has {output_dim} numbers")
+        if outputs is None and not isinstance(self.distribution, JointGaussian):
+            raise _core.ConfigError("a network of joints draws its actions from a polypod.networks:JointGaussian")
+        init_std = self.distribution.init_std if isinstance(self.distribution, JointGaussian) else 1.0
+        self.mlp = JointNetwork(
+            columns, outputs, joint_dim, num_heads, hidden_dims, activation, obs_normalization, init_std
+        )
+
+    def update_normalization(self, obs: TensorDict) -> None:
+        """Takes observations into the running means and deviations."""
+        if self.training:
+            self.mlp.update(torch.cat([obs[group] for group in self.obs_groups], dim=-1))
 
 
-class KindNormalization(EmpiricalNormalization):
-    """Normalises by running mean and deviation, which all columns of one kind share: see `JointTable.kind`.
+class JointGaussian(MaskedGaussian):
+    """A Gaussian whose means, deviations and mask are the output of a `JointNetwork`."""
 
-    So its numbers, too, go from one body to another.
-    """
-
-    kind: torch.Tensor
-    columns: torch.Tensor
-
-    def __init__(self, table: JointTable) -> None:
-        """Begins with mean 0 and deviation 1."""
-        super().__init__(table.num_kinds)
-        self.register_buffer("kind", torch.from_numpy(table.kind), persistent=False)
-        columns = torch.bincount(self.kind, minlength=table.num_kinds)
-        self.register_buffer("columns", columns.to(torch.float32), persistent=False)
-
-    @property
-    def mean(self) -> torch.Tensor:
-        """[num_obs], the running mean of each column's kind."""
-        return self._mean[0].index_select(0, self.kind)
-
-    @property
-    def std(self) -> torch.Tensor:
-        """[num_obs], the running deviation."""
-        return self._std[0].index_select(0, self.kind)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """[batch, num_obs], normalised."""
-        return (x - self.mean) / (self.std + self.eps)
-
-    @torch.jit.unused
-    def update(self, x: torch.Tensor) -> None:
-        """Takes in observations [batch, num_obs], as rsl_rl does, but over kinds in place of columns."""
-        if not self.training:
-            return
-        own_mean = x.mean(dim=0)
-        own_var = x.var(dim=0, unbiased=False)
-        mean = self._over_kinds(own_mean)
-        var = self._over_kinds(own_var + (own_mean - mean.index_select(0, self.kind)).square())
-        # a kind that this body lacks keeps what it has
-        present = self.columns > 0
-        self.count += x.shape[0]
-        rate = x.shape[0] / self.count
-        change = torch.where(present, mean - self._mean[0], 0.0)
-        self._mean += rate * change
-        new = var - self._var[0] + change * (mean - self._mean[0])
-        self._var += rate * torch.where(present, new, 0.0)
-        self._std = torch.sqrt(self._var)
-
-    def _over_kinds(self, values: torch.Tensor) -> torch.Tensor:
-        """[num_obs] to the mean of each kind, [num_kinds]."""
-        sums = torch.zeros_like(self.columns).index_add(0, self.kind, values)
-        return sums / self.columns.clamp(min=1.0)
-
-
-class RoleGaussian(GaussianDistribution):
-    """Gaussian whose learned deviation is one number per role of joint, and so fits any number of joints."""
-
-    role: torch.Tensor
-
-    def __init__(self, output_dim: int, joint_names: Sequence[str], init_std: float = 1.0) -> None:
-        """One joint per output."""
-        super().__init__(len(ROLES), init_std)
-        self.output_dim = output_dim
-        role = torch.tensor([ROLES.index(leg_and_role(name)[2]) for name in joint_names])
-        self.register_buffer("role", role, persistent=False)
+    def __init__(self, output_dim: int, init_std: float = 1.0) -> None:
+        """For actions of `output_dim` slots."""
+        Distribution.__init__(self, output_dim)
+        self.init_std = init_std
+        self._distribution: Normal | None = None
+        Normal.set_default_validate_args(False)
 
     def update(self, mlp_output: torch.Tensor) -> None:
-        """Takes the means, [batch, output_dim]."""
-        deviation = self.std_param.clamp(self.std_range[0], self.std_range[1])
-        self._distribution = Normal(mlp_output, deviation.index_select(0, self.role).expand_as(mlp_output))
+        """Takes means, deviations and mask, [n, 3, output_dim]."""
+        mean, deviation, self.mask = mlp_output.unbind(dim=-2)
+        self._distribution = Normal(mean, deviation)
+
+    def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
+        """The means, [n, output_dim]."""
+        return mlp_output.select(-2, 0).contiguous()
+
+    def as_deterministic_output_module(self) -> torch.nn.Module:
+        """What takes the means out of the network's output."""
+        return HeteroscedasticGaussianDistribution(self.output_dim).as_deterministic_output_module()

@@ -126,7 +126,7 @@ def box(size: Sequence[float]) -> Mesh:
             grid = np.zeros((len(a), len(b), 3))
             grid[..., axis], grid[..., along], grid[..., across] = sign * half[axis], a[:, None], b[None, :]
             meshes.append(_grid(grid))
-    return _joined(meshes)
+    return joined(meshes)
 
 
 def _ramp(size: Sequence[float]) -> Mesh:
@@ -180,7 +180,7 @@ def _cut_up(vertices: Array, triangles: npt.NDArray[np.intp]) -> Mesh:
         points = np.einsum("pk,tkd->tpd", weights, corners[pieces == count])
         starts = len(places) * np.arange(len(points))
         parts.append(Mesh(points.reshape(-1, 3), (faces + starts[:, None, None]).reshape(-1, 4)))
-    return _joined(parts)
+    return joined(parts)
 
 
 def _grid(points: Array) -> Mesh:
@@ -191,7 +191,8 @@ def _grid(points: Array) -> Mesh:
     return Mesh(points.reshape(-1, 3), np.stack([corner.ravel() for corner in corners], axis=1))
 
 
-def _joined(meshes: Sequence[Mesh]) -> Mesh:
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes of one frame as one."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import play_task
-from polypod.evaluation.policies import reset
+from polypod.evaluation.policies import Policy, reset
 from polypod.play import mesh
 from polypod.play.mesh import Array
 from polypod.play.scene import Scene
@@ -41,7 +42,7 @@ class Player(Scene):
         self,
         checkpoint: Path,
         robots: Sequence[str] | None = None,
-        command: Sequence[float] | None = None,
+        command: npt.ArrayLike | None = None,
         *,
         task: str | None = None,
         envs_per_robot: int = 1,
@@ -66,7 +67,8 @@ class Player(Scene):
             ConfigError: for a checkpoint, robot, task or override that cannot be used.
         """
         policy = load(checkpoint, task, robots)
-        self._policy, manifest = policy.runner(), policy.manifest
+        self._policy: Policy = policy.runner()
+        manifest = policy.manifest
         sources = list(manifest["robot_sources"] if robots is None else robots)
         name = play_task(task or manifest["task"])
         changes = [*manifest["overrides"], *overrides]
@@ -86,13 +88,82 @@ class Player(Scene):
         shapes = json.loads(sim.robot_shapes())
         self._com = {robot: np.array(shapes[robot]["base_com"]) for robot in sim.robots}
         self.tallies = {robot: Tally() for robot in sim.robots}
+        self.policy_robots: list[str] = list(manifest["robot_sources"])
+        """Names or paths of the robots that the policy was made for."""
+        self.sources = sources
+        """Names or paths of the robots, in the order of `sim.robots`."""
+        self._commanded: npt.ArrayLike | None = None
+        self._slots: Array | None = None
+        self._gone = np.zeros(2)
+        self.ranges = _ranges(self.config)
+        """[3, 2], smallest and largest commands that the task draws: forward, left, m/s, and yaw rate, rad/s."""
         if command is not None:
             self.command(command)
             self.sim.reset()
 
-    def command(self, command: Sequence[float]) -> None:
-        """From now on all robots are to follow this: forward and left velocity, m/s, and yaw rate, rad/s."""
-        self.sim.set_command(np.tile(np.asarray(command, dtype=np.float32), (self.sim.num_envs, 1)))
+    def command(self, command: npt.ArrayLike | None) -> None:
+        """From now on all robots are to follow this: forward and left velocity, m/s, and yaw rate, rad/s.
+
+        None lets the task draw commands again.
+        """
+        self._commanded = command
+        if command is None:
+            self.sim.set_command(None)
+        else:
+            self.sim.set_command(np.tile(np.asarray(command, dtype=np.float32), (self.sim.num_envs, 1)))
+
+    def use(self, policy: Policy) -> None:
+        """Takes another policy for the same observations, and begins new episodes as this player's first ones were."""
+        self._policy = policy
+        self.sim.reset(self.sim.seed)
+        if self._commanded is not None:
+            self.command(self._commanded)
+            self.sim.reset()
+        reset(self._policy, np.ones(self.sim.num_envs, dtype=np.bool_))
+
+    def push(self, velocity: npt.ArrayLike, env: int | None = None) -> None:
+        """Adds a velocity [3] to the base of a robot or, with None, of all, world axes, m/s."""
+        added = np.zeros((self.sim.num_envs, 3), dtype=np.float32)
+        added[slice(None) if env is None else env] = np.asarray(velocity, dtype=np.float32)
+        self.sim.push(added)
+
+    def reset(self) -> None:
+        """Begins new episodes."""
+        self.sim.reset()
+        reset(self._policy, np.ones(self.sim.num_envs, dtype=np.bool_))
+        if self._slots is not None:
+            self.places, self._gone = self._slots.copy(), np.zeros(2)
+
+    def stand(self, columns: int) -> None:
+        """Draws robots in rows of so many, and lets a robot that begins anew do so in its place among the others.
+
+        Only of use where each env has a flat world of its own (`alone`).
+        """
+        self._slots = self.formation(columns)
+        self.places, self._gone = self._slots.copy(), np.zeros(2)
+
+    def rest(self, robot: str) -> tuple[Array, Array]:
+        """Positions [links, 3], m, and quaternions [links, 4] of a robot's links with all joints at zero, base axes."""
+        source = self.sources[self.sim.robots.index(robot)]
+        sim = _core.Simulation(source, ground=None, fixed_base=True, threads=1)
+        sim.set_state(qpos=np.zeros(sim.nq))
+        position, quaternion = sim.link_pose()
+        return position[0], quaternion[0]
+
+    def _stay_together(self, began: npt.NDArray[np.bool_]) -> None:
+        """Draws robots that have just begun an episode in their places of a group that has gone on."""
+        if self._slots is None:
+            return
+        base = self.sim.state("base_pos")[:, :2].astype(np.float64)
+        if began.any():
+            others = ~began
+            gone = self._gone
+            if others.any():
+                gone = (base + self.places[:, :2] - self._slots[:, :2])[others].mean(axis=0)
+            # frames that were shown keep the places that they have
+            self.places = self.places.copy()
+            self.places[began, :2] = self._slots[began, :2] + gone
+        self._gone = (base + self.places[:, :2] - self._slots[:, :2]).mean(axis=0)
 
     def step(self) -> None:
         """One control step."""
@@ -101,6 +172,7 @@ class Player(Scene):
         wanted, began = self.sim.command, self.sim.final_mask
         if began.any():
             reset(self._policy, began)
+        self._stay_together(began)
         for robot, tally in self.tallies.items():
             first, last = self.sim.env_ids(robot)
             tally.falls += int(self.sim.terminated[first:last].sum())
@@ -123,10 +195,20 @@ class Player(Scene):
         return velocity + np.cross(qvel[:, 3:6], self._com[robot]), qvel[:, 3:6]
 
 
+def _ranges(task: dict[str, Any]) -> Array:
+    ranges = task["commands"]["base_velocity"]
+    return np.array([ranges[key] for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")], dtype=np.float64)
+
+
+def aligned_starts(task: dict[str, Any]) -> list[str]:
+    """Changes to a task with which robots begin at their envs' origins, looking along x."""
+    start = task.get("events", {}).get("reset_base", {})
+    return [f"events.reset_base.{key}=[0.0, 0.0]" for key in _ALIGNED if key in start]
+
+
 def _defaults(task: dict[str, Any], *, aligned: bool) -> list[str]:
     """What a player changes unless it is told otherwise: aligned starts, and each robot on a tile of its own."""
-    start = task.get("events", {}).get("reset_base", {})
-    changes = [f"events.reset_base.{key}=[0.0, 0.0]" for key in _ALIGNED if key in start] if aligned else []
+    changes = aligned_starts(task) if aligned else []
     if "terrain" in task["scene"]:
         changes.append('scene.terrain.columns="contiguous"')
     return changes

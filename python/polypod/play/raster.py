@@ -38,6 +38,8 @@ COLORS: dict[str, Color] = {
 LIGHT = np.array([0.35, 0.45, 0.82])
 """Where light comes from; of unit length."""
 SUPERSAMPLING = 2
+TITLE = 15
+"""Height of a title's letters, pixels."""
 TILE = 1.0
 """Of the ground, m."""
 TILES_SHOWN = 22
@@ -112,12 +114,28 @@ def fields(count: int, size: tuple[int, int]) -> tuple[int, int]:
     return best, -(-count // best)
 
 
+def titled(image: "Image", text: str) -> "Image":
+    """The picture with a line of text in its upper left corner."""
+    titled: Image = image.copy()
+    pen = package("PIL.ImageDraw", "drawing pictures", "play").Draw(titled)
+    font = package("PIL.ImageFont", "drawing pictures", "play").load_default(TITLE)
+    pen.text((TITLE // 2, TITLE // 3), text, fill=TEXT, font=font, stroke_width=2, stroke_fill=SKY)
+    return titled
+
+
 def render(
-    scene: Scene, frame: Frame, camera: Camera, size: tuple[int, int] = (640, 360), *, caption: str | None = None
+    scene: Scene,
+    frame: Frame,
+    camera: Camera,
+    size: tuple[int, int] = (640, 360),
+    *,
+    caption: str | None = None,
+    arrows: Sequence[tuple[Array, Array]] = (),
 ) -> "Image":
     """The picture of a frame, RGB; on terrain of what is near the camera's target.
 
-    `caption` stands in a corner in place of the names below the robots.
+    `caption` stands in a corner in place of the names below the robots; `arrows` are starts and directions of red
+    arrows, m.
 
     Raises:
         ConfigError: where Pillow is missing.
@@ -151,6 +169,8 @@ def render(
             heading = _heading(robot.quaternion[0])
             direction = 0.6 * np.array([*(heading @ robot.command[:2]), 0.0])
             canvas.flat(arrow(top, direction, 0.06), COMMAND)
+    for start, direction in arrows:
+        canvas.flat(arrow(start, direction, 0.12), FORCE)
     canvas.flush()
     if caption is not None:
         canvas.caption(caption)

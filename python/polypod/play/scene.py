@@ -30,6 +30,20 @@ class Part:
 
 
 @dataclasses.dataclass(frozen=True)
+class Contact:
+    """A force on a contact body of a robot."""
+
+    point: Array
+    """Middle of the body, m."""
+    force: Array
+    """Net force, N."""
+    body: int
+    link: int
+    center: Array
+    """The same point in the link's frame, m."""
+
+
+@dataclasses.dataclass(frozen=True)
 class RobotFrame:
     """One robot at one time; world axes, SI units."""
 
@@ -40,14 +54,21 @@ class RobotFrame:
     """[links, 3], of the links, m."""
     quaternion: Array
     """[links, 4], w, x, y, z."""
-    forces: list[tuple[Array, Array]]
-    """Where contacts act, m, and with what force, N."""
+    contacts: list[Contact]
+    """Forces above 1 N."""
     weight: float
     """N."""
     command: Array
     """[3], commanded forward and left velocity, m/s, and yaw rate, rad/s."""
+    velocity: Array
+    """[3], the same as they are, of the base's centre of mass."""
     tile: str = ""
     """Type and level of its tile; empty without generated terrain."""
+
+    @property
+    def forces(self) -> list[tuple[Array, Array]]:
+        """Where contacts act, m, and with what force, N."""
+        return [(contact.point, contact.force) for contact in self.contacts]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +94,8 @@ class Scene:
         self.sim = sim
         self.time = 0.0
         """Since the scene was made, s; whoever steps the simulator counts it."""
-        config = tomllib.loads(sim.resolved_config())["task"]
+        config = self.config = tomllib.loads(sim.resolved_config())["task"]
+        """The task, as `VecSim.resolved_config` has it."""
         self.obstacles: list[Mesh] = [
             part for description in config["scene"].get("obstacles", []) for part in mesh.obstacle(description)
         ]
@@ -81,30 +103,47 @@ class Scene:
         terrain = sim.terrain() if "terrain" in config["scene"] else None
         self.ground = None if terrain is None else Ground(terrain)
         """The generated terrain on which all robots are; None without."""
-        self._shared = self.ground is not None or config["scene"].get("placement") == "global"
+        self.shared = self.ground is not None or config["scene"].get("placement") == "global"
+        """Whether all envs are in one world."""
         self.step_dt = sim.step_dt
         shapes, infos = json.loads(sim.robot_shapes()), json.loads(sim.robot_info())
+        self.outlines = shapes
+        """By robot, its entry of `VecSim.robot_shapes`."""
         self.parts = {robot: _parts(shapes[robot]) for robot in sim.robots}
         self._weights = {robot: infos[robot]["mass"] * 9.81 for robot in sim.robots}
         self.reach = {robot: _reach(sim.link_pose(robot)[0]) for robot in sim.robots}
         """From the base to the link that is farthest from it as the robot begins, m."""
         if spacing is None or self.obstacles:
             spacing = config["sim"]["env_spacing"]
-        row = np.arange(sim.num_envs) - 0.5 * (sim.num_envs - 1)
-        self.places = np.column_stack([np.zeros_like(row), -spacing * row, np.zeros_like(row)])
+        self.alone = not self.shared and not self.obstacles
+        """Whether each env has a flat world of its own, so that it may be drawn anywhere."""
+        self._spacing = spacing
+        self.places = self.formation(sim.num_envs)
         """[envs, 3], of the envs' origins, m, in a row across the direction of the walk; their heights are zero."""
+
+    def formation(self, columns: int) -> Array:
+        """[envs, 3], places in rows of so many, m: rows across x, in the order of the envs from left to right."""
+        count = self.sim.num_envs
+        rows = -(-count // columns)
+        row, column = np.divmod(np.arange(count), columns)
+        # a last row that is not full stands in the middle
+        wide = np.where(row < rows - 1, columns, count - columns * (rows - 1))
+        across = 0.5 * (wide - 1) - column
+        return self._spacing * np.column_stack([0.5 * (rows - 1) - row, across, np.zeros(count)])
 
     def obstacle_places(self, frame: Frame) -> list[Array]:
         """Where the obstacles stand: once in a world that all envs share, else around each env's origin, m."""
         if not self.obstacles:
             return []
-        return [np.zeros(3)] if self._shared else [robot.place for robot in frame.robots]
+        return [np.zeros(3)] if self.shared else [robot.place for robot in frame.robots]
 
     def frame(self) -> Frame:
         """The present state."""
         robots = []
         command = self.sim.command
-        if self._shared:
+        linear, angular = self.sim.state("base_lin_vel"), self.sim.state("base_ang_vel")
+        velocity = np.column_stack([linear[:, :2], angular[:, 2]]).astype(np.float64)
+        if self.shared:
             # a reset may have moved an env to another tile; heights are the world's already
             self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
         levels, types = self.sim.terrain_tiles()
@@ -120,21 +159,22 @@ class Scene:
                         place=place,
                         position=position[row] + place,
                         quaternion=quaternion[row],
-                        forces=self._contacts(name, position[row] + place, quaternion[row], forces[row]),
+                        contacts=self._contacts(name, position[row] + place, quaternion[row], forces[row]),
                         weight=self._weights[name],
                         command=command[first + row].astype(np.float64),
+                        velocity=velocity[first + row],
                         tile=f"{types[first + row]}, level {levels[first + row]}" if types else "",
                     )
                 )
         return Frame(self.time, robots)
 
-    def _contacts(self, name: str, position: Array, quaternion: Array, forces: Array) -> list[tuple[Array, Array]]:
+    def _contacts(self, name: str, position: Array, quaternion: Array, forces: Array) -> list[Contact]:
         contacts, seen = [], set()
         for part in self.parts[name]:
             if part.body not in seen and np.linalg.norm(forces[part.body]) > 1.0:
                 seen.add(part.body)
                 at = mesh.rotation(quaternion[part.link]) @ part.center + position[part.link]
-                contacts.append((at, forces[part.body]))
+                contacts.append(Contact(at, forces[part.body], part.body, part.link, part.center))
         return contacts
 
 

@@ -1,15 +1,20 @@
 """One `polypod play` from its options to its last line."""
 
+import contextlib
 import dataclasses
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from polypod import _core
+from polypod import _core, bundled
 from polypod.play.film import Film
+from polypod.play.live import OWN, TOGETHER, Choice, Live, columns_of
+from polypod.play.panel import Panel
 from polypod.play.player import Player
 from polypod.play.raster import picture
-from polypod.play.viewer import Viewer
+from polypod.play.viewer import HOST, Viewer
+
+MOST_CHECKPOINTS = 20
+"""Of the training that the page offers beside the one it begins with."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +35,10 @@ class Options:
     fps: int = 25
     size: tuple[int, int] = (640, 360)
     headless: bool = False
+    host: str = HOST
     port: int = 8080
+    meshes: bool = False
+    """Show the makers' meshes."""
     seed: int = 0
     threads: int | None = None
     overrides: Sequence[str] = ()
@@ -52,25 +60,20 @@ def play(options: Options) -> Player:
         if seconds is not None and not 0.0 <= seconds < 1e6:
             raise _core.ConfigError(f"{flag} {seconds} is not a number of seconds")
     film = Film(options.video, options.fps, options.size) if options.video is not None else None
-    player = Player(
-        options.checkpoint,
-        options.robots,
-        options.command,
-        task=options.task,
-        envs_per_robot=options.envs_per_robot,
-        seed=options.seed,
-        threads=options.threads,
-        overrides=options.overrides,
-    )
     live = not options.headless and film is None and options.record is None
-    viewer = Viewer(player, options.port) if live or options.record is not None else None
+    player = _player(options, live)
+    viewer = None
+    if live or options.record is not None:
+        viewer = Viewer(player, options.port, options.host, meshes=options.meshes, columns=columns_of(player))
+        for warning in viewer.warnings:
+            print(warning, flush=True)
     for _ in range(round(options.warm_up / player.step_dt)):
         player.step()
     seconds = options.seconds if options.seconds is not None or live else 10.0
     try:
         if live and viewer is not None:
             print(f"{player.sim.task_name}: open {viewer.url} in a browser; Ctrl-C ends", flush=True)
-            _watch(player, viewer, seconds)
+            player = _watch(player, viewer, options, seconds)
         else:
             _record(player, viewer, film, seconds or 0.0)
         if viewer is not None and options.record is not None:
@@ -83,20 +86,75 @@ def play(options: Options) -> Player:
     return player
 
 
-def _watch(player: Player, viewer: Viewer, seconds: float | None) -> None:
-    """Steps in real time and shows every control step."""
-    pause, _ = viewer.controls()
-    end = None if seconds is None else player.time + seconds
-    due = time.monotonic()
-    try:
-        while end is None or player.time < end - 0.5 * player.step_dt:
-            if not pause.value:
-                player.step()
-                viewer.show(player.frame())
-            due = max(due + player.step_dt, time.monotonic() - 0.5)
-            time.sleep(max(0.0, due - time.monotonic()))
-    except KeyboardInterrupt:
-        return
+def _player(options: Options, live: bool) -> Player:
+    """The player that is shown first.
+
+    On flat ground in the browser robots begin side by side, as with a command: they are to follow the same one.
+    """
+
+    def build(command: Sequence[float] | None) -> Player:
+        return Player(
+            options.checkpoint,
+            options.robots,
+            command,
+            task=options.task,
+            envs_per_robot=options.envs_per_robot,
+            seed=options.seed,
+            threads=options.threads,
+            overrides=options.overrides,
+        )
+
+    player = build(options.command)
+    if live and options.command is None and player.alone and player.sim.num_envs > 1:
+        return build((0.0, 0.0, 0.0))
+    return player
+
+
+def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | None) -> Player:
+    """Steps in real time and shows every control step; returns what was shown last."""
+    policies = _policies(options.checkpoint)
+    given = next(name for name, file in policies.items() if file == options.checkpoint)
+    robot = options.robots[0] if options.robots is not None and len(options.robots) == 1 else None
+    first = Choice(given, options.task, robot)
+
+    def build(choice: Choice) -> Player:
+        robots: Sequence[str] | None = None if choice.robot is None else [choice.robot]
+        if choice == first or (choice.policy == given and robots is None):
+            robots = options.robots
+        changed = dataclasses.replace(
+            options,
+            checkpoint=policies[choice.policy],
+            task=choice.task,
+            robots=robots,
+            command=None,
+            overrides=options.overrides if choice.task == options.task else (),
+        )
+        return _player(changed, live=True)
+
+    live = Live(player, viewer, build, first, seed=options.seed)
+    tasks = [entry["name"] for entry in _core.tasks() if "-Play-" in entry["name"] and entry["num_robots"] != 1]
+    panel = Panel(live, list(policies), tasks)
+    if options.command is not None:
+        live.own[:] = options.command
+        live.command_by(OWN)
+    elif player.alone and player.sim.num_envs > 1:
+        live.command_by(TOGETHER)
+    panel.refresh()
+    with contextlib.suppress(KeyboardInterrupt):
+        live.run(seconds)
+    return live.player
+
+
+def _policies(checkpoint: Path) -> dict[str, Path]:
+    """Policies that the page offers: the given one, others of its training, and those that come with polypod."""
+    known = {bundled.checkpoint(name): f"bundled: {name}" for name in bundled.NAMES}
+    files = {known.get(checkpoint, checkpoint.name): checkpoint}
+    others = sorted(checkpoint.parent.glob("model_*.pt"), key=lambda file: (len(file.name), file.name))
+    stride = -(-len(others) // MOST_CHECKPOINTS)
+    for file in others[:: max(1, stride)]:
+        if file != checkpoint and file not in known:
+            files.setdefault(file.name, file)
+    return files | {name: file for file, name in known.items()}
 
 
 def _record(player: Player, viewer: Viewer | None, film: Film | None, seconds: float) -> None:

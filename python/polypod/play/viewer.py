@@ -1,5 +1,7 @@
-"""A frame in the browser, by viser: live, or recorded into a file without a browser."""
+"""A simulation in the browser, by viser: live, or recorded into a file without a browser."""
 
+import contextlib
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -9,64 +11,140 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.extras import package
 from polypod.files import write_bytes
+from polypod.play import descriptions, looks
+from polypod.play.avatar import Avatar
 from polypod.play.ground import Ground
+from polypod.play.looks import Look, Model
 from polypod.play.player import Player
-from polypod.play.raster import COLORS, COMMAND, FORCE, FORCE_LENGTH, OBSTACLE
-from polypod.play.scene import Frame, RobotFrame
+from polypod.play.raster import OBSTACLE
+from polypod.play.scene import Frame
 
 Array = npt.NDArray[np.float64]
 
+HOST = "127.0.0.1"
+WORLD = "/world"
+"""The node that all of the simulation hangs on. It moves against what is followed, and cameras stay where they are."""
+GROUP = "all robots"
+NOTHING = "nothing"
 FOLLOW = 0.1
-"""Share of its distance by which a camera that follows a robot comes nearer to where it should be, per shown frame."""
+"""Share of its distance by which the view comes nearer to what it follows, per shown frame."""
+FIELD_OF_VIEW = 0.75
+"""Of the opening shot, from its upper to its lower edge, rad."""
 _JUMP = 1.5
 """A robot that is farther from where it was than this, m, has begun a new episode."""
-_NO_ROBOT = "no robot"
-_HIDDEN = np.array([[[0.0, 0.0, -10.0], [0.0, 0.0, -10.001]]], dtype=np.float32)
-"""An arrow below the ground, where there is nothing to show."""
+_MESSAGES = 1 << 16
+"""Most messages that viser is to send at once: more than a frame has."""
+_SKY = ((176, 202, 228), (238, 242, 246))
+"""Upper and lower edge of the background."""
 
 
 class Viewer:
-    """The scene of a player; robots are made of their collision shapes."""
+    """The page of a player."""
 
-    def __init__(self, player: Player, port: int = 8080, host: str = "127.0.0.1") -> None:
+    def __init__(
+        self, player: Player, port: int = 8080, host: str = HOST, *, meshes: bool = False, columns: int | None = None
+    ) -> None:
         """Opens the server; the next free port is taken where `port` is not.
 
+        Args:
+            player: what is shown.
+            port: 0 takes a free one.
+            host: address that the page is served at.
+            meshes: show the makers' meshes of the package robot_descriptions, which downloads them once.
+            columns: robots side by side in a row of the opening shot. None: as the player has them.
+
         Raises:
-            ConfigError: where viser is missing or no port is free.
+            ConfigError: where a package is missing or the address cannot be opened.
         """
         viser = package("viser", "the viewer", "play")
-        self.player = player
+        if meshes:
+            descriptions.check()
+        self._meshes = meshes
+        _check_host(host)
         try:
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
-        except OSError as error:
-            raise _core.ConfigError(f"--port {port} cannot be opened: {error.strerror}; choose another") from error
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise _core.ConfigError(f"--host {host} --port {port} cannot be opened: {reason}; choose others") from error
+        # a frame is to reach a page as one piece; by default viser cuts it into pieces of 128 messages
+        with contextlib.suppress(AttributeError):
+            self._server._websock_server.get_message_buffer().max_window_size = _MESSAGES
         self._recording: Any = None
-        self._links: dict[tuple[int, int], Any] = {}
-        self._arrows: list[tuple[Any, Any]] = []
-        self._shown = player.frame()
-        self._followed: int | None = None
+        self._world: Any = None
+        self._avatars: list[Avatar] = []
         self._target = np.zeros(3)
-        self._build(self._shown)
+        self._face = 0.0
+        self.followed: int | str = GROUP
+        """Index of the robot that is followed, `GROUP` or `NOTHING`."""
+        self.shows_names = self.shows_forces = self.shows_velocity = True
+        self.shows_scan = False
+        self.warnings: list[str] = []
+        """What could not be shown as it was asked for."""
+        self._set_the_stage()
+        self.open(player, columns)
         self._server.on_client_connect(self._welcome)
 
     @property
     def url(self) -> str:
-        """Where the scene is to be seen."""
-        return f"http://{self._server.get_host()}:{self._server.get_port()}"
+        """Where the page is to be seen."""
+        host = self._server.get_host()
+        return f"http://{'localhost' if host in ('0.0.0.0', '::') else host}:{self._server.get_port()}"
+
+    @property
+    def gui(self) -> Any:
+        """Viser's panel."""
+        return self._server.gui
+
+    @property
+    def frame(self) -> Frame:
+        """What is shown."""
+        return self._shown
+
+    def open(self, player: Player, columns: int | None = None) -> None:
+        """Shows another player in place of the present one."""
+        self.player = player
+        if columns is not None and player.alone:
+            player.stand(columns)
+        frame = player.frame()
+        self._shown = frame
+        with self._server.atomic():
+            if self._world is not None:
+                self._world.remove()
+            self._build(frame)
+            self.follow(GROUP if player.alone else 0)
 
     def show(self, frame: Frame) -> None:
         """Moves everything to where it is in a frame."""
         self._shown = frame
+        self._turn_names()
+        scan = self.player.sim.height_scan() if self.shows_scan else None
         with self._server.atomic():
-            for index, robot in enumerate(frame.robots):
-                for link, (position, quaternion) in enumerate(zip(robot.position, robot.quaternion, strict=True)):
-                    handle = self._links[index, link]
-                    handle.position, handle.wxyz = position, quaternion
-                forces, command = self._arrows[index]
-                lines = [[point, point + FORCE_LENGTH * force / robot.weight] for point, force in robot.forces]
-                forces.points = np.array(lines, dtype=np.float32) if lines else _HIDDEN
-                command.points = _command_arrow(robot.position[0], robot.quaternion[0], robot.command)
-            self._move_cameras()
+            # a page that gets a frame in pieces gets the robots' places first
+            self._go_along()
+            for avatar, robot in zip(self._avatars, frame.robots, strict=True):
+                avatar.show_base(robot)
+            for index, (avatar, robot) in enumerate(zip(self._avatars, frame.robots, strict=True)):
+                avatar.shows_forces, avatar.shows_velocity = self.shows_forces, self.shows_velocity
+                avatar.show(robot, self._face, self._hits(scan, index))
+
+    def show_names(self, visible: bool) -> None:
+        """Shows or hides the robots' names."""
+        self.shows_names = visible
+        for avatar in self._avatars:
+            avatar.show_name(visible)
+
+    def follow(self, what: int | str) -> None:
+        """Lets the view go with a robot of the frame, `GROUP` or `NOTHING`, and begins with the opening shot of it."""
+        self.followed = what
+        if what == NOTHING:
+            return
+        self._target = self._middle()
+        self._world.position = -self._target
+        position, target = self._opening()
+        camera = self._server.initial_camera
+        camera.position, camera.look_at, camera.fov = position, target, FIELD_OF_VIEW
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = position, target
 
     def record(self) -> None:
         """Keeps all frames from now on; a `tick` between two sets their distance in time."""
@@ -86,101 +164,135 @@ class Viewer:
         except OSError as error:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --record") from error
 
-    def controls(self) -> tuple[Any, Any]:
-        """Adds a pause box and sliders for a command of one's own; returns the pause box and the box that uses them.
-
-        A list of the robots moves the camera to one and lets it follow; on terrain, where robots are far apart, it
-        begins with the first.
-        """
-        gui = self._server.gui
-        pause = gui.add_checkbox("pause", initial_value=False)
-        own = gui.add_checkbox("own command", initial_value=False)
-        names = (("forward (m/s)", 1.0), ("left (m/s)", 1.0), ("turn (rad/s)", 1.0))
-        sliders = [gui.add_slider(name, min=-most, max=most, step=0.05, initial_value=0.0) for name, most in names]
-
-        def use(_: Any) -> None:
-            if own.value:
-                self.player.command([slider.value for slider in sliders])
-            else:
-                self.player.sim.set_command(None)
-
-        for handle in (own, *sliders):
-            handle.on_update(use)
-        robots = [f"{index}: {robot.name}" for index, robot in enumerate(self._shown.robots)]
-        followed = gui.add_dropdown("follow", [_NO_ROBOT, *robots])
-
-        def follow(_: Any) -> None:
-            self.follow(None if followed.value == _NO_ROBOT else robots.index(followed.value))
-
-        if self.player.ground is not None:
-            followed.value = robots[0]
-            follow(None)
-        followed.on_update(follow)
-        return pause, own
-
-    def follow(self, index: int | None) -> None:
-        """Moves all cameras beside a robot of the frame, and with it from now on; None: lets them be."""
-        self._followed = index
-        if index is None:
-            return
-        self._target = self._shown.robots[index].position[0].copy()
+    def tell(self, title: str, body: str) -> None:
+        """Shows a notice on all pages."""
         for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = _beside(self._target)
-
-    def _welcome(self, client: Any) -> None:
-        """A new page begins where the others are."""
-        if self._followed is not None:
-            client.camera.position, client.camera.look_at = _beside(self._target)
-
-    def _move_cameras(self) -> None:
-        """Lets cameras go with the robot that they follow, as they are turned."""
-        if self._followed is None:
-            return
-        ahead = self._shown.robots[self._followed].position[0] - self._target
-        step = ahead if np.linalg.norm(ahead) > _JUMP else FOLLOW * ahead
-        self._target = self._target + step
-        for client in self._server.get_clients().values():
-            # what it looks at moves along
-            client.camera.position = client.camera.position + step
+            client.add_notification(title, body, auto_close_seconds=8.0)
 
     def close(self) -> None:
         """Ends the server."""
         self._server.stop()
 
-    def _build(self, frame: Frame) -> None:
+    def _set_the_stage(self) -> None:
         scene = self._server.scene
         scene.set_up_direction("+z")
-        camera = self._server.initial_camera
+        share = np.linspace(0.0, 1.0, 256)[:, None, None]
+        top, bottom = (np.array(color, dtype=np.float64) for color in _SKY)
+        sky = np.broadcast_to((1.0 - share) * top + share * bottom, (256, 2, 3))
+        scene.set_background_image(sky.astype(np.uint8), format="png")
+
+    def _build(self, frame: Frame) -> None:
+        scene = self._server.scene
+        self._world = scene.add_frame(WORLD, show_axes=False)
+        ground = f"{WORLD}/ground"
         if self.player.ground is None:
-            scene.add_grid("/ground", infinite_grid=True, cell_size=0.5, section_size=1.0)
-            camera.position, camera.look_at = _in_front(frame.robots)
+            scene.add_grid(
+                ground,
+                infinite_grid=True,
+                cell_size=0.5,
+                section_size=1.0,
+                section_color=(176, 182, 190),
+                cell_color=(198, 203, 209),
+                fade_distance=60.0,
+                plane_color=(214, 218, 222),
+                plane_opacity=1.0,
+                shadow_opacity=0.35,
+            )
         else:
-            scene.add_glb("/ground", terrain_glb(self.player.ground), cast_shadow=False)
-            camera.position, camera.look_at = _beside(frame.robots[0].position[0])
+            scene.add_glb(ground, terrain_glb(self.player.ground), cast_shadow=False)
         for at, place in enumerate(self.player.obstacle_places(frame)):
             for number, obstacle in enumerate(self.player.obstacles):
                 vertices = (obstacle.vertices + place).astype(np.float32)
-                scene.add_mesh_simple(
-                    f"/obstacles/{at}_{number}", vertices, obstacle.triangles(), color=OBSTACLE, flat_shading=True
-                )
+                name = f"{WORLD}/obstacles/{at}_{number}"
+                scene.add_mesh_simple(name, vertices, obstacle.triangles(), color=OBSTACLE, flat_shading=True)
+        self._avatars = []
+        known: dict[str, list[Look | Model]] = {}
+        colors = {robot: looks.accent(place) for place, robot in enumerate(self.player.sim.robots)}
         for index, robot in enumerate(frame.robots):
-            root = f"/{index}_{robot.name}"
-            for link in range(len(robot.position)):
-                name = f"{root}/{link}"
-                self._links[index, link] = scene.add_frame(name, show_axes=False)
-            for number, part in enumerate(self.player.parts[robot.name]):
-                scene.add_mesh_simple(
-                    f"{root}/{part.link}/{number}",
-                    part.mesh.vertices.astype(np.float32),
-                    part.mesh.triangles(),
-                    color=COLORS[part.group],
-                    flat_shading=True,
-                )
-            scene.add_label(f"{root}/0/label", robot.name, position=(0.0, 0.0, 0.5))
-            forces = scene.add_arrows(f"{root}_forces", _HIDDEN, colors=FORCE)
-            command = scene.add_arrows(f"{root}_command", _HIDDEN, colors=COMMAND)
-            self._arrows.append((forces, command))
+            if robot.name not in known:
+                known[robot.name] = self._looks(robot.name, colors[robot.name])
+            root = f"{WORLD}/{index}_{robot.name}"
+            self._avatars.append(Avatar(scene, root, robot, known[robot.name], colors[robot.name]))
+        self.show_names(self.shows_names)
         self.show(frame)
+
+    def _looks(self, robot: str, color: looks.Color) -> list[Look | Model]:
+        outline = self.player.outlines[robot]
+        if self._meshes:
+            try:
+                return [*descriptions.models(robot, outline["links"], self.player.rest(robot))]
+            except _core.ConfigError as error:
+                self.warnings.append(f"{robot} is shown by its collision shapes: {error}")
+        return [*looks.of_shapes(outline, color)]
+
+    def _hits(self, scan: npt.NDArray[np.float32] | None, index: int) -> npt.NDArray[np.float32] | None:
+        """Where a robot's height scanner sees the ground, as the robot is drawn."""
+        if scan is None:
+            return None
+        return scan[index] if self.player.shared else scan[index] + self._shown.robots[index].place.astype(np.float32)
+
+    def _middle(self) -> Array:
+        """What the view goes with, m."""
+        robots = self._shown.robots
+        if isinstance(self.followed, int):
+            return robots[min(self.followed, len(robots) - 1)].position[0].copy()
+        middle: Array = np.mean([robot.position[0] for robot in robots], axis=0)
+        return middle
+
+    def _go_along(self) -> None:
+        """Moves the world against what is followed."""
+        if self.followed == NOTHING:
+            return
+        ahead = self._middle() - self._target
+        self._target = self._target + (ahead if np.linalg.norm(ahead) > _JUMP else FOLLOW * ahead)
+        self._world.position = -self._target
+
+    def _opening(self) -> tuple[Array, Array]:
+        """Position and target of a camera that sees what is followed, m; the target is at the origin."""
+        if isinstance(self.followed, int):
+            reach = self.player.reach[self._shown.robots[min(self.followed, len(self._shown.robots) - 1)].name]
+            direction, radius = np.array([0.72, 0.58, 0.42]), 1.6 * reach
+        else:
+            places = np.stack([robot.position[0] for robot in self._shown.robots]) - self._middle()
+            reach = max(self.player.reach.values())
+            radius = float(np.linalg.norm(places, axis=1).max()) + reach
+            direction = np.array([0.86, 0.34, 0.44])
+        direction = direction / np.linalg.norm(direction)
+        distance = 1.05 * radius / np.sin(0.5 * FIELD_OF_VIEW)
+        # the panel hides the right quarter of a page
+        right = 0.14 * distance * np.array([-direction[1], direction[0], 0.0])
+        return distance * direction + right, right
+
+    def _turn_names(self) -> None:
+        """Lets names look at the camera of the page that was opened last."""
+        position, target = self._server.initial_camera.position, np.zeros(3)
+        clients = list(self._server.get_clients().values())
+        if clients:
+            camera = clients[-1].camera
+            # a page that has just been opened has not told of its camera yet
+            with contextlib.suppress(AssertionError, AttributeError):
+                position, target = np.asarray(camera.position), np.asarray(camera.look_at)
+        back = np.asarray(position)[:2] - target[:2]
+        if np.linalg.norm(back) > 1e-3:
+            self._face = float(np.arctan2(back[1], back[0]))
+
+    def _welcome(self, client: Any) -> None:
+        """A new page begins with what is followed in its middle."""
+        with contextlib.suppress(AssertionError):
+            client.camera.position, client.camera.look_at = self._opening()
+
+
+def _check_host(host: str) -> None:
+    """Raises ConfigError for an address that is not this machine's: viser's thread would end without a word."""
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.bind(address)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no name"
+        raise _core.ConfigError(
+            f"--host {host!r} cannot be opened: {reason}; use an address of this machine, or 0.0.0.0 for all"
+        ) from error
 
 
 def terrain_glb(ground: Ground) -> bytes:
@@ -204,29 +316,3 @@ def terrain_glb(ground: Ground) -> bytes:
 
     data: bytes = mesh.export(file_type="glb", tree_postprocessor=matt)
     return data
-
-
-def _beside(at: Array) -> tuple[Array, Array]:
-    """Position and target of a camera near a robot, m."""
-    return at + np.array([2.6, 2.2, 1.6]), at
-
-
-def _in_front(robots: list[RobotFrame]) -> tuple[Array, Array]:
-    """Position and target of a camera that has a row of robots before it, m."""
-    places = np.stack([robot.position[0] for robot in robots])
-    middle, width = places.mean(axis=0), float(np.linalg.norm(np.ptp(places, axis=0)))
-    return middle + np.array([2.5 + 0.5 * width, 0.0, 1.5 + 0.2 * width]), middle
-
-
-def _command_arrow(
-    position: npt.NDArray[np.float64], quaternion: npt.NDArray[np.float64], command: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float32]:
-    """[1, 2, 3], above the base, along the commanded velocity."""
-    w, x, y, z = quaternion
-    angle = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
-    forward, left = 0.6 * command[:2]
-    along = np.array([forward * np.cos(angle) - left * np.sin(angle), forward * np.sin(angle) + left * np.cos(angle)])
-    start = position + np.array([0.0, 0.0, 0.35])
-    if np.linalg.norm(along) < 1e-3:
-        return _HIDDEN
-    return np.array([[start, start + np.array([*along, 0.0])]], dtype=np.float32)

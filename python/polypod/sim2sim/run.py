@@ -1,6 +1,7 @@
 """Both simulators over the same episodes: same initial states, same commands, same falls, same errors."""
 
 import dataclasses
+import functools
 import json
 import math
 import shlex
@@ -10,17 +11,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rsl_rl.models import RNNModel
 
 from polypod import _core
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, play_task
+from polypod.evaluation.policies import reset
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.observation import check_memory, terms_of
+from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
@@ -40,6 +41,8 @@ MARGIN = 30.0
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
+Watch = Callable[[str, str, Array], None]
+"""Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 + joints]."""
 
 
 _MINIMUM_SHARE = 0.5
@@ -127,6 +130,7 @@ def compare(
     robots: Sequence[str] | None = None,
     options: Options | None = None,
     progress: Progress = lambda robot, done, total: None,
+    watch: Watch | None = None,
 ) -> Comparison:
     """Runs the policy of a checkpoint in both simulators.
 
@@ -138,6 +142,7 @@ def compare(
         robots: names or paths of configs; None: those that the policy was trained on.
         options: see `Options`.
         progress: told how far the run is.
+        watch: shown all states; None: nobody is.
 
     Raises:
         ConfigError: for a checkpoint, robot or option that cannot be used, for a task with obstacles, and where
@@ -154,23 +159,19 @@ def compare(
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
     loaded = load(checkpoint)
     network, manifest = loaded.network, loaded.manifest
-    if isinstance(network, RNNModel):
-        raise _core.ConfigError(f"{checkpoint} is recurrent, which sim2sim does not run; use polypod eval")
     sources = list(manifest["robot_sources"] if robots is None else robots)
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
-    for interface in known.values():
-        check_memory(interface.terms, "sim2sim runs policies of")
     episode = _Episode(manifest, sources, options)
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
     when = measured()
-    in_polypod = _run_polypod(episode, loaded.runner(), progress)
+    in_polypod = _run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         model = onnx_graph.robot_model(network, interface, {})
         policy = OnnxPolicy(model.SerializeToString())
-        theirs = _run_mujoco(episode, name, source, interface, policy, progress)
+        theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(polypod=in_polypod[name], mujoco=theirs)
     return Comparison(
         command=_command(checkpoint, robots, options),
@@ -314,39 +315,44 @@ class _Sums:
         )
 
 
-def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[str, Figures]:
+def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
     sim = episode.sim
-    velocity, rate, command = (
-        _columns(sim, source) for source in ("center_of_mass_velocity", "base_angular_velocity", "velocity_command")
-    )
+    command, width = _columns(sim, "velocity_command")
+    given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
+    reset(policy)
     sums = _Sums(sim.num_envs, episode.step_dt)
     for step in range(episode.steps):
         heading = np.concatenate([heading_of(sim.qpos(name)) for name in sim.robots])
         commands = episode.commands.at(step, heading)
         sim.set_command(commands)
         observation = sim.observation.copy()
-        observation[:, command] = commands
+        # what is observed of commands are those given here, the newest last; at first all are the first one
+        given = np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
+        observation[:, command] = given
         sim.step(policy(observation))
-        seen = sim.observation
         sums.add(
             commands,
             Observed(
-                velocity=seen[:, velocity][:, :2].astype(np.float64),
-                yaw_rate=seen[:, rate][:, 2].astype(np.float64),
+                velocity=sim.state("base_lin_vel")[:, :2].astype(np.float64),
+                yaw_rate=sim.state("base_ang_vel")[:, 2].astype(np.float64),
                 fell=sim.terminated.copy(),
             ),
         )
+        if watch is not None:
+            for name in sim.robots:
+                watch("polypod", name, sim.qpos(name))
         progress("polypod", step + 1, episode.steps)
     return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
 
 
-def _columns(sim: _core.VecSim, source: str) -> slice:
-    """Where the observation holds the term that is computed from `source`."""
+def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
+    """Where the observation holds the term that is computed from `source`, and how many of its numbers are new."""
     start = 0
     for term in terms_of(sim):
+        end = start + term.size
         if term.source == source:
-            return slice(start, start + term.size)
-        start += term.size
+            return slice(start, end), term.width
+        start = end
     raise _core.ConfigError(
         f"task {sim.task_name} observes no term that is computed from {source}; add one to observations.policy"
     )
@@ -359,6 +365,7 @@ def _run_mujoco(
     interface: RobotInterface,
     policy: OnnxPolicy,
     progress: Progress,
+    watch: Watch | None,
 ) -> Figures:
     robot = accuracy_robot.of(episode.sim, name, source)
     ends = episode.terminations
@@ -378,6 +385,7 @@ def _run_mujoco(
         physics_dt=episode.task_dt,
         physics=episode.physics,
         delays=episode.delays(robot),
+        network_torques=functools.partial(episode.sim.network_torques, name),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
         least_height=least_height,
@@ -389,6 +397,8 @@ def _run_mujoco(
     for step in range(episode.steps):
         wanted = commands.at(step, heading_of(twin.qpos))
         sums.add(wanted, twin.step(wanted, sums.active))
+        if watch is not None:
+            watch("mujoco", name, twin.qpos)
         progress(name, step + 1, episode.steps)
     return sums.figures(slice(None))
 

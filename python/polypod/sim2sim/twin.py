@@ -6,12 +6,13 @@ state.
 
 - The PD law is MuJoCo's position actuator with the robot's gains. Limits of effort, the torque-speed line of DC motors,
   tables over the joint angle and delays are applied here, anew in every physics step.
+- Where a network gives the torque, it is evaluated as polypod does it, at the task's physics step, and limited here.
 - Shapes touch the ground with the task's friction; the robot's own links pass through each other.
 - Contacts are as stiff as the step allows, or MuJoCo's default ones (time constant 20 ms), by choice.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,11 @@ from polypod.sim2sim.commands import Array, heading_of
 
 FALL_FORCE = 1.0
 """Normal force on a shape of the base from which a robot has fallen, N: the task's own threshold."""
+
+
+Floats = npt.NDArray[np.float32]
+NetworkTorques = Callable[[Floats, Floats, Floats | None], tuple[Floats, Floats]]
+"""`VecSim.network_torques` of a robot: from errors, velocities and memory to torques and memory."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +73,7 @@ class Twin:
         physics_dt: float,
         physics: Physics,
         delays: Array,
+        network_torques: NetworkTorques | None = None,
         heights: Heights | None = None,
         places: Array | None = None,
         least_height: float = -np.inf,
@@ -83,6 +90,7 @@ class Twin:
             physics_dt: the physics step that delays are counted in, s.
             physics: how MuJoCo steps.
             delays: [envs, joints], of the targets, in physics steps.
+            network_torques: of the robot's actuator networks, one physics step of `physics_dt` after the other.
             heights: of the ground; None: a plane.
             places: [envs, 3], of the envs' origins on it, m; None: the world's origin.
             least_height: of the base's origin above the ground below it; one that is lower has fallen, m.
@@ -98,6 +106,9 @@ class Twin:
         self.heights = heights
         self.least_height, self.least_upright = least_height, np.cos(most_tilt)
         self.places = np.zeros((self.num_envs, 3)) if places is None else places
+        self._network_torques = network_torques if robot.actuators.networks.any() else None
+        self._network_memory: Floats | None = None
+        self._network_output = np.zeros((self.num_envs, robot.num_joints), dtype=np.float32)
         self._mj = mujoco()
         model = self.reference.model
         model.actuator_forcelimited[:] = 1
@@ -121,6 +132,8 @@ class Twin:
             data.qpos[:3] += place
             self._mj.mj_forward(self.reference.model, data)
         self.actions[:] = 0.0
+        self.policy.reset()
+        self._network_memory = None
         self._fresh = True
         for env in range(self.num_envs):
             self._read(env)
@@ -191,10 +204,19 @@ class Twin:
         age = np.ceil(np.maximum(self.delays - since, 0.0) / self.step_dt - 1e-9).astype(np.intp)
         targets = np.take_along_axis(self._targets, age[None], axis=0)[0]
         ranges = self.robot.actuators.effort_range(self.qpos[:, 7:], self.qvel[:, 6:])
+        # in MuJoCo's smaller steps the torque of a network is held
+        before = (substep - 1) * self.step_dt / self.substeps
+        is_due = substep == 0 or int(since / self.physics_dt + 1e-6) > int(before / self.physics_dt + 1e-6)
+        if self._network_torques is not None and is_due:
+            error = (targets - self.qpos[:, 7:]).astype(np.float32)
+            velocity = self.qvel[:, 6:].astype(np.float32)
+            self._network_output, self._network_memory = self._network_torques(error, velocity, self._network_memory)
         for env in envs:
             data = self._data[env]
             model.actuator_forcerange[:] = ranges[env]
             data.ctrl[:] = targets[env]
+            if self._network_torques is not None:
+                data.qfrc_applied[self.reference.v[6:]] = np.clip(self._network_output[env], *ranges[env].T)
             self._mj.mj_step(model, data)
             self._read(env)
             fell[env] |= self._touches_with_base(data)

@@ -1,4 +1,4 @@
-"""`configs/train/*.toml`: what is typed there, checked, and turned into rsl_rl's configuration."""
+"""`configs/train/*.toml`: how they are read, merged and checked. What is typed there: `polypod.training.schema`."""
 
 import contextlib
 import dataclasses
@@ -7,14 +7,31 @@ import json
 import types
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.files import read_bytes
-from polypod.observation import check_memory, layout_of, terms_of
 from polypod.training.manifest import MAX_LAYER, Activation, check_size
-from polypod.training.manifest import read as read_manifest
+from polypod.training.schema import (
+    ALTERNATE,
+    LEARNERS,
+    LOSSES,
+    MLP,
+    OBSERVATION_GROUP,
+    RNN,
+    RNN_TYPES,
+    URMA,
+    ActorConfig,
+    AlgorithmConfig,
+    AnnealConfig,
+    CriticConfig,
+    DistillationConfig,
+    ObsGroupsConfig,
+    RndConfig,
+    RunConfig,
+    TrainConfig,
+)
 
 DEFAULT = "flat"
 """Name of the train config that trainings use by default."""
@@ -24,351 +41,6 @@ MAX_BYTES = 1 << 20
 """Of a train config."""
 MAX_EXTENDS = 100
 """Files that a train config may extend, directly or not."""
-OBSERVATION_GROUP = "policy"
-"""Name of the observation group that actor and critic read."""
-
-ALTERNATE = "alternate"
-"""Symmetry that learns from each sample or its mirror image, in turn from epoch to epoch."""
-LEARNERS = ("auto", "native", "rsl_rl")
-RNN_TYPES = ("lstm", "gru")
-LOSSES = ("mse", "huber")
-NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
-
-MLP = "MLPModel"
-RNN = "RNNModel"
-URMA = "polypod.networks:UrmaModel"
-ROLE_GAUSSIAN = "polypod.networks:RoleGaussian"
-MASKED_MLP = "polypod.networks:MaskedMLPModel"
-MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
-"""Class names as rsl_rl resolves them."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RunConfig:
-    """`[run]`: how much to simulate."""
-
-    task: str
-    num_envs: int
-    max_iterations: int
-    num_steps_per_env: int
-    save_interval: int
-    normalize_reward_per_robot: bool
-    normalize_advantage_per_robot: bool
-    symmetry: bool | str
-    learner: str = "rsl_rl"
-    """What learns: native, rsl_rl, or auto. Runs from before there was a choice are rsl_rl's."""
-
-
-@dataclasses.dataclass(frozen=True)
-class AlgorithmConfig:
-    """`[algorithm]`: PPO, in rsl_rl's words."""
-
-    num_learning_epochs: int
-    num_mini_batches: int
-    learning_rate: float
-    schedule: str
-    desired_kl: float
-    gamma: float
-    lam: float
-    clip_param: float
-    use_clipped_value_loss: bool
-    value_loss_coef: float
-    entropy_coef: float
-    max_grad_norm: float
-    normalize_advantage_per_mini_batch: bool
-    mixed_precision: str
-
-
-@dataclasses.dataclass(frozen=True)
-class AnnealConfig:
-    """`[anneal]`: what the goals of PPO become towards the end of a run, for a policy that explores less and less.
-
-    From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the
-    value here, which it has in the last iteration and after it.
-    """
-
-    start: float
-    entropy_coef: float
-    desired_kl: float
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class CriticConfig:
-    """`[critic]`: a multi-layer perceptron, a recurrent network, or a network of joints."""
-
-    class_name: str = MLP
-    hidden_dims: list[int]
-    activation: str
-    obs_normalization: bool
-    joint_dim: int | None = None
-    num_heads: int | None = None
-    rnn_type: str | None = None
-    rnn_hidden_dim: int | None = None
-    rnn_num_layers: int | None = None
-
-    def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
-        """The network's constructor arguments, with the class names that rsl_rl resolves.
-
-        Args:
-            sim: whose observations and joints the network is for; a multi-layer perceptron does without.
-
-        Raises:
-            ConfigError: for a network of joints without `sim`.
-        """
-        network = {key: value for key, value in dataclasses.asdict(self).items() if value is not None}
-        if self.class_name != URMA:
-            return network
-        if sim is None:
-            raise _core.ConfigError(
-                f"{self.class_name} is made for the joints of an env: call rsl_rl_cfg(env.sim) of the train config"
-            )
-        terms = terms_of(sim)
-        check_memory(terms, f"{self.class_name} takes")
-        layout = layout_of(terms)
-        return {**network, "observation_layout": layout, "joint_names": sim.canonical_joint_names}
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ActorConfig(CriticConfig):
-    """`[actor]`: a network whose output is the mean of a Gaussian with a learned deviation."""
-
-    init_std: float
-
-    def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
-        """As of the critic, with the distribution."""
-        network = super().model_cfg(sim)
-        distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
-        if self.class_name == URMA:
-            distribution |= {"class_name": ROLE_GAUSSIAN, "joint_names": network["joint_names"]}
-        return {**network, "distribution_cfg": distribution}
-
-
-class Goals(NamedTuple):
-    """What PPO aims at in an iteration."""
-
-    entropy_coef: float
-    desired_kl: float
-
-
-@dataclasses.dataclass(frozen=True)
-class ObsGroupsConfig:
-    """`[obs_groups]`: which of the task's observation groups each network sees, side by side, in rsl_rl's words."""
-
-    actor: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
-    critic: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
-    rnd_state: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
-    teacher: list[str] = dataclasses.field(default_factory=lambda: ["teacher"])
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RndConfig:
-    """`[rnd]`: random network distillation, a reward for observations that are new, in rsl_rl's words."""
-
-    weight: float
-    num_outputs: int = 1
-    predictor_hidden_dims: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
-    target_hidden_dims: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
-    activation: str = "elu"
-    state_normalization: bool = True
-    reward_normalization: bool = True
-    learning_rate: float = 1e-3
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class DistillationConfig:
-    """`[distillation]`: `[actor]` learns to act as a teacher does, in place of PPO.
-
-    Of `[algorithm]`, `num_learning_epochs`, `learning_rate` and `max_grad_norm` count.
-    """
-
-    teacher: str
-    """A model_<n>.pt beside its manifest.json."""
-    gradient_length: int = 15
-    """Control steps between two steps of the optimiser."""
-    loss_type: str = "mse"
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainConfig:
-    """One train config, complete."""
-
-    run: RunConfig
-    algorithm: AlgorithmConfig
-    actor: ActorConfig
-    critic: CriticConfig
-    anneal: AnnealConfig | None = None
-    obs_groups: ObsGroupsConfig = dataclasses.field(default_factory=ObsGroupsConfig)
-    rnd: RndConfig | None = None
-    distillation: DistillationConfig | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """The config as it would stand in its file."""
-        sections = {name: table for name, table in dataclasses.asdict(self).items() if table is not None}
-        return {name: {k: v for k, v in table.items() if v is not None} for name, table in sections.items()}
-
-    def goals(self, iteration: int) -> Goals:
-        """What PPO aims at in an iteration, counted from 0."""
-        begin = Goals(self.algorithm.entropy_coef, self.algorithm.desired_kl)
-        if self.anneal is None:
-            return begin
-        first = self.anneal.start * self.run.max_iterations
-        share = min(max((iteration + 1 - first) / max(self.run.max_iterations - first, 1.0), 0.0), 1.0)
-        return Goals(
-            begin.entropy_coef + share * (self.anneal.entropy_coef - begin.entropy_coef),
-            begin.desired_kl + share * (self.anneal.desired_kl - begin.desired_kl),
-        )
-
-    def with_run(self, **values: Any) -> "TrainConfig":
-        """The config with other values in `[run]`; None leaves a value alone."""
-        given = {key: value for key, value in values.items() if value is not None}
-        return parse({**self.as_dict(), "run": {**dataclasses.asdict(self.run), **given}}, "the command line")
-
-    def with_teacher_located(self) -> "TrainConfig":
-        """The config with the absolute path of its teacher, so that a run goes on from any directory."""
-        if self.distillation is None:
-            return self
-        teacher = str(Path(self.distillation.teacher).resolve())
-        return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
-
-    def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
-        """The config with "auto" decided for this machine, so that a resumed run computes in the same way."""
-        if self.algorithm.mixed_precision != "auto":
-            return self
-        mode = "on" if _computes_in_bfloat16(device_type) else "off"
-        return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
-
-    def with_learner_resolved(self, learner: str | None, device_type: str) -> "TrainConfig":
-        """The config with "auto" decided: the native learner for perceptrons on a CPU, else rsl_rl.
-
-        Args:
-            learner: what is to learn instead of what the config says; None: that.
-            device_type: cpu or cuda.
-
-        Raises:
-            ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
-        """
-        config = self.with_run(learner=learner)
-        why_not = config._why_not_native(device_type)
-        if config.run.learner == "auto":
-            config = config.with_run(learner="rsl_rl" if why_not else "native")
-        if config.run.learner == "native" and why_not:
-            raise _core.ConfigError(f"the native learner {why_not}; use --learner rsl_rl or auto")
-        if config.run.learner == "rsl_rl" and config.run.symmetry == ALTERNATE:
-            raise _core.ConfigError(
-                f'[run] symmetry = "{ALTERNATE}" is of the native learner; use --learner native, or symmetry = true'
-            )
-        return config
-
-    def _why_not_native(self, device_type: str) -> str | None:
-        """What keeps the native learner from this config."""
-        if device_type != "cpu":
-            return f"runs on the CPU, not on {device_type}"
-        if self.rnd is not None:
-            return "has no random network distillation, and the train config has [rnd]"
-        if self.distillation is not None:
-            return "does not distil, and the train config has [distillation]"
-        for name in ("actor", "critic"):
-            if (groups := getattr(self.obs_groups, name)) != [OBSERVATION_GROUP]:
-                return f"sees the observation group {OBSERVATION_GROUP}, and {name} sees {', '.join(groups)}"
-        for section, network in (("actor", self.actor), ("critic", self.critic)):
-            if network.class_name != MLP:
-                return f"learns perceptrons, and [{section}] is a {network.class_name}"
-            if network.activation not in NATIVE_ACTIVATIONS:
-                return f"knows {', '.join(NATIVE_ACTIVATIONS)}, and [{section}] has activation {network.activation}"
-        return None
-
-    def native_options(self) -> dict[str, Any]:
-        """What `polypod._core.Learner` reads."""
-        run, algorithm = self.run, dataclasses.asdict(self.algorithm)
-        for key in ("learning_rate", "mixed_precision"):
-            del algorithm[key]
-        if algorithm.pop("schedule") == "fixed":
-            algorithm["desired_kl"] = None
-        of_network = ("hidden_dims", "activation", "obs_normalization")
-        return {
-            "num_steps_per_env": run.num_steps_per_env,
-            "actor": {key: getattr(self.actor, key) for key in of_network},
-            "critic": {key: getattr(self.critic, key) for key in of_network},
-            "algorithm": algorithm,
-            "normalize_reward_per_robot": run.normalize_reward_per_robot,
-            "normalize_advantage_per_robot": run.normalize_advantage_per_robot,
-            "symmetry": run.symmetry if isinstance(run.symmetry, str) else "both" if run.symmetry else "none",
-        }
-
-    def rsl_rl_cfg(self, sim: _core.VecSim | None = None) -> dict[str, Any]:
-        """The configuration that rsl_rl's runner reads; arguments and errors are those of `CriticConfig.model_cfg`."""
-        algorithm = dataclasses.asdict(self.algorithm)
-        algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
-        if self.distillation is not None:
-            return self._distillation_cfg(algorithm, sim)
-        groups = dataclasses.asdict(self.obs_groups)
-        del groups["teacher"]
-        if self.rnd is None:
-            del groups["rnd_state"]
-        else:
-            algorithm["rnd_cfg"] = dataclasses.asdict(self.rnd)
-        return {
-            "num_steps_per_env": self.run.num_steps_per_env,
-            "save_interval": self.run.save_interval,
-            "max_iterations": self.run.max_iterations,
-            "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
-            "normalize_advantage_per_robot": self.run.normalize_advantage_per_robot,
-            "symmetry": self.run.symmetry,
-            "obs_groups": groups,
-            "algorithm": {"class_name": "PPO", **algorithm},
-            "actor": _masked(self.actor.model_cfg(sim), sim, self.obs_groups.actor),
-            "critic": _masked(self.critic.model_cfg(sim), sim, self.obs_groups.critic),
-            "check_for_nan": True,
-        }
-
-    def _distillation_cfg(self, algorithm: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
-        assert self.distillation is not None
-        if sim is not None and not sim.action_mask.all():
-            raise _core.ConfigError(
-                f"[distillation] is for bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
-                "distil for robots of one kind"
-            )
-        teacher = dict(read_manifest(Path(self.distillation.teacher).parent / "manifest.json")["policy"])
-        for key in ("num_obs", "num_actions"):
-            del teacher[key]
-        own = ("num_learning_epochs", "learning_rate", "max_grad_norm", "use_mixed_precision")
-        return {
-            "num_steps_per_env": self.run.num_steps_per_env,
-            "save_interval": self.run.save_interval,
-            "max_iterations": self.run.max_iterations,
-            "normalize_reward_per_robot": False,
-            "normalize_advantage_per_robot": False,
-            "symmetry": False,
-            "obs_groups": {"student": self.obs_groups.actor, "teacher": self.obs_groups.teacher},
-            "algorithm": {
-                "class_name": "Distillation",
-                **{key: algorithm[key] for key in own},
-                "gradient_length": self.distillation.gradient_length,
-                "loss_type": self.distillation.loss_type,
-            },
-            "student": self.actor.model_cfg(sim),
-            "teacher": teacher,
-            "check_for_nan": True,
-        }
-
-
-def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
-    """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
-    if sim is None or sim.action_mask.all():
-        return model
-    if model["class_name"] != MLP:
-        raise _core.ConfigError(
-            f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
-            f'use class_name = "{MLP}"'
-        )
-    joint_of_number: list[int] = []
-    for term in (term for group in groups for term in terms_of(sim, group)):
-        per_joint = term.kind == "per_joint"
-        joint_of_number += [index % sim.num_actions if per_joint else -1 for index in range(term.size)]
-    masked = {**model, "class_name": MASKED_MLP, "joint_of_number": joint_of_number}
-    if "distribution_cfg" in model:
-        masked["distribution_cfg"] = {**model["distribution_cfg"], "class_name": MASKED_GAUSSIAN}
-    return masked
 
 
 def split_overrides(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -716,13 +388,3 @@ def _check_extensions(config: TrainConfig, source: str) -> None:
                 f"{source}: [distillation] gradient_length = {distillation.gradient_length} must be from 1 to "
                 f"num_steps_per_env = {config.run.num_steps_per_env}"
             )
-
-
-def _computes_in_bfloat16(device_type: str) -> bool:
-    """Whether bfloat16 is faster than float32 here, rather than emulated."""
-    import torch
-
-    if device_type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    supported = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
-    return supported is not None and bool(supported())

@@ -51,15 +51,15 @@ class TermManifest(TypedDict):
     size: Size
     kind: Name
     magnitude: Annotated[float, Meta(gt=0.0, le=1e9)]
+    source: NotRequired[Name]
     blocks: Annotated[list[BlockManifest], Meta(max_length=1024)]
 
 
 class DistributionManifest(TypedDict):
     """How actions are drawn around the network's output."""
 
-    class_name: Literal["GaussianDistribution", "polypod.networks:RoleGaussian"]
+    class_name: Literal["GaussianDistribution", "polypod.networks:JointGaussian"]
     init_std: Annotated[float, Meta(gt=0.0, le=1e3)]
-    joint_names: NotRequired[list[Name]]
 
 
 class PolicyManifest(TypedDict):
@@ -193,9 +193,7 @@ def _check_layout(manifest: Manifest, path: Path) -> None:
 
 def _check_joints(policy: PolicyManifest, path: Path) -> None:
     """A network of joints has arguments of its own; their sizes must fit one another."""
-    missing = [key for key in ("joint_dim", "num_heads", "observation_layout", "joint_names") if key not in policy] + (
-        [] if "joint_names" in policy["distribution_cfg"] else ["distribution_cfg joint_names"]
-    )
+    missing = [key for key in ("joint_dim", "num_heads", "observation_layout", "joint_names") if key not in policy]
     if missing:
         raise _core.ConfigError(
             f"{path}: policy: {', '.join(missing)} missing, which {policy['class_name']} needs; "

@@ -13,11 +13,7 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.rsl_rl import VecEnv
-from polypod.training.config import TrainConfig
-from polypod.training.report import Reporter
 from polypod.training.runner import Runner
-from polypod.training.workers import Workers
 
 NETWORKS = ("actor", "critic")
 
@@ -26,23 +22,14 @@ class NativeRunner(Runner):
     """A `Runner` whose iterations are computed by `polypod._core.Learner`."""
 
     draws = False
+    # samples and mirror images are the native learner's: rsl_rl stores none
+    storage = {"symmetry": False, "num_steps_per_env": 1}  # noqa: RUF012
 
-    def __init__(
-        self,
-        env: VecEnv,
-        config: TrainConfig,
-        run: Path,
-        device: str,
-        reporter: Reporter,
-        workers: Workers | None = None,
-    ) -> None:
-        """Builds the networks; `config` is one for the native learner."""
-        # samples and mirror images are the native learner's: rsl_rl stores none
-        super().__init__(env, config, run, device, reporter, workers, symmetry=False, num_steps_per_env=1)
-        sim, workers = env.unwrapped.sim, self.workers
-        self.cfg = self.logger.cfg = config.rsl_rl_cfg(sim)
+    def _prepare(self) -> None:
+        sim, workers = self.env.unwrapped.sim, self.workers
+        self.cfg = self.logger.cfg = self.config.rsl_rl_cfg(sim)
         peers = workers if workers.count > 1 else None
-        options = json.dumps(config.native_options())
+        options = json.dumps(self.config.native_options())
         self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
         self._give()
 
@@ -85,23 +72,40 @@ class NativeRunner(Runner):
             states = [self.alg.optimizer.state.get(parameter, {}) for parameter in parameters]
             zeros = [torch.zeros_like(parameter) for parameter in parameters]
             first, second = (
-                [_array(state.get(key, zero)) for state, zero in zip(states, zeros, strict=True)]
+                [array_of(state.get(key, zero)) for state, zero in zip(states, zeros, strict=True)]
                 for key in ("exp_avg", "exp_avg_sq")
             )
             steps = int(states[0].get("step", 0))
-            self._learner.set_network(name, [_array(parameter) for parameter in parameters], first, second, steps)
-            if (normalizer := self._normalizer(name)) is not None:
-                mean, variance = normalizer.get_buffer("_mean"), normalizer.get_buffer("_var")
-                count = int(normalizer.get_buffer("count"))
-                self._learner.set_normalizer(name, _array(mean), _array(variance), count)
+            self._learner.set_network(name, [array_of(parameter) for parameter in parameters], first, second, steps)
+            self._give_normalizer(name)
         if self.reward_scale is not None:
             state = self.reward_scale.state()
-            self._learner.set_reward_scale(*(_array(state[key]) for key in ("returns", "count", "mean", "variance")))
-        self._learner.set_episodes(_array(self.logger.cur_reward_sum), _array(self.logger.cur_episode_length))
+            self._learner.set_reward_scale(*(array_of(state[key]) for key in ("returns", "count", "mean", "variance")))
+        self._learner.set_episodes(array_of(self.logger.cur_reward_sum), array_of(self.logger.cur_episode_length))
+
+    def _give_normalizer(self, name: str) -> None:
+        if (normalizer := self._normalizer(name)) is not None:
+            mean, variance = normalizer.get_buffer("_mean"), normalizer.get_buffer("_var")
+            count = int(normalizer.get_buffer("count"))
+            self._learner.set_normalizer(name, array_of(mean), array_of(variance), count)
 
     @torch.no_grad()
     def _take(self) -> None:
         """The reverse of `_give`."""
+        self._take_networks()
+        for group in self.alg.optimizer.param_groups:
+            group["lr"] = self.alg.learning_rate
+        if self.reward_scale is not None and (scale := self._learner.reward_scale()):
+            returns, of_robots = scale
+            names = ("returns", "count", "mean", "variance")
+            self.reward_scale.restore(
+                {name: torch.from_numpy(array) for name, array in zip(names, [returns, *of_robots], strict=True)}
+            )
+        rewards, lengths = self._learner.episodes()
+        self.logger.cur_reward_sum = torch.from_numpy(rewards)
+        self.logger.cur_episode_length = torch.from_numpy(lengths)
+
+    def _take_networks(self) -> None:
         for name in NETWORKS:
             parameters = self._parameters(name)
             weights, first, second, steps = self._learner.network(name)
@@ -119,17 +123,6 @@ class NativeRunner(Runner):
                 normalizer.get_buffer("_var").copy_(torch.from_numpy(variance))
                 normalizer.get_buffer("_std").copy_(torch.from_numpy(np.sqrt(variance)))
                 normalizer.get_buffer("count").fill_(count)
-        for group in self.alg.optimizer.param_groups:
-            group["lr"] = self.alg.learning_rate
-        if self.reward_scale is not None and (scale := self._learner.reward_scale()):
-            returns, of_robots = scale
-            names = ("returns", "count", "mean", "variance")
-            self.reward_scale.restore(
-                {name: torch.from_numpy(array) for name, array in zip(names, [returns, *of_robots], strict=True)}
-            )
-        rewards, lengths = self._learner.episodes()
-        self.logger.cur_reward_sum = torch.from_numpy(rewards)
-        self.logger.cur_episode_length = torch.from_numpy(lengths)
 
     def _parameters(self, name: str) -> list[torch.nn.Parameter]:
         return list(getattr(self.alg, name).parameters())
@@ -139,7 +132,7 @@ class NativeRunner(Runner):
         return None if isinstance(normalizer, torch.nn.Identity) else normalizer
 
 
-def _array(tensor: torch.Tensor) -> np.ndarray:
+def array_of(tensor: torch.Tensor) -> np.ndarray:
     """A copy with one dimension."""
     flat: np.ndarray = tensor.detach().cpu().numpy().ravel().copy()
     return flat

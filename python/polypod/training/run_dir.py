@@ -33,8 +33,8 @@ from polypod import _core
 from polypod.files import read_bytes, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.training import manifest
-from polypod.training.config import TrainConfig
 from polypod.training.python_terms import PythonTerms
+from polypod.training.schema import TrainConfig
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"

@@ -20,10 +20,10 @@ from polypod import _core
 from polypod.rsl_rl import VecEnv
 from polypod.training import run_dir
 from polypod.training.advantages import normalize_per_robot
-from polypod.training.config import TrainConfig
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
+from polypod.training.schema import TrainConfig
 from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers, slow_workers
 
@@ -66,6 +66,9 @@ class Runner(OnPolicyRunner):
     logger: TrainingLogger
     draws = True
     """Whether torch's random streams decide the actions and the order of the samples."""
+    storage: Mapping[str, Any] = {}
+    """Values of rsl_rl's configuration, other than those of the train config, that its networks and storage are built
+    with."""
 
     def __init__(
         self,
@@ -75,7 +78,6 @@ class Runner(OnPolicyRunner):
         device: str,
         reporter: Reporter,
         workers: Workers | None = None,
-        **changes: Any,
     ) -> None:
         """Builds networks and storage.
 
@@ -86,10 +88,9 @@ class Runner(OnPolicyRunner):
             device: where the learner is.
             reporter: what the user sees, of worker 0.
             workers: those that have the other envs; None: there are none.
-            changes: values of rsl_rl's configuration other than those of `config`.
         """
         self.workers = workers or Workers.alone()
-        cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **changes}
+        cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **self.storage}
         check_groups(env, cfg["obs_groups"])
         self._distils = cfg["algorithm"]["class_name"] == "Distillation"
         if cfg["symmetry"]:
@@ -123,6 +124,10 @@ class Runner(OnPolicyRunner):
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
             self.reward_scale = RewardScale(self.blocks, cfg["algorithm"]["gamma"], device, self.workers)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Builds what another learner than rsl_rl needs."""
 
     def _configure_multi_gpu(self) -> None:
         """Tells rsl_rl of the workers."""
@@ -155,7 +160,8 @@ class Runner(OnPolicyRunner):
             self._seed_worker(sim.seed)
         self.alg.train_mode()
         if self.workers.count > 1 and self.draws:
-            self.alg.broadcast_parameters()
+            with self.workers.names_the_lost():
+                self.alg.broadcast_parameters()
         observations = self.env.get_observations()
         start = self.current_learning_iteration
         stop = start + num_learning_iterations
@@ -186,10 +192,11 @@ class Runner(OnPolicyRunner):
 
     def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
         started, waited = time.perf_counter(), self.workers.waited
-        observations = self._collect(observations)
-        collected = time.perf_counter()
-        self.alg.entropy_coef, self.alg.desired_kl = self.config.goals(iteration)
-        loss = self._update(observations)
+        with self.workers.names_the_lost():
+            observations = self._collect(observations)
+            collected = time.perf_counter()
+            self.alg.entropy_coef, self.alg.desired_kl = self.config.goals(iteration)
+            loss = self._update(observations)
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1
 
@@ -265,8 +272,10 @@ class Runner(OnPolicyRunner):
         return loss
 
     def _action_std(self) -> torch.Tensor:
-        """Deviations of the actions, [num_actions] or [num_envs, num_actions]."""
-        return self.alg.get_policy().output_std
+        """Deviations of the actions, [n]: of those that the robots have."""
+        policy = self.alg.get_policy()
+        mask = getattr(policy.distribution, "mask", None)
+        return policy.output_std if mask is None else policy.output_std[mask > 0]
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint, whole or not at all. All workers call it, and worker 0 writes."""
@@ -356,7 +365,7 @@ class Runner(OnPolicyRunner):
     def _cuda_streams(self) -> list[torch.Tensor]:
         if torch.device(self.device).type != "cuda":
             return []
-        return torch.cuda.get_rng_state_all() if self.workers.count == 1 else [torch.cuda.get_rng_state(self.device)]
+        return [torch.cuda.get_rng_state(self.device)]
 
     def _restore_streams(self, infos: dict[str, Any], iteration: int) -> None:
         """Goes on with this worker's random streams, or with new ones where it was not there before."""
@@ -370,10 +379,7 @@ class Runner(OnPolicyRunner):
             return
         torch.set_rng_state(stream.cpu())
         if of_cuda and torch.device(self.device).type == "cuda":
-            if self.workers.count > 1:
-                torch.cuda.set_rng_state(of_cuda[0].cpu(), self.device)
-            else:
-                torch.cuda.set_rng_state_all([stream.cpu() for stream in of_cuda])
+            torch.cuda.set_rng_state(of_cuda[0].cpu(), self.device)
 
     def _seed_worker(self, seed: int) -> None:
         """Gives every worker but the first one random streams of its own. Networks begin the same on all."""

@@ -18,9 +18,11 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.terms import CustomTerms
 from polypod.training import config, python_terms, run_dir
+from polypod.training.gpu import GpuRunner
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
+from polypod.training.schema import RunConfig, TrainConfig
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
@@ -76,7 +78,7 @@ class Options:
 class Plan:
     """What to train, all questions settled."""
 
-    config: config.TrainConfig
+    config: TrainConfig
     robots: list[str] | None
     seed: int
     overrides: list[str]
@@ -91,7 +93,7 @@ def train(options: Options) -> int:
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
     """
-    is_cuda = options.device != "cpu" and torch.cuda.is_available()
+    is_cuda = options.device != "cpu" and options.learner != "native" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
     try:
         run, runner = train_with(options, workers)
@@ -255,10 +257,12 @@ def new_plan(options: Options) -> Plan:
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
-    ).with_mixed_precision_resolved(device)
+    ).with_mixed_precision_resolved(torch.device(device).type)
     train_config = train_config.with_teacher_located()
     terms = None if options.terms is None else python_terms.load(options.terms)
-    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
+    train_config = train_config.with_learner_resolved(
+        _learner_of(options), torch.device(device).type, is_among_workers()
+    )
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
@@ -299,7 +303,9 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
     terms = _terms_again(options, manifest)
-    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
+    train_config = train_config.with_learner_resolved(
+        _learner_of(options), torch.device(device).type, is_among_workers()
+    )
     robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
     return Plan(train_config, robots, seed, overrides, checkpoint, device, terms)
 
@@ -333,7 +339,7 @@ def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.Pyt
     return terms
 
 
-def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int) -> int:
+def _iterations_to_do(options: Options, run_config: RunConfig, done: int) -> int:
     if options.resume is None:
         return run_config.max_iterations
     count = run_config.max_iterations - done if options.max_iterations is None else options.max_iterations
@@ -344,9 +350,12 @@ def _iterations_to_do(options: Options, run_config: config.RunConfig, done: int)
     return count
 
 
-def _device(options: Options, train_config: config.TrainConfig) -> str:
+def _device(options: Options, train_config: TrainConfig) -> str:
     name, learner = options.device, options.learner or train_config.run.learner
-    if name == "cpu" or (name == "auto" and (learner == "native" or not torch.cuda.is_available())):
+    if name == "auto":
+        is_native_team = learner == "native" and is_among_workers()
+        name = "cuda" if torch.cuda.is_available() and not is_native_team else "cpu"
+    if name == "cpu":
         return "cpu"
     if not torch.cuda.is_available():
         raise _core.ConfigError("--device cuda, but torch finds no CUDA device; use --device cpu or auto")
@@ -355,7 +364,7 @@ def _device(options: Options, train_config: config.TrainConfig) -> str:
 
 def runner_of(
     env: VecEnv,
-    train_config: config.TrainConfig,
+    train_config: TrainConfig,
     run: Path,
     device: str,
     reporter: Reporter,
@@ -363,7 +372,8 @@ def runner_of(
 ) -> Runner:
     """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
     if train_config.run.learner == "native":
-        return NativeRunner(env, train_config, run, device, reporter, workers)
+        kind = NativeRunner if torch.device(device).type == "cpu" else GpuRunner
+        return kind(env, train_config, run, device, reporter, workers)
     runner = Runner(env, train_config, run, device, reporter, workers)
     if train_config.distillation is not None:
         runner.learn_from(Path(train_config.distillation.teacher))
@@ -372,6 +382,7 @@ def runner_of(
 
 def _learner(learner: str, device: str) -> str:
     if learner == "native":
-        return "native learner on the same"
+        of_update = "" if device == "cpu" else f", its update on {torch.cuda.get_device_name(device)}"
+        return f"native learner on the same{of_update}"
     where = f"{torch.get_num_threads()} CPU threads" if device == "cpu" else torch.cuda.get_device_name(device)
     return f"rsl_rl on {where}"

@@ -21,8 +21,8 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.extras import package
 from polypod.files import read_bytes, write_text
 from polypod.training import run_dir, session
-from polypod.training.config import TrainConfig
 from polypod.training.report import Reporter
+from polypod.training.schema import TrainConfig
 from polypod.training.workers import Workers, is_among_workers
 
 EVALUATION = "eval.json"

@@ -2,7 +2,7 @@
 
 `torchrun` or Ray starts them and tells each of them its number in the environment (`RANK`, `WORLD_SIZE`, `LOCAL_RANK`,
 `LOCAL_WORLD_SIZE`, `MASTER_ADDR`, `MASTER_PORT`). Numbers cross over through torch.distributed: gloo between CPUs, NCCL
-between GPUs. Messages are MessagePack, which holds numbers and text alone.
+between GPUs, and gloo where workers share a GPU. Messages are MessagePack, which holds numbers and text alone.
 """
 
 import contextlib
@@ -77,12 +77,13 @@ class Workers:
             return cls.alone()
         local_index, local_count = int(os.environ.get("LOCAL_RANK", 0)), int(os.environ.get("LOCAL_WORLD_SIZE", 1))
         store = None
+        if cuda:
+            # there may be more workers than GPUs, and each may see its own alone
+            torch.cuda.set_device(local_index % torch.cuda.device_count())
         if not dist.is_initialized():
-            if cuda:
-                torch.cuda.set_device(local_index)
             try:
                 store, index, count = next(rendezvous("env://", timeout=TIMEOUT))
-                backend = "cpu:gloo,cuda:nccl" if cuda else "gloo"
+                backend = _backend(store, index, count, _gpu() if cuda else "")
                 dist.init_process_group(backend, store=store, rank=index, world_size=count, timeout=TIMEOUT)
             except (RuntimeError, ValueError) as error:
                 raise _core.ConfigError(
@@ -91,6 +92,13 @@ class Workers:
         workers = cls(dist.get_rank(), dist.get_world_size(), local_index, local_count, store)
         workers.places = [tuple(place) for place in workers.gather_messages(list(workers.places[0]))]
         return workers
+
+    @property
+    def backend(self) -> str:
+        """What carries tensors of GPUs: nccl or gloo; none for one process."""
+        if self.count == 1:
+            return "none"
+        return "nccl" if "nccl" in dist.get_backend_config() else "gloo"
 
     @property
     def is_first(self) -> bool:
@@ -237,6 +245,17 @@ class Workers:
                     )
 
     @contextlib.contextmanager
+    def names_the_lost(self) -> Iterator[None]:
+        """Names the worker that is gone when messages of rsl_rl's fail, which tells its workers of gradients itself."""
+        try:
+            yield
+        except RuntimeError as error:
+            is_message = isinstance(error, dist.DistError) or re.search("gloo|NCCL|[Cc]onnection", str(error))
+            if self.count == 1 or not is_message:
+                raise
+            self._fail(error)
+
+    @contextlib.contextmanager
     def _talking(self) -> Iterator[None]:
         """Counts the time, and names the worker that is gone when a connection breaks."""
         begin = time.perf_counter()
@@ -291,6 +310,27 @@ class Workers:
 def is_among_workers() -> bool:
     """Whether this process was started as one of several."""
     return int(os.environ.get("WORLD_SIZE", 1)) > 1
+
+
+def _gpu() -> str:
+    """What tells the GPU of this process from all others of all hosts."""
+    return str(torch.cuda.get_device_properties(torch.cuda.current_device()).uuid)
+
+
+def _backend(store: Any, index: int, count: int, gpu: str) -> str:
+    """What carries the tensors: NCCL between GPUs where each worker has one of its own, else gloo.
+
+    NCCL refuses workers that share a GPU. gloo sums tensors of GPUs by way of the CPU.
+
+    Args:
+        store: that all workers see.
+        index: of this worker.
+        count: of all workers.
+        gpu: of this worker; empty: it has none.
+    """
+    store.set(f"polypod/gpu/{index}", gpu)
+    gpus = {store.get(f"polypod/gpu/{other}") for other in range(count)}
+    return "cpu:gloo,cuda:nccl" if len(gpus - {b""}) == count else "gloo"
 
 
 def threads_of(workers: Workers, threads: int | None) -> int | None:

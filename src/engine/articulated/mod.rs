@@ -14,7 +14,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run};
 use crate::dynamics::lanes::Real;
-use crate::dynamics::{ControlStep, HeightGrid, Kernels, Parameters, StepSettings, Terrain, Topology};
+use crate::dynamics::{
+    ActuatorNetwork, ControlStep, HeightGrid, Kernels, NetworkStep, Parameters, StepSettings, Terrain, Topology,
+};
 use crate::workers::{Pool, SplitRows, Workers};
 use ordering::{DemandBits, PackOrder};
 use parameter_deltas::ParameterDeltas;
@@ -48,6 +50,7 @@ struct Bodies<L, T> {
     first_pack: usize,
     count: usize,
     topology: Topology,
+    networks: Vec<ActuatorNetwork>,
     nominal: Parameters<L>,
     /// The same, once.
     kind: Parameters<f32>,
@@ -96,6 +99,7 @@ impl<L: Kernels, T: Real> Packs<L, T> {
                 first_pack: packs.len(),
                 count: *count,
                 topology: (*topology).clone(),
+                networks: kind.networks.to_vec(),
                 nominal: Parameters::from_scalars(topology, nominal),
                 kind: Parameters::from_scalars(topology, nominal),
                 alike: true,
@@ -192,8 +196,8 @@ impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
         let tasks = Self::share_out(bodies, order, workers, rows, keys, resident);
         workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys, resident }| {
             scratch.with(|Scratch { benches, pack_ordering }| {
-                let Bodies { first_env, topology, kind, alike, own, bits, .. } = &bodies[morphology];
-                let PackWorkspace { nominal, without_gains, work, pack: visitors } = &mut benches[morphology];
+                let Bodies { first_env, topology, networks, kind, alike, own, bits, .. } = &bodies[morphology];
+                let PackWorkspace { nominal, without_gains, work, features, pack: visitors } = &mut benches[morphology];
                 let mix = !F::RESIDENT && own.may_mix();
                 let order = if mix { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
                 for (index, lanes) in order.chunks(L::LANES).enumerate() {
@@ -220,18 +224,39 @@ impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
                     let mut left = run.steps;
                     while left > 0 {
                         let decimation = left.min(settings.decimation);
-                        let step = ControlStep {
-                            topology,
-                            settings: &StepSettings { decimation, ..*settings },
-                            terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
-                            parameters,
-                            kind: Some(kind).filter(|_| *alike && run.gains),
-                            drive: &pack.drive,
-                            state: &mut pack.state,
-                            report: &mut pack.report,
-                            work: &mut *work,
-                        };
-                        step.run();
+                        let settings = &StepSettings { decimation, ..*settings };
+                        // networks are asked before every physics step
+                        let asks = !networks.is_empty() && run.gains;
+                        let at_once = if asks { 1 } else { decimation };
+                        for substep in (0..decimation).step_by(at_once) {
+                            if asks {
+                                let step = NetworkStep {
+                                    topology,
+                                    settings,
+                                    networks,
+                                    substep,
+                                    state: &pack.state,
+                                    drive: &mut pack.drive,
+                                    memory: &mut pack.memory,
+                                    features,
+                                    work,
+                                };
+                                step.run();
+                            }
+                            let step = ControlStep {
+                                topology,
+                                settings,
+                                terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
+                                parameters,
+                                kind: Some(kind).filter(|_| *alike && run.gains),
+                                drive: &pack.drive,
+                                substeps: substep..substep + at_once,
+                                state: &mut pack.state,
+                                report: &mut pack.report,
+                                work: &mut *work,
+                            };
+                            step.run();
+                        }
                         left -= decimation;
                     }
                     pack.note_touching();

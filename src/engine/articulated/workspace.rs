@@ -14,6 +14,8 @@ pub(super) struct Pack<L: Real> {
     pub(super) origin: [L; 2],
     pub(super) state: State<L>,
     pub(super) drive: Drive<L>,
+    /// What the networks of actuators remember.
+    pub(super) memory: Vec<L>,
     pub(super) report: Report<L>,
     /// Which of the state's impulses are pressing.
     presses: Vec<bool>,
@@ -30,6 +32,8 @@ pub(super) struct PackWorkspace<L: Real> {
     /// The same without gains.
     pub(super) without_gains: Parameters<L>,
     pub(super) work: Workspace<L>,
+    /// Of the networks of actuators.
+    pub(super) features: Vec<L>,
     /// A pack whose robots are at home in rows; its contents mean nothing between two.
     pub(super) pack: Pack<L>,
 }
@@ -41,6 +45,7 @@ impl<L: Lanes> PackWorkspace<L> {
             nominal: nominal.clone(),
             without_gains: nominal.clone(),
             work: Workspace::new(kind.topology),
+            features: Vec::new(),
             pack: Pack::new(kind, decimation),
         }
     }
@@ -54,6 +59,7 @@ impl<L: Lanes> Pack<L> {
             origin: [L::zero(); 2],
             state: State::zeros(topology),
             drive: Drive::zeros(topology, history_length(kind.max_delay, decimation)),
+            memory: vec![L::zero(); kind.num_remembered()],
             report: Report::zeros(topology, decimation),
             presses: vec![false; topology.num_impulses()],
             feet: kind.feet.to_vec(),
@@ -115,6 +121,7 @@ impl<L: Lanes> Pack<L> {
         let state = &mut self.state;
         rows.read_motion(row, state, lane);
         put(&mut self.origin, &rows.origin(row), lane);
+        put(&mut self.memory, rows.memory(row), lane);
         let (contacts, bounds) = rows.impulses(row);
         for ContactImpulse { contact, impulse } in contacts {
             let contact = *contact as usize;
@@ -157,6 +164,7 @@ impl<L: Lanes> Pack<L> {
     pub(super) fn write_row<R: RobotRows>(&self, rows: &mut R, row: usize, lane: usize) {
         let state = &self.state;
         rows.write_motion(row, state, lane);
+        get(&self.memory, rows.memory_mut(row), lane);
         let (contacts, bounds) = rows.impulses_mut(row);
         contacts.clear();
         for &contact in &state.pressing {

@@ -6,11 +6,14 @@
 use glam::DVec2;
 
 use super::super::{
-    DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run, StateLimits, ask_nothing, history_length, state_numbers,
+    DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run, StateLimits, ask_nothing, get, history_length, put,
+    state_numbers,
 };
 use super::{EngineError, Env, Settings, Worlds};
 use crate::dynamics::lanes::Real;
-use crate::dynamics::{Drive, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace};
+use crate::dynamics::{
+    ActuatorNetwork, Drive, NetworkStep, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace,
+};
 use crate::obstacles::Part;
 use crate::workers::{SplitRows, Workers};
 
@@ -31,6 +34,12 @@ struct Block {
     state: State<f64>,
     /// Of each robot.
     drives: Vec<Drive<f64>>,
+    networks: Vec<ActuatorNetwork>,
+    /// What the networks of each robot remember.
+    memories: Vec<Vec<f64>>,
+    /// Scratch memory of the networks.
+    features: Vec<f64>,
+    settings: StepSettings,
     /// Joint velocities before the last physics step, `[count * joints]`.
     before: Vec<f64>,
     /// The contact bodies that are feet, and those that are not.
@@ -112,6 +121,7 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         report.joint_effort.copy_from_slice(&env.effort);
         report.body_force.copy_from_slice(&env.force);
         rows.write_motion(0, &env.state, 0);
+        get(&block.memories[row], rows.memory_mut(0), 0);
         rows.write_report(0, &report, &block.feet, &block.others, 0);
     }
 
@@ -120,6 +130,7 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         let block = &mut self.blocks[block];
         rows.read_motion(0, &mut block.state, 0);
         rows.read_report(0, &mut block.report, 0);
+        put(&mut block.memories[row], rows.memory(0), 0);
         block.worlds.set_state(row, &block.state);
         let env = block.worlds.env_mut(row);
         env.effort.copy_from_slice(&block.report.joint_effort);
@@ -173,6 +184,10 @@ impl Block {
             report: Report::zeros(&topology, decimation),
             state: State::zeros(&topology),
             drives: vec![Drive::zeros(&topology, ages); count],
+            networks: kind.networks.to_vec(),
+            memories: vec![vec![0.0; kind.num_remembered()]; count],
+            features: Vec::new(),
+            settings: *settings,
             before: vec![0.0; count * topology.num_joints()],
             feet: kind.feet.to_vec(),
             others: (0..topology.num_bodies).filter(|body| !kind.feet.contains(body)).collect(),
@@ -186,6 +201,7 @@ impl Block {
     /// Sets the robots whose rows are not what the engine left.
     fn gather<R: RobotRows>(&mut self, rows: &R) {
         for row in 0..self.count {
+            put(&mut self.memories[row], rows.memory(row), 0);
             rows.read_motion(row, &mut self.state, 0);
             let (Env { state: ours, origin: at, .. }, theirs) = (self.worlds.env(row), &self.state);
             let origin = DVec2::from_array(rows.origin(row).map(f64::from)).extend(0.0);
@@ -216,12 +232,36 @@ impl Block {
     fn step(&mut self, workers: &Workers, run: Run) {
         for step in 0..run.steps {
             let substep = step % self.decimation;
+            if run.gains {
+                self.ask_networks(substep);
+            }
             self.aim(substep);
             if step + 1 == run.steps {
                 self.remember_velocities();
             }
             self.worlds.step(workers, &self.explicit, run.gains, 1);
             self.note_forces(substep);
+        }
+    }
+
+    /// Evaluates the networks of all robots, whose efforts become feed-forward.
+    fn ask_networks(&mut self, substep: usize) {
+        if self.networks.is_empty() {
+            return;
+        }
+        for (row, (drive, memory)) in self.drives.iter_mut().zip(&mut self.memories).enumerate() {
+            let step = NetworkStep {
+                topology: &self.topology,
+                settings: &self.settings,
+                networks: &self.networks,
+                substep,
+                state: &self.worlds.env(row).state,
+                drive,
+                memory,
+                features: &mut self.features,
+                work: &mut self.work,
+            };
+            step.run();
         }
     }
 
@@ -268,6 +308,7 @@ impl Block {
         for row in 0..self.count {
             let (Env { state, parameters, effort, force, .. }, report) = (self.worlds.env(row), &mut self.report);
             rows.write_motion(row, state, 0);
+            get(&self.memories[row], rows.memory_mut(row), 0);
             report.joint_effort.copy_from_slice(effort);
             let before = &self.before[row * joints..(row + 1) * joints];
             for ((to, new), old) in report.joint_acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {

@@ -1,0 +1,160 @@
+"""What robots look like in the browser: smooth bodies made of their collision shapes."""
+
+import colorsys
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod.play import mesh
+from polypod.play.mesh import Array, Mesh
+
+Color = tuple[int, int, int]
+
+BODY: dict[str, Color] = {
+    "base": (206, 210, 216),
+    "hip": (70, 76, 86),
+    "shank": (70, 76, 86),
+    "foot": (34, 37, 42),
+    "other": (150, 156, 166),
+}
+"""Of a robot's bodies, by group; thighs have the robot's own colour."""
+ACCENTS = 8
+"""Colours that tell robots apart, until they repeat."""
+EDGE = 0.2
+"""Radius of a rounded edge, in shortest edges of the box or in radii of the cylinder."""
+MOST_EDGE = 0.03
+"""Largest radius of a rounded edge, m."""
+STEPS = 4
+"""Faces across a rounded edge."""
+SIDES = 24
+"""Corners of a circle."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """A piece of a robot's link, in the link's frame."""
+
+    link: int
+    mesh: Mesh
+    color: Color
+    smooth: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """All pieces of a robot's link as one file."""
+
+    link: int
+    glb: bytes
+    """Binary glTF, in the link's frame."""
+    top: float
+    """Largest z, m."""
+
+
+def accent(index: int) -> Color:
+    """The colour of the robot at a place among others: orange, then as far from the last ones as there are."""
+    hue = (0.08 + 0.375 * index) % 1.0
+    red, green, blue = colorsys.hls_to_rgb(hue, 0.52, 0.68)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def of_shapes(outline: dict[str, Any], color: Color) -> list[Look]:
+    """Looks of the collision shapes of a robot.
+
+    Args:
+        outline: the robot's entry of `VecSim.robot_shapes`.
+        color: of its thighs.
+    """
+    looks = []
+    for body in outline["bodies"]:
+        shade = color if body["group"] == "thigh" else BODY.get(body["group"], BODY["other"])
+        for shape in body["shapes"]:
+            solid = smooth(shape).moved(shape["position"], shape["quaternion"])
+            looks.append(Look(body["link"], solid, shade, smooth=shape["shape"] != "hull"))
+    return looks
+
+
+def smooth(description: dict[str, Any]) -> Mesh:
+    """The mesh of a shape in its own frame, edges rounded; `description` as in `VecSim.robot_shapes`."""
+    match description["shape"]:
+        case "box":
+            return rounded_box(description["size"])
+        case "sphere":
+            return _turned(_arc(description["radius"], 0.0, -90.0, 90.0))
+        case "capsule":
+            half, radius = 0.5 * description["length"], description["radius"]
+            return _turned([*_arc(radius, -half, -90.0, 0.0), *_arc(radius, half, 0.0, 90.0)])
+        case "cylinder":
+            half, radius = 0.5 * description["length"], description["radius"]
+            edge = min(EDGE * radius, 0.5 * half, MOST_EDGE)
+            lower = [(z, radius - edge + r) for z, r in _arc(edge, edge - half, -90.0, 0.0)]
+            upper = [(z, radius - edge + r) for z, r in _arc(edge, half - edge, 0.0, 90.0)]
+            return _turned([(-half, 0.0), *lower, *upper, (half, 0.0)])
+    return mesh.shape(description)
+
+
+def rounded_box(size: Sequence[float]) -> Mesh:
+    """A box about the origin with these edge lengths, m, whose edges and corners are round."""
+    half = 0.5 * np.asarray(size, dtype=np.float64)
+    radius = min(EDGE * 2.0 * float(half.min()), MOST_EDGE)
+    inner = half - radius
+    # a grid on each side, dense where it bends, is drawn to the round surface
+    bend = radius * np.tan(np.linspace(0.0, 0.25 * np.pi, STEPS + 1))
+    lines = [np.concatenate([-(reach + bend[::-1]), reach + bend]) for reach in inner]
+    corners, faces = [], []
+    count = 0
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for sign in (-1.0, 1.0):
+            grid = np.zeros((len(lines[u]), len(lines[v]), 3))
+            grid[..., axis] = sign * half[axis]
+            grid[..., u], grid[..., v] = lines[u][:, None], lines[v][None, :]
+            core = np.clip(grid, -inner, inner)
+            outward = grid - core
+            points = core + radius * outward / np.linalg.norm(outward, axis=2, keepdims=True)
+            quads = _quads(*points.shape[:2]) + count
+            corners.append(points.reshape(-1, 3))
+            # counter-clockwise from outside on either side
+            faces.append(quads if sign > 0.0 else quads[:, ::-1])
+            count += points.shape[0] * points.shape[1]
+    return _welded(np.concatenate(corners), np.concatenate(faces))
+
+
+def _arc(radius: float, height: float, start: float, stop: float) -> list[tuple[float, float]]:
+    """Points (height, distance from the axis) of a meridian between two latitudes, degrees."""
+    angles = np.radians(np.linspace(start, stop, max(2, round(SIDES * (stop - start) / 360.0)) + 1))
+    return [(height + radius * float(np.sin(a)), radius * max(0.0, float(np.cos(a)))) for a in angles]
+
+
+def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
+    """The solid that a profile (height, distance), from bottom to top, makes when it turns about z."""
+    angles = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
+    heights, radii = np.array(profile).T
+    grid = np.stack(
+        [
+            np.cos(angles)[:, None] * radii,
+            np.sin(angles)[:, None] * radii,
+            np.broadcast_to(heights, (SIDES + 1, len(heights))),
+        ],
+        axis=-1,
+    )
+    return _welded(grid.reshape(-1, 3), _quads(*grid.shape[:2]))
+
+
+def _quads(rows: int, columns: int) -> npt.NDArray[np.intp]:
+    """[n, 4], of a grid of points."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    corners = (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+    return np.stack([corner.ravel() for corner in corners], axis=1)
+
+
+def _welded(points: Array, faces: npt.NDArray[np.intp]) -> Mesh:
+    """The mesh with each corner once, so that light varies smoothly; a face without area is left out."""
+    _, first, place = np.unique(np.round(points, 7), axis=0, return_index=True, return_inverse=True)
+    faces = place.reshape(-1)[faces]
+    triangles = np.concatenate([faces[:, [0, 1, 2, 2]], faces[:, [0, 2, 3, 3]]])
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return Mesh(points[first], triangles[(a != b) & (b != c) & (c != a)])

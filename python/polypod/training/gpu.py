@@ -1,0 +1,67 @@
+"""Training with the native learner's rollouts on the CPU, and its update on a GPU."""
+
+import torch
+from tensordict import TensorDict
+
+from polypod.training.gpu_update import Samples, Update
+from polypod.training.native import NETWORKS, NativeRunner, array_of
+from polypod.training.symmetry import Mirror
+
+
+class GpuRunner(NativeRunner):
+    """A `NativeRunner` that learns on a GPU what its threads have collected.
+
+    It computes what rsl_rl computes with the same samples, but not the bits of the update on the CPU.
+    """
+
+    _update_of: Update | None = None
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        env, run = self.env, self.config.run
+        mirror = (Mirror(env, self.device), run.symmetry) if run.symmetry else None
+        self._samples = Samples(env.unwrapped.sim, run.num_steps_per_env, torch.device(self.device))
+        self._no_moments = {
+            name: [array_of(torch.zeros_like(parameter)) for parameter in self._parameters(name)] for name in NETWORKS
+        }
+        self._update_of = Update(self.alg, env, self._samples, self.config.algorithm, mirror)
+        self._give()
+
+    def _update(self, observations: TensorDict) -> dict[str, float]:
+        assert self._update_of is not None
+        self._samples.take(self._learner, self.env.unwrapped.sim)
+        loss = self._update_of.run(self.alg.learning_rate, self.alg.entropy_coef, self.alg.desired_kl)
+        self.alg.learning_rate = loss.pop("learning_rate")
+        self._give_policy()
+        return loss
+
+    def _give(self) -> None:
+        """Hands networks and statistics to the native learner, and Adam's moments to the update."""
+        super()._give()
+        if self._update_of is None:
+            return
+        for parameter in (parameter for name in NETWORKS for parameter in self._parameters(name)):
+            state = self.alg.optimizer.state.get(parameter, {})
+            for key, tensor in self._update_of.moments(parameter).items():
+                tensor.copy_(state[key]) if key in state else tensor.zero_()
+
+    def _give_policy(self) -> None:
+        """Hands the networks that act and estimate to the native learner, and what they normalise by."""
+        for name in NETWORKS:
+            parameters = self._parameters(name)
+            flat = torch.nn.utils.parameters_to_vector(parameters).detach().cpu()
+            sizes = [parameter.numel() for parameter in parameters]
+            weights = [part.numpy() for part in torch.split(flat, sizes)]
+            self._learner.set_network(name, weights, self._no_moments[name], self._no_moments[name], 0)
+            self._give_normalizer(name)
+
+    def _take_networks(self) -> None:
+        """Networks and statistics of the observations are rsl_rl's own; Adam's moments are the update's."""
+        assert self._update_of is not None
+        for parameter in (parameter for name in NETWORKS for parameter in self._parameters(name)):
+            state = self._update_of.moments(parameter)
+            self.alg.optimizer.state[parameter] = {
+                "step": state["step"].cpu().clone(),
+                "exp_avg": state["exp_avg"].clone(),
+                "exp_avg_sq": state["exp_avg_sq"].clone(),
+            }

@@ -1,0 +1,279 @@
+"""rsl_rl's PPO update of the native learner's samples on a GPU: each mini-batch is one launch of a CUDA graph.
+
+A mini-batch of small networks is a few hundred kernels of a few microseconds each. Launched one by one they take
+several times as long as they compute.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from rsl_rl.algorithms import PPO
+from tensordict import TensorDict
+from torch import nn
+
+from polypod import _core
+from polypod.networks.masked import ACTION_MASK, MaskedGaussian
+from polypod.rsl_rl import VecEnv
+from polypod.training.schema import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
+from polypod.training.symmetry import Mirror
+
+RATE_STEP = 1.5
+"""The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted."""
+LOWEST_RATE, HIGHEST_RATE = 1e-5, 1e-2
+"""Learning rates that rsl_rl's adaptive schedule keeps to."""
+WARM_UP = 3
+"""Mini-batches before a capture, as torch's documentation of CUDA graphs asks for."""
+
+
+class Samples:
+    """The samples of an iteration on the learner's device.
+
+    They come there through pinned memory, which the native learner's threads write.
+    """
+
+    def __init__(self, sim: _core.VecSim, num_steps: int, device: torch.device) -> None:
+        """Makes room for `num_steps` steps of the envs of `sim`."""
+        count = sim.num_envs * num_steps
+        widths = {"observations": sim.num_obs, "actions": sim.num_actions, "means": sim.num_actions}
+        single = ("log_probs", "values", "returns", "advantages")
+        self._host = {
+            name: torch.zeros((count, width), pin_memory=device.type == "cuda")
+            for name, width in [*widths.items(), *((name, 1) for name in single)]
+        }
+        self._arrays: dict[str, np.ndarray] = {name: tensor.numpy().ravel() for name, tensor in self._host.items()}
+        self._device = {name: torch.zeros_like(tensor, device=device) for name, tensor in self._host.items()}
+        self.order = torch.zeros(count, dtype=torch.int64, device=device)
+        """[samples], as the mini-batches take them."""
+        self.places = torch.zeros(count, dtype=torch.int64, device=device)
+        """[samples], number of each in its block of envs."""
+        self.batch_sizes: list[int] = []
+
+    def take(self, learner: _core.Learner, sim: _core.VecSim) -> None:
+        """Takes over the samples that `learner` has collected."""
+        arrays = learner.rollout(sim, self._arrays)
+        for name, host in self._host.items():
+            self._device[name].copy_(host, non_blocking=True)
+        self.order.copy_(torch.from_numpy(arrays["order"].astype(np.int64)))
+        self.places.copy_(torch.from_numpy(arrays["places"].astype(np.int64)))
+        self.batch_sizes = arrays["batch_sizes"].tolist()
+
+    def __getitem__(self, name: str) -> torch.Tensor:
+        """[samples, numbers]."""
+        return self._device[name]
+
+
+class Update:
+    """Steps of Adam on rsl_rl's loss, on any device; a CUDA device replays graphs of them."""
+
+    def __init__(
+        self,
+        alg: PPO,
+        env: VecEnv,
+        samples: Samples,
+        algorithm: AlgorithmConfig,
+        symmetry: tuple[Mirror, bool | str] | None,
+    ) -> None:
+        """Of the networks of `alg`.
+
+        Args:
+            alg: whose networks learn; its optimiser and storage are not looked at.
+            env: whose envs the samples are of.
+            samples: what they learn from.
+            algorithm: how.
+            symmetry: the mirror and `[run] symmetry`; None: samples have no images.
+        """
+        self._alg, self._env, self._samples, self._algorithm = alg, env, samples, algorithm
+        sim = env.unwrapped.sim
+        device = self._device = torch.device(alg.device)
+        self._mirror = None if symmetry is None else symmetry[0]
+        self._is_in_turn = symmetry is not None and symmetry[1] == ALTERNATE
+        mask = sim.action_mask
+        self._mask = None if mask.all() else torch.from_numpy(mask.astype(np.float32)).to(device)
+        self._networks = (alg.actor, alg.critic)
+        self._rate = torch.tensor(algorithm.learning_rate, device=device)
+        self._entropy_coef, self._desired_kl = (torch.zeros((), device=device) for _ in range(2))
+        self._epoch = torch.zeros((), dtype=torch.int64, device=device)
+        self._losses = torch.zeros(3, device=device)
+        self._old_std = torch.zeros(sim.num_actions, device=device)
+        self._index = torch.zeros(len(samples.order), dtype=torch.int64, device=device)
+        is_cuda = device.type == "cuda"
+        parameters = [parameter for network in self._networks for parameter in network.parameters()]
+        self.optimizer = torch.optim.Adam(parameters, lr=self._rate, capturable=is_cuda, fused=is_cuda or None)
+        for parameter in parameters:
+            self.optimizer.state[parameter] = {
+                "step": torch.zeros((), device=device),
+                "exp_avg": torch.zeros_like(parameter),
+                "exp_avg_sq": torch.zeros_like(parameter),
+            }
+        self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
+
+    def run(self, learning_rate: float, entropy_coef: float, desired_kl: float) -> dict[str, float]:
+        """Learns from the samples, and takes their observations into the networks' statistics.
+
+        Args:
+            learning_rate: to begin with.
+            entropy_coef: weight of the entropy.
+            desired_kl: divergence that an adaptive learning rate follows.
+
+        Returns:
+            The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on with.
+
+        Raises:
+            ConfigError: where a loss is not finite.
+        """
+        samples = self._samples
+        self._rate.fill_(learning_rate)
+        self._entropy_coef.fill_(entropy_coef)
+        self._desired_kl.fill_(desired_kl)
+        self._losses.zero_()
+        with torch.no_grad():
+            distribution = self._alg.actor.distribution
+            self._old_std.copy_(distribution.std_param.clamp(*distribution.std_range))
+        for epoch in range(self._algorithm.num_learning_epochs):
+            self._epoch.fill_(epoch)
+            for order in torch.split(samples.order, samples.batch_sizes):
+                self._index[: len(order)].copy_(order)
+                self._learn_mini_batch(len(order))
+        with torch.no_grad():
+            observations = self._groups(samples["observations"], torch.arange(len(samples.order), device=self._device))
+            for network in self._networks:
+                buffers = dict(network.named_buffers())
+                network.update_normalization(observations)
+                _keep_in_place(network, buffers)
+        value, surrogate, entropy, rate = torch.cat([self._losses, self._rate.view(1)]).tolist()
+        if not np.isfinite([value, surrogate, entropy]).all():
+            raise _core.ConfigError(
+                f"update: value loss {value}, surrogate loss {surrogate}; resume from the checkpoint before it with a "
+                "smaller learning rate"
+            )
+        updates = self._algorithm.num_learning_epochs * len(samples.batch_sizes)
+        losses = {"value": value / updates, "surrogate": surrogate / updates, "entropy": entropy / updates}
+        return {**losses, "learning_rate": rate}
+
+    def _learn_mini_batch(self, size: int) -> None:
+        index = self._index[:size]
+        if self._device.type != "cuda":
+            self._step(index)
+            return
+        if size not in self._graphs:
+            self._graphs[size] = self._capture(index)
+        self._graphs[size].replay()
+
+    def _capture(self, index: torch.Tensor) -> torch.cuda.CUDAGraph:
+        """A graph of a step; networks and moments stay as they are."""
+        tensors = [self._rate, self._losses]
+        for parameter, state in self.optimizer.state.items():
+            tensors += [parameter.data, *state.values()]
+        before = [tensor.clone() for tensor in tensors]
+        stream = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
+        stream.wait_stream(torch.cuda.current_stream(self._device))
+        with torch.cuda.stream(stream):
+            for _ in range(WARM_UP):
+                self._step(index)
+        torch.cuda.current_stream(self._device).wait_stream(stream)
+        self.optimizer.zero_grad(set_to_none=True)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._step(index)
+        for tensor, values in zip(tensors, before, strict=True):
+            tensor.copy_(values)
+        return graph
+
+    def _groups(self, observations: torch.Tensor, index: torch.Tensor) -> TensorDict:
+        groups = {OBSERVATION_GROUP: observations}
+        if self._mask is not None:
+            groups[ACTION_MASK] = self._mask[index % len(self._mask)]
+        return TensorDict(groups, batch_size=[len(index)], device=self._device)
+
+    def _with_images(
+        self, index: torch.Tensor, observations: TensorDict, actions: torch.Tensor
+    ) -> tuple[TensorDict, torch.Tensor, torch.Tensor | None]:
+        """What is learnt from instead of the samples, and which of its rows are no images; None: the first ones."""
+        if self._mirror is None:
+            return observations, actions, None
+        both, both_actions = self._mirror.augment(self._env, observations, actions)
+        assert both is not None
+        assert both_actions is not None
+        if not self._is_in_turn:
+            return both, both_actions, None
+        n, is_image = len(index), ((self._samples.places[index] + self._epoch) % 2 == 1).unsqueeze(1)
+        groups = {name: torch.where(is_image, both[name][n:], both[name][:n]) for name in observations.keys()}  # noqa: SIM118
+        chosen = TensorDict(groups, batch_size=[n], device=self._device)
+        return chosen, torch.where(is_image, both_actions[n:], both_actions[:n]), ~is_image.squeeze(1)
+
+    def _step(self, index: torch.Tensor) -> None:
+        """One mini-batch: gradients of both networks, and a step of Adam. `index` [n]: its samples."""
+        samples, algorithm = self._samples, self._algorithm
+        actor, critic = self._networks
+        n, clip = len(index), algorithm.clip_param
+        observations, actions, is_sample = self._with_images(
+            index, self._groups(samples["observations"][index], index), samples["actions"][index]
+        )
+        copies = len(actions) // n
+        old_log_prob, old_values, returns, advantages = (
+            samples[name][index].squeeze(1).repeat(copies) for name in ("log_probs", "values", "returns", "advantages")
+        )
+        if algorithm.normalize_advantage_per_mini_batch:
+            of_samples = advantages[:n]
+            advantages = (advantages - of_samples.mean()) / (of_samples.std() + 1e-8)
+        with torch.autocast(
+            self._device.type,
+            dtype=torch.bfloat16,
+            enabled=algorithm.mixed_precision == "on",
+            cache_enabled=False,  # a graph reads the weights anew
+        ):
+            distribution = actor.distribution
+            if isinstance(distribution, MaskedGaussian):
+                distribution.mask = observations[ACTION_MASK]
+            # as the actor's forward, which would draw actions too
+            distribution.update(actor.mlp(actor.get_latent(observations)))
+            log_prob = actor.get_output_log_prob(actions)
+            values = critic(observations).squeeze(1)
+            entropy = actor.output_entropy[:n].mean()
+            with torch.no_grad():
+                self._adapt_rate(index, is_sample)
+            ratio = torch.exp(log_prob - old_log_prob)
+            surrogate = torch.max(-advantages * ratio, -advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
+            value_losses = (values - returns).square()
+            if algorithm.use_clipped_value_loss:
+                clipped = old_values + (values - old_values).clamp(-clip, clip)
+                value_losses = torch.max(value_losses, (clipped - returns).square())
+            value = value_losses.mean()
+            loss = surrogate + algorithm.value_loss_coef * value - self._entropy_coef * entropy
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        for network in self._networks:
+            nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
+        self.optimizer.step()
+        self._losses += torch.stack([value.detach(), surrogate.detach(), entropy.detach()]).float()
+
+    def _adapt_rate(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> None:
+        """Follows the divergence from the policy that collected the samples; images have none that counts."""
+        if self._algorithm.schedule != "adaptive":
+            return
+        n, means = len(index), self._samples["means"][index]
+        new = tuple(numbers[:n].float() for numbers in self._alg.actor.output_distribution_params)
+        old = (means, self._old_std.expand_as(means), *new[2:])
+        divergence = self._alg.actor.get_kl_divergence(old, new)
+        weights = torch.ones_like(divergence) if is_sample is None else is_sample.to(divergence.dtype)
+        mean = (divergence * weights).sum() / weights.sum().clamp(min=1.0)
+        rate, wanted = self._rate, self._desired_kl
+        slower, faster = (rate / RATE_STEP).clamp(min=LOWEST_RATE), (rate * RATE_STEP).clamp(max=HIGHEST_RATE)
+        is_small = (mean < wanted / 2.0) & (mean > 0.0)
+        rate.copy_(torch.where(mean > wanted * 2.0, slower, torch.where(is_small, faster, rate)))
+
+    def moments(self, parameter: nn.Parameter) -> dict[str, Any]:
+        """Adam's state of a parameter."""
+        state: dict[str, Any] = self.optimizer.state[parameter]
+        return state
+
+
+def _keep_in_place(module: nn.Module, buffers: dict[str, torch.Tensor]) -> None:
+    """Moves buffers that were replaced back to where they were, which is where graphs read them."""
+    for name, old in buffers.items():
+        owner, _, leaf = name.rpartition(".")
+        new = module.get_buffer(name)
+        if new is not old:
+            old.copy_(new)
+            setattr(module.get_submodule(owner), leaf, old)

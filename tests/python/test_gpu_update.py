@@ -1,0 +1,123 @@
+"""The native learner's update on a GPU computes what its update on the CPU computes, with the same checkpoints."""
+
+import numpy as np
+import pytest
+import torch
+from test_native_learner_equals_rsl_rl import ENVS, ROBOTS, VARIANTS, assert_near, train_config
+
+import polypod
+from polypod.rsl_rl import VecEnv
+from polypod.training import run_dir
+from polypod.training.gpu import GpuRunner
+from polypod.training.native import NETWORKS, NativeRunner
+from polypod.training.report import Reporter
+
+CUDA = pytest.param("cuda:0", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"))
+OWN_VARIANTS = {
+    **VARIANTS,
+    "images_in_turn": {"run": {"symmetry": "alternate"}},
+    # parts of mini-batches of unequal sizes, each with a graph of its own
+    "unequal_mini_batches": {"algorithm": {"num_mini_batches": 7}},
+}
+
+
+def runner(kind, variant, tmp_path, device="cpu"):
+    masked = variant.startswith("masked")
+    config = train_config(OWN_VARIANTS[variant], masked)
+    torch.manual_seed(3)
+    env = polypod.make(config.run.task, ENVS, robots=ROBOTS[masked], seed=11, overrides=["sim.episode_length_s=0.8"])
+    folder = tmp_path / kind.__name__
+    folder.mkdir()
+    run_dir.write_params(folder, env.sim, config, None, [], "a test")
+    made = kind(VecEnv(env, device, log_extras=False), config, folder, device, Reporter())
+    made.alg.train_mode()
+    return made
+
+
+@pytest.mark.parametrize("device", ["cpu", CUDA])
+@pytest.mark.parametrize("variant", OWN_VARIANTS)
+def test_updates_are_equal(variant, device, tmp_path):
+    native, other = runner(NativeRunner, variant, tmp_path), runner(GpuRunner, variant, tmp_path, device)
+    for update in range(2):
+        native.current_learning_iteration = update
+        native._collect(native.env.get_observations())
+        # both learn from the same samples
+        other._learner, own = native._learner, other._learner
+        other._samples.take(native._learner, native.env.unwrapped.sim)
+        other._learner = own
+        algorithm = other.config.algorithm
+        found = other._update_of.run(other.alg.learning_rate, algorithm.entropy_coef, algorithm.desired_kl)
+        other.alg.learning_rate = found["learning_rate"]
+        expected = native._update(native.env.get_observations())
+        for name in ("value", "surrogate", "entropy"):
+            allowed = 1e-4 * (abs(expected[name]) + (name == "surrogate"))
+            assert abs(found[name] - expected[name]) <= allowed, (name, found, expected)
+        assert found["learning_rate"] == pytest.approx(native.alg.learning_rate, rel=1e-5)
+        native._take()
+        other._take_networks()
+        for network in NETWORKS:
+            mine, theirs = (getattr(of.alg, network) for of in (other, native))
+            for (name, parameter), reference in zip(mine.named_parameters(), theirs.parameters(), strict=True):
+                place = f"{network} {name} after update {update}"
+                assert_near(parameter.detach().cpu(), reference.detach(), place)
+                state, expected_state = other.alg.optimizer.state[parameter], native.alg.optimizer.state[reference]
+                assert_near(state["exp_avg"].cpu(), expected_state["exp_avg"], f"gradients of {place}")
+                assert state["step"] == expected_state["step"]
+            for name, buffer in mine.named_buffers():
+                assert_near(buffer.cpu(), theirs.get_buffer(name), f"{network} {name}")
+
+
+@pytest.mark.parametrize("device", ["cpu", CUDA])
+def test_rollouts_have_the_policy_that_was_learnt(device, tmp_path):
+    other = runner(GpuRunner, "universal", tmp_path, device)
+    before, _, _, _ = other._learner.network("actor")
+    other._collect(other.env.get_observations())
+    other._update(other.env.get_observations())
+    after, _, _, _ = other._learner.network("actor")
+    for old, new, parameter in zip(before, after, other.alg.actor.parameters(), strict=True):
+        assert np.array_equal(new, parameter.detach().cpu().numpy().ravel())
+        assert not np.array_equal(new, old)
+    mean, variance, count = other._learner.normalizer("actor")
+    assert count == ENVS * other.config.run.num_steps_per_env
+    normalizer = other.alg.actor.obs_normalizer
+    assert np.array_equal(mean, normalizer.mean.cpu().numpy())
+    assert np.array_equal(np.sqrt(variance), normalizer.std.cpu().numpy())
+
+
+def test_what_graphs_read_stays_where_it_is(tmp_path):
+    other = runner(GpuRunner, "universal", tmp_path)
+    networks = (other.alg.actor, other.alg.critic)
+    tensors = [tensor for network in networks for tensor in network.state_dict(keep_vars=True).values()]
+    before = [tensor.clone() for tensor in tensors]
+    other._collect(other.env.get_observations())
+    other._update(other.env.get_observations())
+    after = [tensor for network in networks for tensor in network.state_dict(keep_vars=True).values()]
+    assert all(new is old for new, old in zip(after, tensors, strict=True))
+    assert not any(torch.equal(new, old) for new, old in zip(after, before, strict=True))
+
+
+@pytest.mark.parametrize("device", ["cpu", CUDA])
+def test_either_learner_goes_on_from_a_checkpoint(device, tmp_path):
+    other = runner(GpuRunner, "universal", tmp_path, device)
+    for iteration in range(2):
+        other.current_learning_iteration = iteration
+        other._collect(other.env.get_observations())
+        other._update(other.env.get_observations())
+    path = run_dir.checkpoint_path(other.run, 2)
+    other.save(str(path))
+    native = runner(NativeRunner, "universal", tmp_path)
+    native.load(str(path), map_location="cpu")
+    again = run_dir.checkpoint_path(native.run, 2)
+    native.save(str(again))
+    first, second = (torch.load(of, map_location="cpu", weights_only=True) for of in (path, again))
+    for part in ("actor_state_dict", "critic_state_dict"):
+        for name, tensor in first[part].items():
+            assert torch.equal(tensor, second[part][name]), name
+    moments, others = (of["optimizer_state_dict"]["state"] for of in (first, second))
+    for index, state in moments.items():
+        for key, tensor in state.items():
+            assert torch.equal(torch.as_tensor(tensor), torch.as_tensor(others[index][key])), (index, key)
+    back = GpuRunner(other.env, other.config, tmp_path, device, Reporter())
+    back.load(str(again))
+    for parameter, expected in zip(back.alg.actor.parameters(), other.alg.actor.parameters(), strict=True):
+        assert torch.equal(parameter, expected)
