@@ -9,8 +9,7 @@ import tomli_w
 import torch
 
 import polypod
-from polypod import _core
-from polypod import sim2sim
+from polypod import _core, sim2sim
 from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network, load_policy
 from polypod.evaluation.checkpoints import evaluate_checkpoint
@@ -172,9 +171,7 @@ def assert_mujoco_observes_the_same(checkpoint, source):
     (interface,) = interfaces(manifest, [source]).values()
     robot = interface.name
     graph = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
-    sim = _core.VecSim(
-        "velocity_flat_play", 3, robots=[source], seed=5, threads=1, autoreset="disabled", slots=slots
-    )
+    sim = _core.VecSim("velocity_flat_play", 3, robots=[source], seed=5, threads=1, autoreset="disabled", slots=slots)
     described = accuracy_robot.of(sim, robot, source)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
     delays = np.zeros((3, len(interface.joint_names)))
@@ -196,7 +193,9 @@ def assert_mujoco_observes_the_same(checkpoint, source):
     mujoco.reset(sim.qpos(robot), sim.qvel(robot))
     sensors = mujoco.sensors() | {"velocity_commands": sim.command}
     policy = RobotPolicy(network, interface)
-    observed = policy.observe(*(torch.from_numpy(np.asarray(sensors[name], dtype=np.float32)) for name in policy.inputs))
+    observed = policy.observe(
+        *(torch.from_numpy(np.asarray(sensors[name], dtype=np.float32)) for name in policy.inputs)
+    )
     wanted = sim.observation.copy()
     wanted[:, -len(slots) :] = 0.0  # no action has been taken yet in MuJoCo
     np.testing.assert_allclose(observed.numpy(), wanted, atol=1e-4)

@@ -36,9 +36,7 @@ SECONDS, ROUNDS = 0.4, 5
 """Of one timing, and timings of each."""
 
 
-def measure(
-    robots: Sequence[str], num_envs: int, threads: int | None, seed: int, progress: Progress
-) -> dict[str, Any]:
+def measure(robots: Sequence[str], num_envs: int, threads: int | None, seed: int, progress: Progress) -> dict[str, Any]:
     """Rates of whole control steps in env-steps/s, all batches in turn in one process.
 
     Args:
