@@ -78,8 +78,9 @@ def training(
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
     kind = torch.device(device).type
-    train_config = train_config.with_mixed_precision_resolved(kind).with_learner_resolved(
-        learner, kind, workers is not None and workers.count > 1
+    is_among_workers = workers is not None and workers.count > 1
+    train_config = train_config.with_learner_resolved(learner, kind, is_among_workers).with_mixed_precision_resolved(
+        kind
     )
     run = train_config.run
     if options.threads is not None:
@@ -99,7 +100,11 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     """Seconds per iteration of every learner that this machine has, one after the other."""
     learners = [("native", "cpu", "off"), ("rsl_rl", "cpu", "off"), ("rsl_rl, bfloat16", "cpu", "auto")]
     if torch.cuda.is_available():
-        learners += [("native, CUDA", CUDA, "off"), ("rsl_rl, CUDA", CUDA, "off")]
+        learners += [
+            ("native, CUDA", CUDA, "off"),
+            ("native, CUDA, bfloat16", CUDA, "on"),
+            ("rsl_rl, CUDA", CUDA, "off"),
+        ]
     rows: dict[str, dict[str, float]] = {}
     for name, device, precision in learners:
         progress(f"{name} on {device}")

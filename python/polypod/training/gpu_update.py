@@ -174,7 +174,8 @@ class Update:
         torch.cuda.current_stream(self._device).wait_stream(stream)
         self.optimizer.zero_grad(set_to_none=True)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        # on the stream of the steps before, whose autograd nodes live on
+        with torch.cuda.graph(graph, stream=stream):
             self._step(index)
         for tensor, values in zip(tensors, before, strict=True):
             tensor.copy_(values)

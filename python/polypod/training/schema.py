@@ -218,10 +218,14 @@ class TrainConfig:
         return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
-        """The config with "auto" decided for this machine, so that a resumed run computes in the same way."""
+        """The config with "auto" decided for this machine, so that a resumed run computes in the same way.
+
+        The learner must be resolved: the native one computes in f32, unless "on" asks for bfloat16 on a GPU.
+        """
         if self.algorithm.mixed_precision != "auto":
             return self
-        mode = "on" if _computes_in_bfloat16(device_type) else "off"
+        is_faster = self.run.learner != "native" and _computes_in_bfloat16(device_type)
+        mode = "on" if is_faster else "off"
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
 
     def with_learner_resolved(

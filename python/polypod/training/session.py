@@ -257,12 +257,12 @@ def new_plan(options: Options) -> Plan:
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
-    ).with_mixed_precision_resolved(torch.device(device).type)
-    train_config = train_config.with_teacher_located()
+    ).with_teacher_located()
     terms = None if options.terms is None else python_terms.load(options.terms)
+    kind = torch.device(device).type
     train_config = train_config.with_learner_resolved(
-        _learner_of(options), torch.device(device).type, is_among_workers()
-    )
+        _learner_of(options), kind, is_among_workers()
+    ).with_mixed_precision_resolved(kind)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
