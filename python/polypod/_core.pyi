@@ -53,6 +53,10 @@ class RobotDraft(TypedDict):
     toml: str
     notes: list[str]
     """What was assumed, one line each."""
+    kind: str
+    """`biped`, `humanoid`, `quadruped`, `hexapod` ..."""
+    needs_policy: str | None
+    """Why it cannot stand without a policy, where its geometry says so."""
 
 class TerrainEntry(TypedDict):
     """The ground of a task, lengths in m."""

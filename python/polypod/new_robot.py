@@ -86,7 +86,8 @@ def new_robot(
         out: the TOML to write; None: `<name>.toml` beside the URDF. Its stem is the robot's name.
         name: the robot's name; None: that of `out`, of the URDF, or of its file.
         package_dirs: ROS package -> folder, for `package://` names of meshes.
-        feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where geometry alone does not tell.
+        feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where geometry alone does
+            not tell.
         force: write over a file that is there.
 
     Raises:
@@ -113,7 +114,7 @@ def new_robot(
         if standing.holds or draft["needs_policy"]:
             break
     needs = draft["needs_policy"]
-    if needs is None and not standing.holds and draft["class"] in ("biped", "humanoid"):
+    if needs is None and not standing.holds and draft["kind"] in ("biped", "humanoid"):
         needs = "on these gains its ankles hold less than the moment of its weight as it leans: a policy balances it"
     if standing.holds:
         needs = None
@@ -122,7 +123,7 @@ def new_robot(
         factor = 1.0
         draft = _core.draft_robot(urdf, name=name, urdf=place, package_dirs=folders, feet=feet or {}, gain_factor=1.0)
         write_text(path, draft["toml"])
-    return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["class"], _task_of(path) == TASK, needs)
+    return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["kind"], _task_of(path) == TASK, needs)
 
 
 def _check_place(path: Path, name: str, force: bool) -> None:

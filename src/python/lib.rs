@@ -145,7 +145,7 @@ fn draft_robot(
     dict.set_item("name", draft.name)?;
     dict.set_item("toml", draft.toml)?;
     dict.set_item("notes", draft.notes)?;
-    dict.set_item("class", draft.class)?;
+    dict.set_item("kind", draft.class)?;
     dict.set_item("needs_policy", draft.needs_policy)?;
     Ok(dict)
 }

@@ -120,7 +120,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("--robot", "nobody"),
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
         | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS}
-        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--device": ["", "gpu", "cuda:0"]},
+        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--device": ["", "gpu", "cuda:0"]}
+        | {"--kinds": ["", ",", "x", "bolt", "x,y"]},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),

@@ -1,4 +1,4 @@
-"""`polypod robot new` for bodies of every class, from the URDF alone: what it drafts loads, and stands or says why not."""
+"""`polypod robot new` for bodies of every class, from the URDF alone: drafts load, and stand or say why not."""
 
 import json
 from pathlib import Path
@@ -39,9 +39,7 @@ def test_a_draft_stands(tmp_path, robot):
     assert made.needs_policy is None
     env = is_usable(made)
     (drafted,) = json.loads(env.sim.robot_info()).values()
-    (known,) = json.loads(
-        polypod.make("velocity_flat_legged", 1, robots=[robot], seed=0).sim.robot_info()
-    ).values()
+    (known,) = json.loads(polypod.make("velocity_flat_legged", 1, robots=[robot], seed=0).sim.robot_info()).values()
     assert (drafted["slots"], drafted["class"]) == (known["slots"], known["class"])
     # the height of the pose is about that of the published one
     assert 0.85 < drafted["base_height"] / known["base_height"] < 1.2

@@ -9,13 +9,16 @@ import tomli_w
 import torch
 
 import polypod
-from polypod import _core
-from polypod.evaluation import load_policy
+from polypod import _core, sim2sim
+from polypod.accuracy import robot as accuracy_robot
+from polypod.evaluation import load_network, load_policy
 from polypod.evaluation.checkpoints import evaluate_checkpoint
-from polypod.export import OnnxPolicy, export_checkpoint
+from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
+from polypod.export.torch_graph import RobotPolicy
 from polypod.networks import ACTION_MASK, MaskedGaussian
 from polypod.networks.masked import MaskedNormalization
 from polypod.rsl_rl import VecEnv
+from polypod.sim2sim import twin
 from polypod.training import config, run_dir
 from polypod.training.session import Options, train
 
@@ -160,6 +163,46 @@ def assert_folded_graph_is_the_policy(checkpoint, source, folder):
     np.testing.assert_allclose(target.detach().numpy(), found["joint_pos_target"], atol=1e-5)
 
 
+def assert_mujoco_observes_the_same(checkpoint, source):
+    """Through the sensors of `polypod sim2sim`, in the columns of the batch; then both simulators run an episode."""
+    manifest = run_dir.read_manifest(checkpoint)
+    network = load_network(run_dir.load_checkpoint(checkpoint), manifest["policy"])
+    slots = manifest["canonical_joint_names"]
+    (interface,) = interfaces(manifest, [source]).values()
+    robot = interface.name
+    graph = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
+    sim = _core.VecSim("velocity_flat_play", 3, robots=[source], seed=5, threads=1, autoreset="disabled", slots=slots)
+    described = accuracy_robot.of(sim, robot, source)
+    bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
+    delays = np.zeros((3, len(interface.joint_names)))
+    mujoco = twin.Twin(
+        described,
+        interface,
+        graph,
+        bodies,
+        step_dt=0.02,
+        physics_dt=0.005,
+        physics=twin.Physics(),
+        delays=delays,
+        heights=None,
+        places=sim.env_origins() * [1.0, 1.0, 0.0],
+    )
+    random = np.random.default_rng(0)
+    for _ in range(4):
+        sim.step(random.normal(size=(3, sim.num_actions)).astype(np.float32))
+    mujoco.reset(sim.qpos(robot), sim.qvel(robot))
+    sensors = mujoco.sensors() | {"velocity_commands": sim.command}
+    policy = RobotPolicy(network, interface)
+    observed = policy.observe(
+        *(torch.from_numpy(np.asarray(sensors[name], dtype=np.float32)) for name in policy.inputs)
+    )
+    wanted = sim.observation.copy()
+    wanted[:, -len(slots) :] = 0.0  # no action has been taken yet in MuJoCo
+    np.testing.assert_allclose(observed.numpy(), wanted, atol=1e-4)
+    result = sim2sim.compare(checkpoint, [source], sim2sim.Options(envs_per_robot=2, steps=3))
+    assert result.robots[robot].mujoco.episode_length_s == pytest.approx(0.06)
+
+
 @pytest.mark.parametrize("learner", ["native", "rsl_rl"])
 def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path):
     options = {"num_envs": 32, "num_steps_per_env": 4, "learner": learner, "task": "velocity_flat"}
@@ -183,6 +226,8 @@ def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path
     folder = exported.files[0].parent
     biped = json.loads((folder / "policy_small_biped.json").read_text())
     sizes = {tensor["name"]: tensor["shape"][1] for tensor in biped["inputs"] + biped["outputs"]}
-    for index in (1, 3):
+    for index in (1, 2, 3):
         assert_folded_graph_is_the_policy(checkpoint, BODIES[index], folder)
+    for index in (1, 2):
+        assert_mujoco_observes_the_same(checkpoint, BODIES[index])
     assert (sizes["joint_pos"], sizes["joint_pos_target"], sizes["actions"], sizes["last_action"]) == (8, 8, 38, 38)

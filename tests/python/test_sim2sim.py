@@ -113,6 +113,17 @@ def test_targets_come_as_late_as_the_delay(delay):
         np.testing.assert_array_equal(target, first if late else second)
 
 
+@pytest.mark.parametrize(("limit", "value"), [("least_height", 0.6), ("least_upright", 1.0)])
+def test_what_ends_episodes_in_the_task_is_a_fall_in_mujoco(limit, value):
+    """Spot stands 0.5 m high and never quite level."""
+    sim, mujoco, _ = make_twin("spot", num_envs=2)
+    mujoco.reset(sim.qpos("spot"), sim.qvel("spot"))
+    commands_of_two = np.zeros((2, 3), dtype=np.float32)
+    assert not mujoco.step(commands_of_two, np.ones(2, dtype=np.bool_)).fell.any()
+    setattr(mujoco, limit, value)
+    assert mujoco.step(commands_of_two, np.array([True, False])).fell.tolist() == [True, False]
+
+
 def test_what_no_sensor_gives_is_named():
     _, mujoco, _ = make_twin("spot", num_envs=1)
     mujoco.policy.inputs["motor_temperature"] = 1

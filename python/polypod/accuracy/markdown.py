@@ -2,6 +2,7 @@
 
 import math
 import textwrap
+from collections.abc import Iterable
 
 from polypod.accuracy import engines, sweeps
 from polypod.accuracy.report import Report
@@ -43,8 +44,9 @@ def tables(report: Report) -> str:
         "speed_envs": engines.SPEED_ENVS,
         "timings": engines.TIMINGS,
         "measured": sentence(measured()),
-        "sensitive_height": 1e3 * max(abs(r.mujoco_coarse_height - r.mujoco_height) for r in report.drops),
-        "sensitive_pitch": math.degrees(max(abs(r.mujoco_coarse_pitch - r.mujoco_pitch) for r in report.drops)),
+        "sensitive_height": 1e3 * _worst(abs(r.mujoco_coarse_height - r.mujoco_height) for r in report.drops),
+        "sensitive_pitch": math.degrees(_worst(abs(r.mujoco_coarse_pitch - r.mujoco_pitch) for r in report.drops)),
+        "standing": _standing_robots(report),
         "mujoco_coarse": 1e3 * MUJOCO_COARSE,
     }
     return "\n\n".join(f"{_prose(text.format(**values))}\n\n{table}".strip() for text, table in parts)
@@ -55,15 +57,15 @@ def summary(report: Report) -> str:
     statics = max(r.worst() for r in report.statics)
     fine = max(r.fine for r in report.responses)
     coarse = max(r.coarse / r.mujoco_coarse for r in report.responses)
-    height, pitch = max(r.height_error for r in report.drops), max(r.pitch_error for r in report.drops)
-    foot = max(r.normal_error for r in report.standing)
-    creep = max(r.creep for r in report.rests)
+    height, pitch = _worst(r.height_error for r in report.drops), _worst(r.pitch_error for r in report.drops)
+    foot = _worst(r.normal_error for r in report.standing)
+    creep = _worst(r.creep for r in report.rests)
     stops = max(abs(r.distance / r.formula - 1.0) for r in report.slides)
-    head = (
-        f"The largest deviations from MuJoCo {report.mujoco} on the same URDFs, over {len(report.statics)} robots "
-        f"(`{COMMAND}`).\n{sentence(measured())}"
+    head = _prose(
+        f"The largest deviations from MuJoCo {report.mujoco}, over {len(report.statics)} robots; "
+        f"{len(report.standing)} stand without a policy (`{COMMAND}`). {sentence(measured())}"
     )
-    rows = (
+    rows = [
         ("inertia, bias forces, kinematics, forward dynamics", "relative error in `f32`", f"{statics:.1e}", "1e-4"),
         ("step responses, 0.5 ms", "deviation", f"{1e3 * fine:.2f} mrad", "1 mrad"),
         ("step responses, 5 ms", "share of MuJoCo's own deviation", f"{coarse:.2f}", "1"),
@@ -72,8 +74,22 @@ def summary(report: Report) -> str:
         ("normal force on a standing foot", "difference", f"{100 * foot:.2f} %", "2 %"),
         ("creep on a slope of 20 degrees", "in 10 s", f"{1e3 * creep:.2f} mm", "1 mm"),
         ("distance in which a block stops", "error against the formula", f"{100 * stops:.2f} %", "1 %"),
-    )
+    ]
+    if not report.standing:
+        rows = rows[:3] + rows[-1:]
     return head + "\n\n" + table(("quantity", "measured", "worst", "bound"), rows)
+
+
+def _worst(values: Iterable[float]) -> float:
+    """The largest; 0 of none, where no robot stands."""
+    return max(values, default=0.0)
+
+
+def _standing_robots(report: Report) -> str:
+    """Which robots the tables of standing leave out."""
+    standing = {r.robot for r in report.standing}
+    fallen = [r.robot for r in report.statics if r.robot not in standing]
+    return f"A policy has to balance {', '.join(fallen)}, which are left out." if fallen else "All robots stand."
 
 
 _SETTINGS = """
@@ -96,6 +112,8 @@ for 1 s, each joint in turn. The table shows the largest deviation of any joint 
 """
 
 _DROPS = """### Drops from 0.3 m
+
+This table and those of standing, slopes and engines are of robots that stand by themselves. {standing}
 
 The feet begin 0.3 m above the ground. Friction is {friction:g}, targets are the default pose, torques stay within
 the actuators' limits. The table shows the base after 3 s: both simulators at the step *dt*, then polypod at {dt:g} ms

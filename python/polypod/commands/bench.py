@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import Count, arg, positive, thread_count, write_json
+from polypod.commands.arguments import Count, arg, names, positive, thread_count, write_json
 
 NUM_ENVS = 4096
 
@@ -22,6 +22,9 @@ class Bench:
     """Measure instead the time and the samples until all robots walk."""
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
     """Measure instead trainings with so many workers, which share the same cores: for example 1,2,4."""
+    kinds: Annotated[str | None, arg(metavar="ROBOT,ROBOT")] = None
+    """Measure instead a batch of these kinds of bodies beside the same kinds one by one; `all`: sixteen kinds with two,
+    four and six legs."""
     device: Literal["cpu", "cuda"] = "cpu"
     """What --workers measures: the native learner on the CPU, or rsl_rl on the machine's GPUs."""
     train_config: str = "quick"
@@ -51,6 +54,8 @@ class Bench:
         """Runs the command and returns its exit code."""
         if self.learner or self.walk or self.workers is not None:
             return self._train()
+        if self.kinds is not None:
+            return self._kinds()
         from polypod import bench
 
         for value, flag in (
@@ -73,6 +78,22 @@ class Bench:
         write_json(self.json, result)
         if self.plot is not None:
             bench.picture(result, self.plot)
+        return 0
+
+    def _kinds(self) -> int:
+        """Measures what it costs to mix kinds of bodies."""
+        from polypod.bench import kinds
+
+        robots = kinds.KINDS if self.kinds == "all" else names(self.kinds) or ()
+        result = kinds.measure(
+            robots,
+            positive(self.num_envs, "--num-envs") or NUM_ENVS,
+            thread_count(self.step_threads, "--step-threads"),
+            self.seed or 0,
+            functools.partial(print, file=sys.stderr, flush=True),
+        )
+        print(kinds.table(result))
+        write_json(self.json, result)
         return 0
 
     def _train(self) -> int:

@@ -227,6 +227,7 @@ class _Writer:
     def _robot(self, robot: RobotInterface) -> dict[str, Any]:
         return {
             **robot.info,
+            "command_ranges": {key: list(ends) for key, ends in robot.command_ranges.items()},
             "joint_of_slot": robot.joint_of_slot.tolist(),
             "base_com": [float(x) for x in robot.base_com],
             "morphology": [float(x) for value in robot.constants.values() for x in value],

@@ -60,6 +60,8 @@ class RobotInterface:
     """What the terms that say what body it is say of the robot, as the policy observes it."""
     scan_points: Array
     """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left, along its heading."""
+    command_ranges: Mapping[str, Sequence[float]]
+    """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low, high]."""
     info: Mapping[str, Any]
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
 
@@ -156,6 +158,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),
             constants={term: observation[sim.env_ids(robot)[0], columns].copy() for term, columns in constants.items()},
             scan_points=scan_points,
+            command_ranges=sim.command_ranges()[robot],
             info=infos[robot],
         )
         for robot in sim.robots

@@ -48,7 +48,7 @@ class Commands:
         shape = (-(-steps // steps_per_draw), ranges["ang_vel_z"].shape[1])
 
         def uniform(key: str) -> Array:
-            low, high = ranges.get(key, config.get(key))
+            low, high = ranges[key] if key in ranges else config[key]
             return random.uniform(low, high, size=shape)
 
         holds = config["heading_command"] & (random.uniform(size=shape) < config["rel_heading_envs"])

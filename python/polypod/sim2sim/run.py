@@ -45,6 +45,10 @@ Watch = Callable[[str, str, Array], None]
 """Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 + joints]."""
 
 
+_MINIMUM_SHARE = 0.5
+"""Of the termination `root_height_below_minimum`, where the task does not say."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Options:
     """What to run."""
@@ -75,7 +79,7 @@ class Figures:
     error_vel_yaw: float
     """rad/s."""
     fall_rate: float
-    """Share of the episodes in which the base touched the ground."""
+    """Share of the episodes that failed: base or torso on the ground, and what else ends them in the task."""
     episode_length_s: float
 
 
@@ -231,6 +235,7 @@ class _Episode:
                 f"{self.sim.task_name}: MuJoCo is given the task's ground and gravity of {reference.GRAVITY} m/s^2; "
                 "compare in a task without obstacles"
             )
+        self.terminations: dict[str, dict[str, Any]] = task["terminations"]
         self.heights = heights(self.sim)
         # a pose's height is the world's already
         self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
@@ -322,7 +327,9 @@ def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: W
         sim.set_command(commands)
         observation = sim.observation.copy()
         # what is observed of commands are those given here, the newest last; at first all are the first one
-        given = np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
+        given = (
+            np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
+        )
         observation[:, command] = given
         sim.step(policy(observation))
         sums.add(
@@ -363,7 +370,14 @@ def _run_mujoco(
     watch: Watch | None,
 ) -> Figures:
     robot = accuracy_robot.of(episode.sim, name, source)
-    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ("base", "torso")]
+    ends = episode.terminations
+    groups = {"base", "torso", *ends.get("illegal_contact", {}).get("bodies", ())}
+    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in groups]
+    lowest = ends.get("root_height_below_minimum")
+    least_height = -np.inf
+    if lowest is not None:
+        share = lowest.get("minimum_share", _MINIMUM_SHARE) * interface.info["base_height"]
+        least_height = lowest.get("minimum_height", share)
     twin = Twin(
         robot,
         interface,
@@ -376,6 +390,8 @@ def _run_mujoco(
         network_torques=functools.partial(episode.sim.network_torques, name),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
+        least_height=least_height,
+        most_tilt=ends.get("bad_orientation", {}).get("limit_angle", np.pi),
     )
     twin.reset(*episode.start[name])
     commands = episode.commands_of(name)

@@ -76,6 +76,8 @@ class Twin:
         network_torques: NetworkTorques | None = None,
         heights: Heights | None = None,
         places: Array | None = None,
+        least_height: float = -np.inf,
+        most_tilt: float = np.pi,
     ) -> None:
         """Compiles the model.
 
@@ -83,7 +85,7 @@ class Twin:
             robot: URDF and actuators.
             interface: between policy and robot.
             policy: folded for the robot.
-            base_bodies: links that must not touch the ground.
+            base_bodies: links that must not touch the ground: those of base and torso, and what else ends episodes.
             step_dt: control step, s.
             physics_dt: the physics step that delays are counted in, s.
             physics: how MuJoCo steps.
@@ -91,6 +93,8 @@ class Twin:
             network_torques: of the robot's actuator networks, one physics step of `physics_dt` after the other.
             heights: of the ground; None: a plane.
             places: [envs, 3], of the envs' origins on it, m; None: the world's origin.
+            least_height: of the base's origin above the ground below it; one that is lower has fallen, m.
+            most_tilt: of the base's z axis from the vertical; one that is farther has fallen, rad.
         """
         ground = Ground(physics.friction, soft=physics.soft_contact, heights=heights)
         self.reference = Reference.of(robot, dt=physics.dt, integrator=physics.integrator, ground=ground)
@@ -100,6 +104,7 @@ class Twin:
         self.delays = delays * physics_dt
         self.num_envs = len(delays)
         self.heights = heights
+        self.least_height, self.least_upright = least_height, np.cos(most_tilt)
         self.places = np.zeros((self.num_envs, 3)) if places is None else places
         self._network_torques = network_torques if robot.actuators.networks.any() else None
         self._network_memory: Floats | None = None
@@ -152,6 +157,9 @@ class Twin:
         envs = np.flatnonzero(active)
         for substep in range(self.substeps):
             self._physics_step(substep, envs, fell)
+        # as the task's terminations, once in a control step
+        fell[envs] |= (self.base_height() < self.least_height)[envs]
+        fell[envs] |= (_rotation(self.qpos)[:, 2, 2] < self.least_upright)[envs]
         velocity, rate = self.base_velocity()
         return Observed(velocity[:, :2] + (rate @ self.interface.lever())[:, :2], rate[:, 2], fell)
 
@@ -167,6 +175,12 @@ class Twin:
             "last_action": self.actions.astype(np.float64),
             "height_scan": self.height_scan(),
         }
+
+    def base_height(self) -> Array:
+        """[envs], of the base's origin above the ground below it, m."""
+        at = self.qpos[:, :3] + self.places
+        ground = 0.0 if self.heights is None else self.heights.at(at[:, None, :2])[:, 0]
+        return at[:, 2] - ground
 
     def height_scan(self) -> Array:
         """[envs, rays], height of the base's origin above the ground at the points where the scanner looks, m."""
