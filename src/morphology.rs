@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use bevy_ecs::prelude::Resource;
 use glam::DMat3;
 
-use crate::components::Stance;
 use crate::actuator_network::{NetworkKind, read_onnx};
+use crate::components::Stance;
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig};
 use crate::dynamics::{
     ActuatorNetwork, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep, Parameters, State,
@@ -307,7 +307,9 @@ fn networks(
         let element = format!("actuators.{group}");
         let Some(file) = loaded.networks.get(group) else {
             let problem = "has no file of its network";
-            return Err(ConfigError::invalid(loaded.config.name.clone(), element, problem, "name a network_file").into());
+            return Err(
+                ConfigError::invalid(loaded.config.name.clone(), element, problem, "name a network_file").into()
+            );
         };
         let kind = match config.model {
             ActuatorModel::ActuatorNetLstm => NetworkKind::Lstm,
@@ -593,17 +595,18 @@ impl MorphologyModel {
 
     fn describe_networks(&self) -> Vec<NetworkDescription> {
         let groups = self.config.actuators.iter().filter(|(_, actuator)| actuator.model.is_network());
-        let describe = |((group, actuator), network): ((&String, &ActuatorConfig), &ActuatorNetwork)| NetworkDescription {
-            group: group.clone(),
-            model: actuator.model,
-            file: actuator.network_file.clone().unwrap_or_default(),
-            checksum: actuator.network_checksum.clone().unwrap_or_default(),
-            joints: network.joints().to_vec(),
-            inputs: network_inputs(actuator).iter().map(NetworkInput::to_string).collect(),
-            pos_scale: actuator.pos_scale.unwrap_or(1.0),
-            vel_scale: actuator.vel_scale.unwrap_or(1.0),
-            torque_scale: actuator.torque_scale.unwrap_or(1.0),
-        };
+        let describe =
+            |((group, actuator), network): ((&String, &ActuatorConfig), &ActuatorNetwork)| NetworkDescription {
+                group: group.clone(),
+                model: actuator.model,
+                file: actuator.network_file.clone().unwrap_or_default(),
+                checksum: actuator.network_checksum.clone().unwrap_or_default(),
+                joints: network.joints().to_vec(),
+                inputs: network_inputs(actuator).iter().map(NetworkInput::to_string).collect(),
+                pos_scale: actuator.pos_scale.unwrap_or(1.0),
+                vel_scale: actuator.vel_scale.unwrap_or(1.0),
+                torque_scale: actuator.torque_scale.unwrap_or(1.0),
+            };
         groups.zip(&self.networks).map(describe).collect()
     }
 

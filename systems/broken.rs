@@ -4,7 +4,9 @@ use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::terms::CompiledTask;
-use crate::components::{ActuatorDelay, ActuatorMemory, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot};
+use crate::components::{
+    ActuatorDelay, ActuatorMemory, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot,
+};
 use crate::engine::{DivergenceRecord, Motion, StateLimits};
 use crate::rows::Rows;
 

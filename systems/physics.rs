@@ -8,8 +8,8 @@ use super::load::InstructionSet;
 use super::terms::CompiledTask;
 use super::{BlockSizes, ControlStep, PipelineSet, Setup, SetupSet, faults};
 use crate::components::{
-    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId, EnvOrigin,
-    ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId,
+    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
 };
 use crate::config::EngineKind;
 use crate::dynamics::{ContactSettings, Plane, StepSettings};
@@ -122,7 +122,8 @@ pub(super) fn step_physics(
     mut robots: Rows<PhysicsColumns, Robot>,
     envs: Rows<&'static EnvOrigin, Env>,
 ) -> Result {
-    let (poses, velocities, joints, targets, delays, memories, wrenches, efforts, impulses, forces, feet) = robots.write()?;
+    let (poses, velocities, joints, targets, delays, memories, wrenches, efforts, impulses, forces, feet) =
+        robots.write()?;
     let origins = envs.read()?;
     let rows = ComponentRows {
         origins,

@@ -12,9 +12,9 @@ use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, NoParams, Registry};
 use super::view::{EpisodeEnd, NewState};
 use super::{ResetSet, for_both, startup};
 use crate::components::{
-    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, Env, EnvOrigin,
-    EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Morphology,
-    Robot, Stance,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
+    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
+    JointTargets, Morphology, Robot, Stance,
 };
 use crate::config::JointPositionMode;
 use crate::morphology::Morphologies;

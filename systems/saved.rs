@@ -9,8 +9,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::components::{
-    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, ContactSensor,
-    EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
+    ContactSensor, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
     JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
 };
 use crate::error::Error;

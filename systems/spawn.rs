@@ -8,9 +8,9 @@ use super::saved::save_component;
 use super::terms::CompiledTask;
 use super::{BlockSizes, Setup, SetupSet, keep_row_order};
 use crate::components::{
-    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces, Env, EnvId,
-    EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState, JointTargets,
-    Morphology, PerJoint, Robot, Stance, StartupBody,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
+    Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
+    JointTargets, Morphology, PerJoint, Robot, Stance, StartupBody,
 };
 use crate::engine::history_length;
 use crate::morphology::{Morphologies, MorphologyModel};

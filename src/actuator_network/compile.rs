@@ -81,12 +81,12 @@ pub(super) fn compile(graph: &Graph, inputs: usize, kind: NetworkKind) -> Result
     for state in given {
         let problem = "is an input beside the first one, of which only an LSTM's states are known";
         let remedy = "give the network one input: position errors and velocities";
-        values.insert(&state.name, Value::Unknown(NetworkError::new(format!("input `{}`", state.name), problem, remedy)));
+        values
+            .insert(&state.name, Value::Unknown(NetworkError::new(format!("input `{}`", state.name), problem, remedy)));
     }
     for node in &graph.nodes {
         let given: Vec<Option<&Value>> = node.inputs.iter().map(|name| values.get(name.as_str())).collect();
-        let found =
-            compiler.node(node, &given).unwrap_or_else(|error| vec![Value::Unknown(error); node.outputs.len()]);
+        let found = compiler.node(node, &given).unwrap_or_else(|error| vec![Value::Unknown(error); node.outputs.len()]);
         for (name, value) in node.outputs.iter().zip(found).filter(|(name, _)| !name.is_empty()) {
             values.insert(name, value);
         }
@@ -263,7 +263,18 @@ impl Compiler {
             }
             return Ok(vec![Value::Features(to, axes)]);
         }
-        let moves = ["Identity", "Dropout", "Cast", "Transpose", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Gather", "Slice"];
+        let moves = [
+            "Identity",
+            "Dropout",
+            "Cast",
+            "Transpose",
+            "Flatten",
+            "Reshape",
+            "Squeeze",
+            "Unsqueeze",
+            "Gather",
+            "Slice",
+        ];
         if moves.contains(&node.operator.as_str())
             && let Ok(Value::Features(span, _)) = input(0)
             && node.inputs.first().is_some_and(|name| self.uses.get(name) != Some(&1))
@@ -303,13 +314,7 @@ impl Compiler {
         Ok(vec![value])
     }
 
-    fn gemm(
-        &mut self,
-        node: &Node,
-        a: &Value,
-        b: &Value,
-        c: Option<&Value>,
-    ) -> Result<Value, NetworkError> {
+    fn gemm(&mut self, node: &Node, a: &Value, b: &Value, c: Option<&Value>) -> Result<Value, NetworkError> {
         let failed = |problem: &str| NetworkError::new(node.title(), problem, "export the network again");
         if node.int("transA", 0) != 0 {
             return Err(failed("transposes its input"));
@@ -452,7 +457,9 @@ impl Compiler {
         let bias = match bias {
             None => vec![0.0; gates],
             Some(Value::Unknown(error)) => return Err(error.clone()),
-            Some(Value::Floats(bias, _)) if bias.len() == 2 * gates => (0..gates).map(|g| bias[g] + bias[gates + g]).collect(),
+            Some(Value::Floats(bias, _)) if bias.len() == 2 * gates => {
+                (0..gates).map(|g| bias[g] + bias[gates + g]).collect()
+            }
             Some(_) => return Err(failed("has a bias of another size than its weights", "export the network again")),
         };
         let (h, c) = (self.remember(hidden, node)?, self.remember(hidden, node)?);
@@ -487,7 +494,9 @@ fn features(node: &Node, value: &Value) -> Result<(Span, usize), NetworkError> {
 fn matrix(node: &Node, value: &Value) -> Result<(Rc<[f32]>, [usize; 2]), NetworkError> {
     match value {
         Value::Floats(values, dims) if dims.len() == 2 && dims[1] > 0 => Ok((values.clone(), [dims[0], dims[1]])),
-        _ => Err(NetworkError::new(node.title(), "has weights that are no constant matrix", "export the network again")),
+        _ => {
+            Err(NetworkError::new(node.title(), "has weights that are no constant matrix", "export the network again"))
+        }
     }
 }
 

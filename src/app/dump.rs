@@ -13,7 +13,8 @@ use toml::Table;
 
 use super::Sim;
 use crate::components::{
-    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState, JointTargets,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState,
+    JointTargets,
 };
 use crate::config::{ConfigError, LoadedRobot, LoadedTask, NetworkFile, RobotConfig, TaskConfig, parse_params};
 use crate::dynamics::lanes::Simd;

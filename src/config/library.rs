@@ -172,9 +172,8 @@ impl Library {
             return Err(layers.locate(error, &[]));
         }
         let (urdf_path, urdf) = self.beside(&layers, "urdf", &config.urdf, files::MAX_BYTES)?;
-        let urdf_text = String::from_utf8(urdf).map_err(|_| {
-            unreadable(&urdf_path.display().to_string(), "cannot be read: it is not UTF-8".into())
-        })?;
+        let urdf_text = String::from_utf8(urdf)
+            .map_err(|_| unreadable(&urdf_path.display().to_string(), "cannot be read: it is not UTF-8".into()))?;
         let networks = self.networks(&layers, &mut config, &mut resolved)?;
         Ok(LoadedRobot { config, urdf_text, urdf_path, networks, resolved })
     }
@@ -196,8 +195,7 @@ impl Library {
             if let Some(stated) = actuator.network_checksum.replace(found.clone()).filter(|stated| *stated != found) {
                 let problem = format!("is {stated}, and {} has {found}", file.path.display());
                 let remedy = "pass the file that the robot had then, or remove the key";
-                let error =
-                    ConfigError::invalid("", format!("actuators.{group}.network_checksum"), problem, remedy);
+                let error = ConfigError::invalid("", format!("actuators.{group}.network_checksum"), problem, remedy);
                 return Err(layers.locate(error, &[]));
             }
             let table = resolved.get_mut("actuators").and_then(|groups| groups.get_mut(group.as_str()));

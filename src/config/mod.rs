@@ -23,8 +23,8 @@ pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
 pub(crate) use robot::matches;
 pub use robot::{
-    ActuatorConfig, ActuatorModel, BodiesConfig, InputOrder, JointPositionMode, JointPositionReset, RangeConfig, ResetConfig,
-    RobotConfig,
+    ActuatorConfig, ActuatorModel, BodiesConfig, InputOrder, JointPositionMode, JointPositionReset, RangeConfig,
+    ResetConfig, RobotConfig,
 };
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;

@@ -46,7 +46,9 @@ pub use articulation::{
 pub use ground::Plane;
 pub use kernels::{Kernels, Scalar};
 pub use kinematics::point_motion;
-pub use networks::{ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span};
+pub use networks::{
+    ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span,
+};
 pub use parameters::Parameters;
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;

@@ -156,9 +156,7 @@ impl NetworkProgram {
                 has(from) && has(to) && from.end() <= Some(to.first) && weights.len() == (from.len + 1) * to.len
             }
             Instruction::Map { from, to, .. } => has(from) && has(to) && from.len == to.len,
-            Instruction::Combine { a, b, to, .. } => {
-                has(a) && has(b) && has(to) && a.len == to.len && b.len == to.len
-            }
+            Instruction::Combine { a, b, to, .. } => has(a) && has(b) && has(to) && a.len == to.len && b.len == to.len,
             Instruction::Recall { memory, to } => has(to) && holds(*memory, to.len),
             Instruction::Cell { gates, hidden, cell, to } => {
                 has(gates) && has(to) && gates.len == 4 * to.len && holds(*hidden, to.len) && holds(*cell, to.len)
@@ -212,7 +210,13 @@ impl ActuatorNetwork {
         program: NetworkProgram,
     ) -> Option<Self> {
         let past = inputs.iter().map(|input| input.age).max().unwrap_or(0);
-        (inputs.len() == program.inputs && !joints.is_empty()).then_some(Self { joints, inputs, effort_scale, past, program })
+        (inputs.len() == program.inputs && !joints.is_empty()).then_some(Self {
+            joints,
+            inputs,
+            effort_scale,
+            past,
+            program,
+        })
     }
 
     /// The joints that it drives, physical order.

@@ -77,8 +77,10 @@ impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { parameters, step: ControlStep { topology, settings, terrain, drive, substeps, state, report, work, .. } } =
-            self;
+        let Self {
+            parameters,
+            step: ControlStep { topology, settings, terrain, drive, substeps, state, report, work, .. },
+        } = self;
         // a copy, which no store through a reference can change: loops convert its numbers once
         let settings = &{ *settings };
         if substeps.start == 0 {

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::limits::{StateLimits, Violation};
 use crate::components::{
-    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ExternalWrench, JointEffort, JointState, JointTargets,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ExternalWrench, JointEffort, JointState,
+    JointTargets,
 };
 
 /// What physics moves of one robot.

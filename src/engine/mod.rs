@@ -93,7 +93,8 @@ pub(crate) struct Kind<'a, T> {
 impl<'a> Kind<'a, f32> {
     /// `count` robots of a morphology.
     pub(crate) fn of_morphology(morphology: &'a MorphologyModel, count: usize) -> Self {
-        let MorphologyModel { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, .. } = morphology;
+        let MorphologyModel { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, .. } =
+            morphology;
         let max_delay = morphology.max_delay();
         Self { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, max_delay, count }
     }

@@ -4,8 +4,8 @@ use smallvec::SmallVec;
 
 use super::{DivergenceRecord, Motion};
 use crate::components::{
-    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse, EnvOrigin,
-    ExternalWrench, Feet, JointEffort, JointState, JointTargets,
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse,
+    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets,
 };
 use crate::dynamics::lanes::{Real, prefetch};
 use crate::dynamics::{Drive, Report, State};

@@ -17,10 +17,10 @@ from rsl_rl.modules import EmpiricalNormalization
 from polypod import _core
 from polypod.export import sources, states
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
+from polypod.export.states import HISTORY, Shape
 from polypod.extras import package
 from polypod.networks import JointNetwork
 from polypod.networks.onnx_network import OnnxNetwork, output_of
-from polypod.export.states import HISTORY, Shape
 from polypod.observation import Term, Treatment
 
 OPSET = 17
@@ -296,9 +296,7 @@ def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
     ends: dict[str, list[str]] = {name: [] for name in graph.states if name != HISTORY}
     for layer in range(rnn.num_layers):
         name = f"recurrent_{layer}"
-        weights = [
-            graph.constant(f"{name}_{key}", gates(f"weight_{key}_l{layer}")[np.newaxis]) for key in ("ih", "hh")
-        ]
+        weights = [graph.constant(f"{name}_{key}", gates(f"weight_{key}_l{layer}")[np.newaxis]) for key in ("ih", "hh")]
         bias = np.concatenate([gates(f"bias_{key}_l{layer}") for key in ("ih", "hh")])[np.newaxis]
         begins = []
         for state in ends:

@@ -307,7 +307,9 @@ def _run_polypod(episode: _Episode, policy: Policy, progress: Progress) -> dict[
         sim.set_command(commands)
         observation = sim.observation.copy()
         # what is observed of commands are those given here, the newest last; at first all are the first one
-        given = np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
+        given = (
+            np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
+        )
         observation[:, command] = given
         sim.step(policy(observation))
         sums.add(
