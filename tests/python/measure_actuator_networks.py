@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from test_actuator_networks import BASE, MLP, TASK, lstm, onnx_of, toml
 
 from polypod import _core
 from polypod.provenance import measured, sentence
-from test_actuator_networks import BASE, MLP, TASK, lstm, onnx_of, toml
 
 GAINS = 25.0, 0.5
 """N m/rad, N m s/rad: the robot stands in all three cases, so that contacts cost the same."""
