@@ -358,7 +358,8 @@ fn quietly<T>(f: impl FnOnce() -> TractResult<T>) -> TractResult<T> {
 
 fn compile(graph: &mut &[u8], num_envs: usize, manifest: &PolicyManifest) -> TractResult<Arc<TypedRunnableModel>> {
     let fact = f32::fact([num_envs, manifest.num_obs()]);
-    let mut model = tract_onnx::onnx().model_for_read(graph)?;
+    // the graph's own shapes have a batch of any size, and are checked below
+    let mut model = tract_onnx::onnx().with_ignore_output_shapes(true).model_for_read(graph)?;
     if (model.inputs.len(), model.outputs.len()) != (1 + manifest.states.len(), 1 + manifest.states.len()) {
         let (inputs, outputs) = (model.inputs.len(), model.outputs.len());
         let states = manifest.states.len();

@@ -1,5 +1,6 @@
-"""A network file drives joints as torch computes it: the same torques, the same bits everywhere, exact snapshots and resets."""
+"""A network file drives joints as torch computes it, with the same bits everywhere, exact snapshots and resets."""
 
+import contextlib
 import io
 import json
 import warnings
@@ -23,11 +24,13 @@ class Lstm(torch.nn.Module):
     """Two layers and a head, called as Isaac Lab calls the networks of its `ActuatorNetLSTM`."""
 
     def __init__(self) -> None:
+        """Makes both layers and the head."""
         super().__init__()
         self.lstm = torch.nn.LSTM(2, 8, num_layers=2, batch_first=True)
         self.head = torch.nn.Linear(8, 1)
 
     def forward(self, x: torch.Tensor, state: tuple[torch.Tensor, torch.Tensor]):
+        """Torque and state, [rows, 1]."""
         y, state = self.lstm(x, state)
         return self.head(y[:, -1]), state
 
@@ -94,6 +97,7 @@ class Seen:
     """One robot's control steps with one physics step each: error and velocity before, torque after."""
 
     def __init__(self, sim, name):
+        """Watches the robot of that name."""
         self.sim, self.name = sim, name
         self.info = json.loads(sim.robot_info())[name]
         self.spread = np.zeros((sim.num_actions, len(self.info["joint_names"])))
@@ -101,6 +105,7 @@ class Seen:
         self.spread[columns, joints] = self.info["action_scale"] * np.array(self.info["slot_signs"])
 
     def step(self, actions):
+        """Steps the simulation; returns errors, velocities and torques, [envs, joints]."""
         before = self.sim.qpos(self.name)[:, 7:], self.sim.qvel(self.name)[:, 6:]
         targets = np.array(self.info["default_pose"]) + actions @ self.spread
         self.sim.step(actions)
@@ -260,15 +265,17 @@ def test_bits_are_those_of_any_threads_lanes_and_company(robot, case, monkeypatc
             sim.step(actions)
         return np.concatenate([sim.qpos(name), sim.qvel(name)], axis=1)
 
-    alone = run([name], 19, threads=1)
+    alone, available = run([name], 19, threads=1), []
     for simd in ("avx512", "avx2", "portable"):
         monkeypatch.setenv("POLYPOD_SIMD", simd)
-        try:
-            again = run([name], 19, threads=2)
-        except polypod.PolypodError as error:
-            assert "POLYPOD_SIMD" in str(error) or simd in str(error)
+        with contextlib.suppress(polypod.PolypodError):
+            make_sim([name], 1)
+            available.append(simd)
+        if simd not in available:
             continue
+        again = run([name], 19, threads=2)
         np.testing.assert_array_equal(alone, again)
+    assert "portable" in available
     monkeypatch.delenv("POLYPOD_SIMD")
     beside = run([name, BASE], 38, threads=2)
     np.testing.assert_array_equal(alone, beside)
@@ -369,7 +376,7 @@ def test_torchscript_becomes_onnx_as_the_docs_say(robot, tmp_path):
         code = snippet.replace("actuator.pt", str(source)).replace("actuator.onnx", str(tmp_path / f"{name}.onnx"))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            exec(compile(code, "snippet", "exec"), {})  # noqa: S102  the docs' own
+            exec(compile(code, "snippet", "exec"), {})
         data = (tmp_path / f"{name}.onnx").read_bytes()
         settings = {"model": "actuator_net_lstm"} if name == "lstm" else {}
         sim = make_sim([robot(data, **settings)], 1)
@@ -401,7 +408,11 @@ def odd_operator(graph):
     [
         (b"no model", {}, ["net_dog.onnx: file", "is no ONNX model", "docs/actuator-networks.md"]),
         (b"", {}, ["net_dog.onnx: graph", "is missing"]),
-        (lambda: onnx_of(mlp(2, torch.nn.ReLU()), 2), {}, ["net_dog.onnx", "takes 2 numbers of a joint, and is given 6"]),
+        (
+            lambda: onnx_of(mlp(2, torch.nn.ReLU()), 2),
+            {},
+            ["net_dog.onnx", "takes 2 numbers of a joint, and is given 6"],
+        ),
         (lambda: onnx_of(mlp(6, torch.nn.Mish()), 6), {}, ["net_dog.onnx: node", "is an operator", "Softsign"]),
         (
             lambda: changed(onnx_of(mlp(6, torch.nn.ReLU()), 6), odd_operator),
@@ -423,12 +434,20 @@ def odd_operator(graph):
         (bytes(5 << 20), {}, ["net_dog.onnx", "larger than 4 MiB"]),
         (None, {}, ["net_dog.toml", "actuators.legs", 'model "actuator_net_mlp" needs `network_file`']),
         (None, {"network_file": "nowhere.onnx"}, ["actuators.legs.network_file", "there is no such file; tried"]),
-        (b"", {"model": "actuator_net_mlp"}, ["needs `input_order`, `input_idx`, `pos_scale`, `vel_scale`, `torque_scale`"]),
+        (
+            b"",
+            {"model": "actuator_net_mlp"},
+            ["needs `input_order`, `input_idx`, `pos_scale`, `vel_scale`, `torque_scale`"],
+        ),
         (b"", {"input_idx": []}, ["actuators.legs.input_idx", "is empty"]),
         (b"", {"input_idx": [0, 101]}, ["actuators.legs.input_idx", "101 physics steps ago"]),
         (b"", {"model": "actuator_net_lstm", "pos_scale": 1.0}, ["actuators.legs.pos_scale", "actuator_net_lstm"]),
         (b"", {"model": "dc_motor"}, ["actuators.legs.network_file", 'model "dc_motor" does not have it']),
-        (b"", {"network_checksum": "0123456789abcdef"}, ["network_checksum", "is 0123456789abcdef, and", "remove the key"]),
+        (
+            b"",
+            {"network_checksum": "0123456789abcdef"},
+            ["network_checksum", "is 0123456789abcdef, and", "remove the key"],
+        ),
     ],
 )
 def test_what_is_wrong_is_named(robot, data, settings, words):
@@ -447,7 +466,7 @@ def test_a_model_with_gains_needs_them(tmp_path, monkeypatch):
     lines = [line for line in text.splitlines() if not line.startswith("stiffness = 25.0")]
     (folder / "soft_dog.toml").write_text("\n".join(lines).replace(f'name = "{BASE}"', 'name = "soft_dog"'))
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
-    with pytest.raises(polypod.PolypodError, match="actuators.legs: key `stiffness` is missing; add `stiffness`"):
+    with pytest.raises(polypod.PolypodError, match=r"actuators\.legs: key `stiffness` is missing; add `stiffness`"):
         make_sim(["soft_dog"], 1)
 
 
@@ -455,7 +474,7 @@ def test_random_bytes_break_nothing(robot):
     """What is left of a file gives an error or a network, and no panic."""
     data = onnx_of(lstm())
     random = np.random.default_rng(0)
-    refused = 0
+    refused = []
     for _ in range(60):
         broken = bytearray(data)
         for place in random.integers(0, len(broken), random.integers(1, 12)):
@@ -466,8 +485,8 @@ def test_random_bytes_break_nothing(robot):
         try:
             sim = make_sim([name], 1)
         except polypod.PolypodError as error:
-            assert "please report it" not in str(error)
-            refused += 1
+            refused.append(str(error))
             continue
         sim.step(np.zeros((1, sim.num_actions), dtype=np.float32))
-    assert refused > 5
+    assert len(refused) > 5
+    assert not any("please report it" in error for error in refused)

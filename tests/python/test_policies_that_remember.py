@@ -1,9 +1,7 @@
-"""Policies with histories and recurrent ones act the same wherever they run: exported, in MuJoCo, in Rust, on a robot."""
+"""Policies with histories and recurrent ones act the same wherever they run: exported, in MuJoCo, in Rust."""
 
 import importlib.util
 import json
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +11,6 @@ import onnx
 import pytest
 import torch
 
-import polypod
 from common import SHORT
 from polypod import _core
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces
@@ -120,7 +117,11 @@ def test_exported_actions_are_the_policys_through_episodes(trained):
     """The graph alone and a graph per robot, in ONNX, over several episodes of each env."""
     name, path, folder = trained
     sim = make_sim(path, ROBOTS)
-    policy, alone, again = load(path).runner(), OnnxPolicy(folder / "policy.onnx"), load(folder / "policy.onnx").runner()
+    policy, alone, again = (
+        load(path).runner(),
+        OnnxPolicy(folder / "policy.onnx"),
+        load(folder / "policy.onnx").runner(),
+    )
     folded = {robot: OnnxPolicy(folder / f"policy_{robot}.onnx") for robot in ROBOTS}
     last = {robot: np.zeros((2, sim.num_actions), dtype=np.float32) for robot in ROBOTS}
     ended = 0
@@ -175,7 +176,10 @@ def test_torchscript_takes_and_gives_states(trained):
     name, _, folder = trained
     graph, script = OnnxPolicy(folder / "policy_spot.onnx"), torch.jit.load(str(folder / "policy_spot.pt"))
     random = np.random.default_rng(0)
-    states = {key: np.zeros([3 if isinstance(n, str) else n for n in shape], np.float32) for key, shape in graph.states.items()}
+    states = {
+        key: np.zeros([3 if isinstance(n, str) else n for n in shape], np.float32)
+        for key, shape in graph.states.items()
+    }
     for _ in range(3):
         given = {key: random.standard_normal((3, size)).astype(np.float32) for key, size in graph.inputs.items()}
         wanted = graph(**given, **states)

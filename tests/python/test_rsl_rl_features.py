@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import polypod
-from common import SHORT
+from common import SHORT, SMALL_TERRAIN
 from polypod.evaluation import evaluate_checkpoint
 from polypod.evaluation.policies import NetworkPolicy
 from polypod.policy import load
@@ -177,3 +177,16 @@ def test_the_native_learner_says_what_it_does_not_do(override):
     assert loaded.with_learner_resolved("auto", "cpu").run.learner == "rsl_rl"
     with pytest.raises(polypod.ConfigError, match="the native learner"):
         loaded.with_learner_resolved("native", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers", "overrides"),
+    [("rough_blind", 5 * (6 + 36) + 3 + 35, SMALL_TERRAIN), ("flat_asymmetric", 5 * (9 + 36) + 3 + 35, ())],
+)
+def test_the_configs_that_come_along_train(tmp_path, name, numbers, overrides):
+    """A student of the bundled rough policy, and an asymmetric critic beside a policy with a history."""
+    small = ("train.run.num_steps_per_env=8", "train.actor.hidden_dims=[16]", "train.critic.hidden_dims=[16]")
+    options = {**TINY, "train_config": name, "max_iterations": 1, "overrides": [*SHORT, *small, *overrides]}
+    assert session.train(session.Options(log_dir=tmp_path, **options)) == 0
+    path = run_dir.find_checkpoint(tmp_path, "latest")
+    assert run_dir.read_manifest(path)["policy"]["num_obs"] == numbers

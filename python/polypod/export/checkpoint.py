@@ -253,7 +253,7 @@ def compare(
 ) -> float:
     """Largest difference of an ONNX graph from its torch module on random inputs, relative to numbers beyond 1."""
     random = np.random.default_rng(0)
-    shapes = {name: (_ROWS, size) for name, size in sizes.items()}
+    shapes: dict[str, tuple[int, ...]] = {name: (_ROWS, size) for name, size in sizes.items()}
     shapes |= {name: states.full_shape(shape, _ROWS) for name, shape in memory.items()}
     inputs = {name: random.standard_normal(shape, dtype=np.float32) for name, shape in shapes.items()}
     outputs = [*outputs, *map(output_of, memory)]

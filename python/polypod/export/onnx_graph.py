@@ -298,9 +298,7 @@ def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
     ends: dict[str, list[str]] = {name: [] for name in graph.states if name != HISTORY}
     for layer in range(rnn.num_layers):
         name = f"recurrent_{layer}"
-        weights = [
-            graph.constant(f"{name}_{key}", gates(f"weight_{key}_l{layer}")[np.newaxis]) for key in ("ih", "hh")
-        ]
+        weights = [graph.constant(f"{name}_{key}", gates(f"weight_{key}_l{layer}")[np.newaxis]) for key in ("ih", "hh")]
         bias = np.concatenate([gates(f"bias_{key}_l{layer}") for key in ("ih", "hh")])[np.newaxis]
         begins = []
         for state in ends:

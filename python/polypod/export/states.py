@@ -1,9 +1,10 @@
 """What an exported graph remembers from one control step to the next: tensors that it takes and gives back.
 
-Inputs of states end in `_in`, and the output that is fed back has the same name with `_out`. All are zero when an episode
-begins. A recurrent network has `h_in` and, with LSTM layers, `c_in`, each [layers, batch, units], as in rsl_rl's own
-exports. A graph that is folded for a robot has `history_in`, [batch, 1 + n], where terms of the observation remember past
-control steps: its first number tells whether the episode has begun, the others are the terms' past values.
+Inputs of states end in `_in`, and the output that is fed back has the same name with `_out`. All are zero when an
+episode begins. A recurrent network has `h_in` and, with LSTM layers, `c_in`, each [layers, batch, units], as in
+rsl_rl's own exports. A graph that is folded for a robot has `history_in`, [batch, 1 + n], where terms of the
+observation remember past control steps: its first number tells whether the episode has begun, the others are the terms'
+past values.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,7 +37,7 @@ def of_network(network: torch.nn.Module) -> dict[str, Shape]:
         return {}
     rnn: Any = network.rnn.rnn
     names = ("h_in", "c_in") if isinstance(rnn, torch.nn.LSTM) else ("h_in",)
-    return {name: (rnn.num_layers, rnn.hidden_size) for name in names}
+    return dict.fromkeys(names, (rnn.num_layers, rnn.hidden_size))
 
 
 def full_shape(shape: Shape, rows: int) -> tuple[int, ...]:

@@ -13,8 +13,9 @@ from polypod.observation import Treatment
 
 
 class RobotPolicy(torch.nn.Module):
-    """A policy folded for one robot: from the inputs of `RobotInterface.inputs`, then the states, to joint targets, action
-    and the next states.
+    """A policy folded for one robot.
+
+    From the inputs of `RobotInterface.inputs`, then the states, to joint targets, action and the next states.
     """
 
     lever: torch.Tensor
@@ -123,7 +124,7 @@ def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> b
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", DeprecationWarning)
         # recurrent layers check sizes, which are constants here
-        warnings.simplefilter("ignore", torch.jit.TracerWarning)
+        warnings.simplefilter("ignore", torch.jit.TracerWarning)  # type: ignore[attr-defined]
         traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
         buffer = io.BytesIO()
         torch.jit.save(traced, buffer)
