@@ -41,13 +41,13 @@ STUBS = of_stub()
 
 
 def public_members() -> list[str]:
-    """Names of what `_core` has."""
+    """Names of what `_core` has, sorted: pyo3 has them in another order in every process."""
     names = [name for name in vars(_core) if not name.startswith("_")]
     classes = [name for name in names if inspect.isclass(getattr(_core, name))]
     members = [
         f"{name}.{member}" for name in classes for member in vars(getattr(_core, name)) if not member.startswith("_")
     ]
-    return names + members
+    return sorted(names + members)
 
 
 def test_the_stub_is_complete():
