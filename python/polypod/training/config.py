@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_origin
 
-from polypod import _core
+from polypod import _core, bundled
 from polypod.compat import tomllib
 from polypod.files import read_bytes
 from polypod.observation import check_memory, layout_of, terms_of
@@ -182,7 +182,7 @@ class DistillationConfig:
     """
 
     teacher: str
-    """A model_<n>.pt beside its manifest.json."""
+    """A model_<n>.pt beside its manifest.json, or the name of a bundled policy."""
     gradient_length: int = 15
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
@@ -227,7 +227,7 @@ class TrainConfig:
         """The config with the absolute path of its teacher, so that a run goes on from any directory."""
         if self.distillation is None:
             return self
-        teacher = str(Path(self.distillation.teacher).resolve())
+        teacher = str(bundled.resolve(Path(self.distillation.teacher)).resolve())
         return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
