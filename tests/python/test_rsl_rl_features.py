@@ -77,6 +77,29 @@ def test_a_policy_that_remembers_is_exported_alone(tmp_path, cli):
         assert "no history, and joint_pos_rel remember" in done.stderr
 
 
+def test_the_shipped_config_teaches_a_network_of_joints(tmp_path):
+    """By the bundled perceptron, which goes by its name."""
+    sizes = ("num_envs=16", "num_steps_per_env=4", "actor.joint_dim=8", "actor.num_heads=4", "actor.hidden_dims=[16]")
+    changes = [f"train.{'' if text.startswith('actor') else 'run.'}{text}" for text in sizes]
+    overrides = [*changes, "train.distillation.gradient_length=2", "sim.episode_length_s=0.4"]
+    robots = ["unitree_go2", "spot"]
+    options = session.Options(
+        log_dir=tmp_path,
+        train_config="flat_joints_taught",
+        robots=robots,
+        max_iterations=1,
+        overrides=overrides,
+        logger="none",
+        device="cpu",
+    )
+    assert session.train(options) == 0
+    checkpoint = run_dir.find_checkpoint(tmp_path, "latest")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["class_name"] == "polypod.networks:UrmaModel"
+    assert Path(manifest["train_config"]["distillation"]["teacher"]).name == FLAT_POLICY.name
+    assert list(evaluate_checkpoint(checkpoint, num_envs=2, steps=5).robots) == robots
+
+
 def test_a_network_of_joints_takes_no_memory(tmp_path):
     options = session.Options(
         log_dir=tmp_path,
