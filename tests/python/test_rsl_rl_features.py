@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import polypod
-from common import SHORT
+from common import FLAT_POLICY, SHORT
 from polypod.evaluation import evaluate_checkpoint
 from polypod.evaluation.policies import NetworkPolicy
 from polypod.policy import load
