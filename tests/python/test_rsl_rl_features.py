@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import polypod
-from common import SHORT, SMALL_TERRAIN
+from common import FLAT_POLICY, SHORT, SMALL_TERRAIN
 from polypod.evaluation import evaluate_checkpoint
 from polypod.evaluation.policies import NetworkPolicy
 from polypod.policy import load
@@ -63,6 +63,29 @@ def test_an_asymmetric_critic_resumes_bit_for_bit(tmp_path):
 def test_mirror_images_of_all_groups(tmp_path):
     path = train(tmp_path, CRITIC, 'train.obs_groups.critic=["policy", "critic"]', "train.run.symmetry=true")
     assert path.exists()
+
+
+def test_the_shipped_config_teaches_a_network_of_joints(tmp_path):
+    """By the bundled perceptron, which goes by its name."""
+    sizes = ("num_envs=16", "num_steps_per_env=4", "actor.joint_dim=8", "actor.num_heads=4", "actor.hidden_dims=[16]")
+    changes = [f"train.{'' if text.startswith('actor') else 'run.'}{text}" for text in sizes]
+    overrides = [*changes, "train.distillation.gradient_length=2", "sim.episode_length_s=0.4"]
+    robots = ["unitree_go2", "spot"]
+    options = session.Options(
+        log_dir=tmp_path,
+        train_config="flat_joints_taught",
+        robots=robots,
+        max_iterations=1,
+        overrides=overrides,
+        logger="none",
+        device="cpu",
+    )
+    assert session.train(options) == 0
+    checkpoint = run_dir.find_checkpoint(tmp_path, "latest")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["class_name"] == "polypod.networks:UrmaModel"
+    assert Path(manifest["train_config"]["distillation"]["teacher"]).name == FLAT_POLICY.name
+    assert list(evaluate_checkpoint(checkpoint, num_envs=2, steps=5).robots) == robots
 
 
 def test_a_network_of_joints_takes_no_memory(tmp_path):
