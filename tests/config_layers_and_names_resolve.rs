@@ -210,10 +210,10 @@ fn a_task_may_change_its_robots() {
     let library = Library::new(Vec::new());
     let reference = task("reference_flat", &["robot_overrides.unitree_b2.action_scale=0.4"]).config;
     let b2 = library.robot_in("unitree_b2", &reference).unwrap();
-    assert_eq!((b2.config.action_scale, b2.config.actuators["legs"].stiffness), (0.4, 160.0));
+    assert_eq!((b2.config.action_scale, b2.config.actuators["legs"].stiffness), (0.4, Some(160.0)));
     // what is not overridden stays, and so does the robot outside the task
     assert_eq!(b2.config.actuators["legs"].effort_limit, Some(200.0));
-    assert_eq!(library.robot("unitree_b2").unwrap().config.actuators["legs"].stiffness, 250.0);
+    assert_eq!(library.robot("unitree_b2").unwrap().config.actuators["legs"].stiffness, Some(250.0));
     assert!(b2.resolved.to_string().contains("160"));
 
     let mut wrong = reference.clone();

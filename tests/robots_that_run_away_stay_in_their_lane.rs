@@ -95,6 +95,7 @@ impl<L: Kernels> Pack<L> {
             parameters: &self.parameters,
             kind: None,
             drive: &self.drive,
+            substeps: 0..settings.decimation,
             state: &mut self.state,
             report: &mut self.report,
             work: &mut self.work,
