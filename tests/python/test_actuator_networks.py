@@ -353,6 +353,25 @@ def test_gains_that_are_drawn_leave_networks_alone(robot):
             np.testing.assert_allclose(torque[env : env + 1], wanted, rtol=1e-5, atol=1e-4)
 
 
+def test_mujoco_is_driven_by_the_same_torques(robot):
+    """A policy on a robot whose network is the PD law, in both simulators; engines are compared under gains alone."""
+    from common import FLAT_POLICY
+    from polypod import accuracy, sim2sim
+
+    line = torch.nn.Linear(2, 1)
+    with torch.no_grad():
+        line.weight.copy_(torch.tensor([[25.0, -0.5]]))
+        line.bias.zero_()
+    plain = {"input_order": "pos_vel", "input_idx": [0], "pos_scale": 1.0, "vel_scale": 1.0, "torque_scale": 1.0}
+    name = robot(onnx_of(line, 2), **plain, effort_limit=23.5, saturation_effort=23.5, velocity_limit=30.0)
+    options = sim2sim.Options(envs_per_robot=2, steps=60, command=(0.5, 0.0, 0.0))
+    found = sim2sim.compare(FLAT_POLICY, [name], options).robots[name]
+    assert found.polypod.fall_rate == found.mujoco.fall_rate == 0.0
+    assert abs(found.polypod.error_vel_xy - found.mujoco.error_vel_xy) < 0.1
+    with pytest.raises(polypod.ConfigError, match="its actuators are networks"):
+        accuracy.load(name)
+
+
 def test_the_manifest_names_the_network(robot):
     sim = make_sim([robot(onnx_of(CASES["softsign"][0](), 6))], 1)
     (network,) = json.loads(sim.robot_info())["net_dog"]["actuator_networks"]
