@@ -938,8 +938,8 @@ def draft_robot(
     """A first config for the robot of the URDF file at `path`: roles, standing pose, gains, ranges.
 
     `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
-    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`, `R`)
-    where geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
+    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`,
+    `R`) where geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
