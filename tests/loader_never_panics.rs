@@ -157,7 +157,7 @@ fn step(articulation: &Articulation) -> Result<(), TestCaseError> {
         parameters: &parameters,
         kind: None,
         drive: &Drive::zeros(topology, 1),
-        substeps: 0..1,
+        substeps: 0..settings.decimation,
         state: &mut state,
         report: &mut Report::zeros(topology, 1),
         work: &mut Workspace::new(topology),

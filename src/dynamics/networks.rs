@@ -290,7 +290,7 @@ impl<S: Real> Kernel<S> for NetworkStep<'_, S> {
             features.resize(features.len().max(network.num_features()), S::zero());
             drive_joints(network, state, &work.target, mine, features, &mut drive.feedforward, &mut broken);
         }
-        // infinity less itself is not zero, nor is anything of NaN
+        // zero times infinity is not zero, nor is anything of NaN
         drive.base_force[0] = drive.base_force[0] + broken;
     }
 }
@@ -372,7 +372,7 @@ fn drive_block<S: Real, const C: usize>(
     let scale = S::broadcast(*effort_scale);
     for (&j, &result) in joints.iter().zip(&features[program.output * C..]) {
         effort[j] = result * scale;
-        *broken = *broken + (effort[j] - effort[j]);
+        *broken = effort[j].mul_add(S::zero(), *broken);
     }
 }
 
