@@ -30,7 +30,7 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
     assert any(name.startswith("polypod/_core.") for name in names)
     suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
-    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx"}
+    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml"}
     for folder in ("flat_universal", "rough_universal"):
         of_policy = {Path(name).name for name in names if name.startswith(f"polypod/policies/{folder}/model_")}
         assert len(of_policy) == 1
