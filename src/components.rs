@@ -209,6 +209,17 @@ pub struct BasePose {
     pub rotation: [f32; 4],
 }
 
+impl BasePose {
+    /// Direction of the base's x axis on the ground, unit vector x, y; that of the world's for a base that points straight up.
+    #[inline(always)]
+    pub fn forward(&self) -> [f32; 2] {
+        let [w, x, y, z] = self.rotation;
+        let (c, s) = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z));
+        let length = (c * c + s * s).sqrt();
+        if length > 1e-6 { [c / length, s / length] } else { [1.0, 0.0] }
+    }
+}
+
 /// Velocity of the base link.
 #[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct BaseVelocity {

@@ -562,7 +562,7 @@ impl MorphologyModel {
 
     /// Numbers that the networks remember.
     pub fn num_remembered(&self) -> usize {
-        self.networks.iter().map(ActuatorNetwork::num_remembered).sum()
+        ActuatorNetwork::num_remembered_by(&self.networks)
     }
 
     /// Its description.

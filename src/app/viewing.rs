@@ -69,10 +69,10 @@ impl Sim {
         let rays = scanner.rays();
         let mut rows = vec![0.0; self.num_envs() * rays.len() * 3];
         let world = self.world_mut();
-        let mut poses = vec![([0.0; 4], [0.0; 2]); rows.len() / (3 * rays.len()).max(1)];
+        let mut poses = vec![([0.0; 2], [0.0; 2]); rows.len() / (3 * rays.len()).max(1)];
         let mut robots = world.query_filtered::<(&EnvId, &BasePose), With<Robot>>();
         for (env, pose) in robots.iter(world) {
-            poses[env.0 as usize] = (pose.rotation, [pose.position[0], pose.position[1]]);
+            poses[env.0 as usize] = (pose.forward(), [pose.position[0], pose.position[1]]);
         }
         for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
             let at = &mut poses[env.0 as usize].1;
@@ -80,11 +80,8 @@ impl Sim {
         }
         for (env, scan) in world.query::<(&EnvId, &HeightScan)>().iter(world) {
             let env = env.0 as usize;
-            let ([w, x, y, z], [x0, y0]) = poses[env];
             // the scanner turns with the heading of the base alone
-            let (c, s) = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z));
-            let length = (c * c + s * s).sqrt();
-            let (c, s) = if length > 1e-6 { (c / length, s / length) } else { (1.0, 0.0) };
+            let ([c, s], [x0, y0]) = poses[env];
             let points = rows[env * rays.len() * 3..].chunks_exact_mut(3);
             for ((point, [u, v]), height) in points.zip(&rays).zip(&scan.hits) {
                 point.copy_from_slice(&[x0 + c * u - s * v, y0 + s * u + c * v, *height]);

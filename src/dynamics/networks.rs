@@ -230,6 +230,11 @@ impl ActuatorNetwork {
         (2 * self.past + self.program.memory) * self.joints.len()
     }
 
+    /// Numbers that all networks of a robot remember.
+    pub fn num_remembered_by(networks: &[Self]) -> usize {
+        networks.iter().map(Self::num_remembered).sum()
+    }
+
     /// Numbers that [`NetworkStep::features`] must hold: those of a block of joints.
     fn num_features(&self) -> usize {
         self.program.features * JOINTS

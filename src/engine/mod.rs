@@ -100,13 +100,6 @@ impl<'a> Kind<'a, f32> {
     }
 }
 
-impl<T> Kind<'_, T> {
-    /// Numbers that the networks of a robot remember.
-    pub(crate) fn num_remembered(&self) -> usize {
-        self.networks.iter().map(ActuatorNetwork::num_remembered).sum()
-    }
-}
-
 /// Which engine, and in which numbers it computes.
 pub(crate) enum EngineChoice {
     /// In single precision on an instruction set; robots stand on the terrain, or else on the plane of the settings.

@@ -88,7 +88,7 @@ impl Robot {
 
     /// An env to be read into, all numbers zero.
     pub(super) fn env(&self) -> Env {
-        Env::zeros(&self.topology, self.networks.iter().map(ActuatorNetwork::num_remembered).sum())
+        Env::zeros(&self.topology, ActuatorNetwork::num_remembered_by(&self.networks))
     }
 
     /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base

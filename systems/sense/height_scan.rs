@@ -48,12 +48,7 @@ impl ScanRays {
         let Some(grid) = &ground.terrain else {
             return scan.hits.fill(ground.height as f32);
         };
-        let [w, x, y, z] = pose.rotation;
-        // the base's x axis on the ground
-        let (c, s) = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z));
-        let length = (c * c + s * s).sqrt();
-        // a base that points straight up has no heading
-        let (c, s) = if length > 1e-6 { (c / length, s / length) } else { (1.0, 0.0) };
+        let [c, s] = pose.forward();
         let ([x0, y0, _], [x1, y1]) = (pose.position, origin.position);
         for ([x, y], heights) in self.groups.iter().zip(scan.hits.chunks_mut(LARGE_GROUP)) {
             let (mut at_x, mut at_y) = ([0.0; LARGE_GROUP], [0.0; LARGE_GROUP]);

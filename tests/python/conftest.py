@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +172,18 @@ def exported_policy(built_once: Callable[..., Path]) -> tuple[Path, Any]:
 
     folder = built_once("exported_policy", export)
     return folder / "policy", pickle.loads((folder / "done.pickle").read_bytes())
+
+
+@pytest.fixture(scope="session")
+def robot_loop() -> Any:
+    """`examples/deploy/robot_loop.py` as a module."""
+    path = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "robot_loop.py"
+    spec = spec_from_file_location("robot_loop", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["robot_loop"] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,5 @@
 """An exported file is enough for a robot: its metadata hold the numbers, and a loop that reads nothing else walks."""
 
-import importlib.util
 import json
 import shutil
 import subprocess
@@ -69,35 +68,25 @@ def test_what_the_policy_observes_is_read_back(exported_policy):
     assert "joint_names" not in said
 
 
-@pytest.fixture(scope="module")
-def loop():
-    """The example as a module."""
-    spec = importlib.util.spec_from_file_location("robot_loop", EXAMPLES / "robot_loop.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["robot_loop"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("robot", ["spot", "unitree_a1"])
-def test_the_loop_walks_with_nothing_but_the_file(loop, exported_policy, tmp_path, robot):
+def test_the_loop_walks_with_nothing_but_the_file(robot_loop, exported_policy, tmp_path, robot):
     folder, _ = exported_policy
     alone = tmp_path / "alone.onnx"
     shutil.copy(folder / f"policy_{robot}.onnx", alone)
-    policy = loop.Policy(str(alone))
-    simulated = loop.SimulatedRobot(policy.robot, policy.joint_names)
-    loop.run(policy, simulated, (0.5, 0.0, 0.0), 4.0)
+    policy = robot_loop.Policy(str(alone))
+    simulated = robot_loop.SimulatedRobot(policy.robot, policy.joint_names)
+    robot_loop.run(policy, simulated, (0.5, 0.0, 0.0), 4.0)
     ahead, _, height = simulated.sim.qpos[0, :3]
     assert 1.4 < ahead < 2.6
-    assert loop.rotation(simulated.read().quaternion)[2, 2] > 0.95
+    assert robot_loop.rotation(simulated.read().quaternion)[2, 2] > 0.95
     assert height > 0.15
 
 
-def test_the_loop_takes_the_joints_of_a_robot_in_any_order(loop, exported_policy):
+def test_the_loop_takes_the_joints_of_a_robot_in_any_order(robot_loop, exported_policy):
     folder, _ = exported_policy
-    policy = loop.Policy(str(folder / "policy_spot.onnx"))
+    policy = robot_loop.Policy(str(folder / "policy_spot.onnx"))
     mixed = list(reversed(policy.joint_names))
-    robot, other = loop.SimulatedRobot("spot", policy.joint_names), loop.SimulatedRobot("spot", mixed)
+    robot, other = robot_loop.SimulatedRobot("spot", policy.joint_names), robot_loop.SimulatedRobot("spot", mixed)
     np.testing.assert_array_equal(robot.read().joint_pos, other.read().joint_pos[::-1])
 
 
@@ -108,19 +97,19 @@ def test_the_example_runs_as_printed(exported_policy):
     assert done.stdout.startswith("spot: moved ")
 
 
-def test_the_loop_in_cpp_gives_the_same_targets(loop, exported_policy, cpp_loop):
+def test_the_loop_in_cpp_gives_the_same_targets(robot_loop, exported_policy, cpp_loop):
     if cpp_loop is None:
         pytest.skip("needs g++ and onnxruntime's C++ headers: those of a release at ONNXRUNTIME, or libonnxruntime-dev")
     folder, _ = exported_policy
-    policy = loop.Policy(str(folder / "policy_spot.onnx"))
-    robot = loop.SimulatedRobot("spot", policy.joint_names)
+    policy = robot_loop.Policy(str(folder / "policy_spot.onnx"))
+    robot = robot_loop.SimulatedRobot("spot", policy.joint_names)
     lines, expected = [], []
     for _ in range(20):
         state = robot.read()
         given = {
             "base_lin_vel": state.linear_velocity,
             "base_ang_vel": state.angular_velocity,
-            "projected_gravity": loop.rotation(state.quaternion).T @ [0.0, 0.0, -1.0],
+            "projected_gravity": robot_loop.rotation(state.quaternion).T @ [0.0, 0.0, -1.0],
             "velocity_commands": np.array([0.5, 0.0, 0.0]),
             "joint_pos": state.joint_pos,
             "joint_vel": state.joint_vel,

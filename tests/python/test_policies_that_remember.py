@@ -1,9 +1,7 @@
 """Policies with histories and recurrent ones act the same wherever they run: exported, in MuJoCo, in Rust."""
 
-import importlib.util
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -234,21 +232,11 @@ def test_rust_plays_it(trained):
         assert found[robot]["error_vel_xy"] == pytest.approx(wanted, rel=2e-3), robot
 
 
-@pytest.fixture(scope="module")
-def loop():
-    """`examples/deploy/robot_loop.py` as a module."""
-    spec = importlib.util.spec_from_file_location("remembering_loop", ROOT / "examples/deploy/robot_loop.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["remembering_loop"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_loops_of_the_examples_feed_it_back(trained, loop, cpp_loop):
+def test_the_loops_of_the_examples_feed_it_back(trained, robot_loop, cpp_loop):
     """Python's and C++'s, through a reset, against the graph with its states fed back here."""
     _, _, folder = trained
     path = folder / "policy_spot.onnx"
-    policy, reference = loop.Policy(str(path)), OnnxPolicy(path)
+    policy, reference = robot_loop.Policy(str(path)), OnnxPolicy(path)
     random = np.random.default_rng(0)
     lines, wanted = [], []
     last = np.zeros((1, 12), dtype=np.float32)
@@ -259,7 +247,7 @@ def test_the_loops_of_the_examples_feed_it_back(trained, loop, cpp_loop):
             last[:] = 0.0
             lines.append("")
         quaternion = random.standard_normal(4)
-        state = loop.State(
+        state = robot_loop.State(
             joint_pos=random.standard_normal(12),
             joint_vel=random.standard_normal(12),
             quaternion=quaternion / np.linalg.norm(quaternion),
@@ -269,7 +257,7 @@ def test_the_loops_of_the_examples_feed_it_back(trained, loop, cpp_loop):
         given = {
             "base_lin_vel": state.linear_velocity,
             "base_ang_vel": state.angular_velocity,
-            "projected_gravity": loop.rotation(state.quaternion).T @ [0.0, 0.0, -1.0],
+            "projected_gravity": robot_loop.rotation(state.quaternion).T @ [0.0, 0.0, -1.0],
             "velocity_commands": np.array([0.5, 0.0, 0.0]),
             "joint_pos": state.joint_pos,
             "joint_vel": state.joint_vel,

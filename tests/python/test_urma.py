@@ -1,8 +1,6 @@
 """The network of joints: the same weights for any bodies in one batch, and a network like any other to all tools."""
 
 import dataclasses
-import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -382,7 +380,7 @@ def test_it_trains_resumes_exports_and_is_evaluated_like_any_other(tmp_path, sma
     torch.testing.assert_close(folded(*sensors)[1], torch.from_numpy(wanted["actions"]), rtol=1e-5, atol=1e-5)
 
 
-def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small):
+def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small, robot_loop):
     checkpoint = train(tmp_path / "run", small, robots=BODIES, max_iterations=1)
     assert run_dir.read_manifest(checkpoint)["policy"]["num_actions"] == 38
     # one robot alone, and one that the training did not know
@@ -394,19 +392,11 @@ def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small)
     assert (found["actions"] != 0.0).sum() == 2 * 18
     assert found["joint_pos_target"].shape == (2, 18)
     # the loop of the example runs it
-    deployed = robot_loop().Policy(str(exported.files[0].parent / "policy_small_hexapod.onnx"))
+    deployed = robot_loop.Policy(str(exported.files[0].parent / "policy_small_hexapod.onnx"))
     zeros = np.zeros(18)
-    state = robot_loop().State(zeros, zeros, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+    state = robot_loop.State(zeros, zeros, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
     targets = [deployed.act(state, (0.5, 0.0, 0.0)) for _ in range(2)]
     assert (targets[0] != targets[1]).all()
-
-
-def robot_loop():
-    path = Path(__file__).parents[2] / "examples" / "deploy" / "robot_loop.py"
-    spec = importlib.util.spec_from_file_location("robot_loop", path)
-    module = sys.modules["robot_loop"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_mixed_precision_is_close():

@@ -2,15 +2,14 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import polypod
 from polypod import _core, provenance
 from polypod.bench import sampling
+from polypod.bench.report import Progress
 from polypod.bench.steps import control_steps
-
-Progress = Callable[[str], None]
 
 TASK = "velocity_flat_legged"
 KINDS = (

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.play.player import Player
 from polypod.play.plots import History
-from polypod.play.viewer import NOTHING, Viewer
+from polypod.play.viewer import Viewer
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Simulated seconds per second."""
@@ -224,6 +224,3 @@ def columns_of(player: Player) -> int | None:
     if not player.alone:
         return None
     return int(np.ceil(np.sqrt(2.0 * player.sim.num_envs)))
-
-
-__all__ = ["FROM_TASK", "NOTHING", "OWN", "SOURCES", "SPEEDS", "TOGETHER", "Choice", "Live", "columns_of"]

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from polypod.play import mesh
 from polypod.play.mesh import Array, Mesh
-
-Color = tuple[int, int, int]
+from polypod.play.raster import Color
 
 BODY: dict[str, Color] = {
     "base": (206, 210, 216),

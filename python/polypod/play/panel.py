@@ -275,6 +275,3 @@ def _line(label: str, color: str) -> dict[str, Any]:
 
 def _scales() -> dict[str, Any]:
     return {"x": {"time": False}}
-
-
-__all__ = ["KEYS", "Panel"]

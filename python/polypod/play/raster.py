@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod.extras import package
-from polypod.play import relief
+from polypod.play import relief, turns
 from polypod.play.camera import NEAR, Camera, Lens
 from polypod.play.mesh import Array, Mesh, lit
 from polypod.play.scene import Frame, RobotFrame, Scene, arrow
@@ -297,6 +297,5 @@ def _draw_ground(canvas: _Canvas, camera: Camera) -> None:
 
 def _heading(quaternion: Sequence[float] | npt.NDArray[np.float64]) -> Array:
     """[2, 2], turns the base's forward and left into the world's x and y."""
-    w, x, y, z = quaternion
-    angle = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    angle = turns.heading(quaternion)
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

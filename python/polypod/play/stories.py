@@ -238,6 +238,3 @@ def _frames(player: Player, options: Options) -> Iterator[Frame]:
         if (step + 1) * player.step_dt * options.fps > shot + 1e-6:
             shot += 1
             yield player.frame()
-
-
-__all__ = ["STORIES", "Options", "tell"]

@@ -14,10 +14,7 @@ class GpuRunner(NativeRunner):
     It computes what rsl_rl computes with the same samples, but not the bits of the update on the CPU.
     """
 
-    _update_of: Update | None = None
-
     def _prepare(self) -> None:
-        super()._prepare()
         env, run = self.env, self.config.run
         mirror = (Mirror(env, self.device), run.symmetry) if run.symmetry else None
         self._samples = Samples(env.unwrapped.sim, run.num_steps_per_env, torch.device(self.device))
@@ -25,10 +22,9 @@ class GpuRunner(NativeRunner):
             name: [array_of(torch.zeros_like(parameter)) for parameter in self._parameters(name)] for name in NETWORKS
         }
         self._update_of = Update(self.alg, env, self._samples, self.config.algorithm, mirror)
-        self._give()
+        super()._prepare()
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
-        assert self._update_of is not None
         self._samples.take(self._learner, self.env.unwrapped.sim)
         loss = self._update_of.run(self.alg.learning_rate, self.alg.entropy_coef, self.alg.desired_kl)
         self.alg.learning_rate = loss.pop("learning_rate")
@@ -38,8 +34,6 @@ class GpuRunner(NativeRunner):
     def _give(self) -> None:
         """Hands networks and statistics to the native learner, and Adam's moments to the update."""
         super()._give()
-        if self._update_of is None:
-            return
         for parameter in (parameter for name in NETWORKS for parameter in self._parameters(name)):
             state = self.alg.optimizer.state.get(parameter, {})
             for key, tensor in self._update_of.moments(parameter).items():
@@ -57,7 +51,6 @@ class GpuRunner(NativeRunner):
 
     def _take_networks(self) -> None:
         """Networks and statistics of the observations are rsl_rl's own; Adam's moments are the update's."""
-        assert self._update_of is not None
         for parameter in (parameter for name in NETWORKS for parameter in self._parameters(name)):
             state = self._update_of.moments(parameter)
             self.alg.optimizer.state[parameter] = {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::super::{Kind, RobotRows, StateLimits, StateNumbers, ask_nothing, get, history_length, put, state_numbers};
 use crate::components::ContactImpulse;
 use crate::dynamics::lanes::{Kernel, Lanes, Real};
-use crate::dynamics::{Drive, Parameters, Report, State, Workspace};
+use crate::dynamics::{ActuatorNetwork, Drive, Parameters, Report, State, Workspace};
 
 /// One pack: robots side by side in lanes. The numbers of their bodies are elsewhere.
 #[derive(Clone)]
@@ -59,7 +59,7 @@ impl<L: Lanes> Pack<L> {
             origin: [L::zero(); 2],
             state: State::zeros(topology),
             drive: Drive::zeros(topology, history_length(kind.max_delay, decimation)),
-            memory: vec![L::zero(); kind.num_remembered()],
+            memory: vec![L::zero(); ActuatorNetwork::num_remembered_by(kind.networks)],
             report: Report::zeros(topology, decimation),
             presses: vec![false; topology.num_impulses()],
             feet: kind.feet.to_vec(),

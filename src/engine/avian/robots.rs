@@ -185,7 +185,7 @@ impl Block {
             state: State::zeros(&topology),
             drives: vec![Drive::zeros(&topology, ages); count],
             networks: kind.networks.to_vec(),
-            memories: vec![vec![0.0; kind.num_remembered()]; count],
+            memories: vec![vec![0.0; ActuatorNetwork::num_remembered_by(kind.networks)]; count],
             features: Vec::new(),
             settings: *settings,
             before: vec![0.0; count * topology.num_joints()],
