@@ -296,6 +296,8 @@ class VecSim:
     """Names of the legs whose feet are columns of `state`."""
     action_mask: npt.NDArray[np.bool_]
     """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
+    is_padded: bool
+    """Whether some robots lack some of the action's columns, also robots whose envs are another worker's."""
     task_name: str
     """Full name of the task."""
     experiment_name: str
@@ -353,6 +355,13 @@ class VecSim:
 
         Raises:
             UnknownNameError: for a robot that the run does not have, or an unknown observation group.
+        """
+
+    def observation_shares(self, group: str = "policy") -> list[float]:
+        """[size of the group], the share of envs whose robot has the number, those of other workers included.
+
+        Raises:
+            UnknownNameError: for an unknown observation group.
         """
 
     def env_ids(self, robot: str) -> tuple[int, int]:

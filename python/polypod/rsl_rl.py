@@ -60,8 +60,8 @@ class VecEnv(rsl_rl.env.VecEnv):
             self.num_envs, self.num_actions, dtype=torch.float32, pin_memory=self.device.type == "cuda"
         )
         self._pinned: dict[str, torch.Tensor] = {}
-        mask = self._sim.action_mask
-        self._mask = None if mask.all() else torch.from_numpy(mask.astype(np.float32)).to(self.device)
+        mask = torch.from_numpy(self._sim.action_mask.astype(np.float32)).to(self.device)
+        self._mask = mask if self._sim.is_padded else None
         self._other_groups = [group for group in self._sim.observation_groups if group != "policy"]
 
     @property

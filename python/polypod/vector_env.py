@@ -147,7 +147,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._action_mask = self._sim.action_mask
-        self._is_padded = not self._action_mask.all()
+        self._is_padded = self._sim.is_padded
         self._needs_reset = np.zeros(self.num_envs, dtype=np.bool_)
         self._thread: ThreadPoolExecutor | None = None
         self._pending: Future[None] | None = None

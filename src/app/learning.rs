@@ -7,6 +7,7 @@ use polypod_learner::{
 };
 
 use super::Sim;
+use crate::config::ConfigError;
 use crate::error::Error;
 use crate::systems::distribute;
 use crate::workers::Workers;
@@ -44,6 +45,22 @@ impl Sim {
         Ok(Learner::with_peers(self.learner_settings(options), self.simd(), worker, peers)?)
     }
 
+    /// For each number of an observation group the share of envs whose robot has it, those of other workers included.
+    ///
+    /// # Errors
+    /// An unknown group.
+    pub fn observation_shares(&self, group: &str) -> Result<Vec<f64>, ConfigError> {
+        let (task, num_envs) = (self.task(), self.share().num_envs);
+        let columns = task.group(group)?.columns.clone();
+        let mut counts = vec![0usize; columns.len()];
+        for (robot, envs) in self.morphologies().iter().zip(distribute(num_envs, self.morphologies().len())) {
+            for (count, has) in counts.iter_mut().zip(&task.observation_mask(robot)[columns.clone()]) {
+                *count += if *has { envs } else { 0 };
+            }
+        }
+        Ok(counts.into_iter().map(|count| count as f64 / num_envs as f64).collect())
+    }
+
     fn check_share(&self, worker: Worker) -> Result<(), Error> {
         let (share, wanted) = (self.share(), worker.envs(self.share().num_envs)?);
         if share.envs != wanted {
@@ -75,12 +92,9 @@ impl Sim {
             } else {
                 (Vec::new(), Vec::new())
             };
-            let is_padded = robot.slots.len() < self.batch().num_actions;
-            let (observation_mask, action_mask) = if is_padded {
-                (self.task().observation_mask(robot), robot.action_mask(self.batch().num_actions))
-            } else {
-                (Vec::new(), Vec::new())
-            };
+            let unless_whole = |mask: Vec<bool>| if mask.contains(&false) { mask } else { Vec::new() };
+            let observation_mask = unless_whole(self.task().observation_mask(robot));
+            let action_mask = unless_whole(robot.action_mask(self.batch().num_actions));
             Robot { envs: (envs.start, envs.end), observation_mirror, action_mirror, observation_mask, action_mask }
         });
         let batch = self.batch();

@@ -53,11 +53,20 @@ impl Normalizer {
 
     /// Takes in the samples of an iteration, `[num_obs]`; so many in all, of which each number may be missing in some, and in the same
     /// share of them at all times. A number that none has keeps what it has.
-    pub(crate) fn update(&mut self, samples: &[Moments], added: u64) {
+    ///
+    /// What is missing is 0 in observations, and stays 0: a number that is missing in some, as `is_padded` says, is divided by the root of
+    /// its mean square, and nothing is subtracted from it.
+    pub(crate) fn update(&mut self, samples: &[Moments], added: u64, is_padded: &[bool]) {
         self.count += added;
         let rate = added as f64 / self.count.max(1) as f64;
-        let numbers = samples.iter().zip(self.mean.iter_mut().zip(&mut self.variance));
-        for (of, (mean, variance)) in numbers.filter(|(of, _)| of.count > 0.0) {
+        let numbers = samples.iter().zip(is_padded).zip(self.mean.iter_mut().zip(&mut self.variance));
+        for ((of, is_padded), (mean, variance)) in numbers.filter(|((of, _), _)| of.count > 0.0) {
+            if *is_padded {
+                *mean = 0.0;
+                let spread = of.variance() + of.mean * of.mean - f64::from(*variance);
+                *variance = (f64::from(*variance) + rate * spread) as f32;
+                continue;
+            }
             let delta = of.mean - f64::from(*mean);
             let new_mean = f64::from(*mean) + rate * delta;
             let spread = of.variance() - f64::from(*variance) + delta * (of.mean - new_mean);

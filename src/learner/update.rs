@@ -416,8 +416,9 @@ impl Learner {
             *moments = dispatch.vectorize(OfObservations { part, about: &about, robots });
         });
         let all = self.shares.sum(&*self.peers, &moments)?;
+        let is_padded: Vec<bool> = (0..about.len()).map(|i| robots.iter().any(|robot| !robot.has_number(i))).collect();
         for normalizer in &mut normalizers {
-            normalizer.update(&all, samples as u64);
+            normalizer.update(&all, samples as u64, &is_padded);
         }
         Ok(())
     }

@@ -298,6 +298,13 @@ impl VecSim {
         PyArray1::from_vec(py, self.sim.action_mask()).reshape(shape)
     }
 
+    #[doc = docstring!("VecSim.is_padded")]
+    #[getter]
+    fn is_padded(&self) -> bool {
+        let num_actions = self.sim.batch().num_actions;
+        self.sim.morphologies().iter().any(|robot| robot.slots.len() < num_actions)
+    }
+
     #[doc = docstring!("VecSim.observation_mask")]
     #[pyo3(signature = (robot, group=POLICY_GROUP))]
     fn observation_mask(&self, py: Python<'_>, robot: &str, group: &str) -> PyResult<Vec<bool>> {
@@ -308,6 +315,13 @@ impl VecSim {
                 .map(|group| task.observation_mask(&sim.morphologies()[index])[group.columns.clone()].to_vec())
         })?;
         mask.map_err(|error| to_python(py, error.into()))
+    }
+
+    #[doc = docstring!("VecSim.observation_shares")]
+    #[pyo3(signature = (group=POLICY_GROUP))]
+    fn observation_shares(&self, py: Python<'_>, group: &str) -> PyResult<Vec<f64>> {
+        let shares = self.sim.look(py, |sim| sim.observation_shares(group))?;
+        shares.map_err(|error| to_python(py, error.into()))
     }
     #[doc = docstring!("VecSim.task_name")]
     #[getter]

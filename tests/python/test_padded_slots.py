@@ -98,20 +98,38 @@ def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
         assert torch.allclose(found, torch.distributions.kl_divergence(normal, other).sum())
 
 
-def test_normalisation_counts_what_is_there():
+def test_normalisation_counts_what_is_there_and_leaves_what_is_missing_at_0():
     torch.manual_seed(0)
-    present = torch.tensor([1.0, 1.0, 0.0, 1.0]).repeat(50).unsqueeze(1) * torch.tensor([1.0, 1.0, 0.0])
+    present = torch.tensor([1.0, 1.0, 0.0, 1.0]).repeat(50).unsqueeze(1).repeat(1, 3)
     present[:, 0] = 1.0
-    numbers = (torch.randn(200, 3) * 2.0 + 5.0) * present
-    normalizer = MaskedNormalization(3).train()
-    normalizer.update(numbers[:80], present[:80])
-    normalizer.update(numbers[80:], present[80:])
-    for column in (0, 1):
-        real = numbers[present[:, column] == 1, column]
-        assert torch.allclose(normalizer.mean[column], real.mean(), rtol=1e-5)
-        assert torch.allclose(normalizer.std[column], real.std(unbiased=False), rtol=1e-2)
-    assert normalizer.mean[2] == 0.0
-    assert normalizer.std[2] == 1.0
+    numbers = (torch.randn(200, 3) * torch.tensor([2.0, 2.0, 0.0]) + 5.0) * present
+    normalizer = MaskedNormalization(torch.tensor([1.0, 0.75, 0.75])).train()
+    normalizer.update(numbers[:80])
+    normalizer.update(numbers[80:])
+    assert torch.allclose(normalizer.mean[0], numbers[:, 0].mean(), rtol=1e-5)
+    assert torch.allclose(normalizer.std[0], numbers[:, 0].std(unbiased=False), rtol=1e-2)
+    assert (normalizer.mean[1:] == 0.0).all()
+    assert torch.allclose(normalizer.std[1], numbers[present[:, 1] == 1, 1].square().mean().sqrt(), rtol=1e-5)
+    normal = normalizer.eval()(numbers)
+    assert (normal[present == 0] == 0.0).all()
+    # what is the same in all robots that have it is as large as what varies
+    assert torch.allclose(normal[present[:, 2] == 1, 2], torch.tensor(1.0), rtol=1e-2)
+
+
+def test_shares_are_those_of_all_workers():
+    env = make()
+    masks = [env.sim.observation_mask(robot) for robot in env.robots]
+    assert env.sim.observation_shares() == np.mean(masks, axis=0).tolist()
+    assert env.sim.is_padded
+    # this share has one robot, which has 12 of the 38 joints
+    part = _core.VecSim("velocity_flat", 8, BODIES, 3, share=(0, 2))
+    assert part.observation_shares() == env.sim.observation_shares()
+    assert part.is_padded
+    with pytest.raises(_core.UnknownNameError, match="critics"):
+        env.sim.observation_shares("critics")
+    whole = make(["spot", "unitree_go2"]).sim
+    assert not whole.is_padded
+    assert set(whole.observation_shares()) == {1.0}
 
 
 def test_the_mask_is_data_of_the_rollout():

@@ -21,23 +21,20 @@ ACTION_MASK = "action_mask"
 class MaskedMLPModel(MLPModel):
     """A perceptron whose distribution and statistics leave out what a robot lacks.
 
-    Numbers of joints that a robot lacks are 0 in observations; they stay out of the running mean and deviation.
+    Numbers that a robot lacks are 0 in observations, and 0 once they are normalised.
     """
 
-    joint_of_number: torch.Tensor
-
-    def __init__(self, *args: Any, joint_of_number: Sequence[int], **kwargs: Any) -> None:
+    def __init__(self, *args: Any, shares: Sequence[float], **kwargs: Any) -> None:
         """As `MLPModel`.
 
         Args:
             args: of `MLPModel`.
-            joint_of_number: for each number of an observation, the action's column whose joint it belongs to, or -1.
+            shares: [num_obs], the share of envs whose robot has each number (`VecSim.observation_shares`).
             kwargs: of `MLPModel`.
         """
         super().__init__(*args, **kwargs)
-        self.register_buffer("joint_of_number", torch.tensor(joint_of_number), persistent=False)
         if self.obs_normalization:
-            self.obs_normalizer = MaskedNormalization(self.obs_dim)
+            self.obs_normalizer = MaskedNormalization(torch.tensor(shares))
 
     def forward(
         self,
@@ -52,51 +49,34 @@ class MaskedMLPModel(MLPModel):
         output: torch.Tensor = super().forward(obs, masks, hidden_state, stochastic_output)
         return output
 
-    def update_normalization(self, obs: TensorDict) -> None:
-        """Takes in observations [n, num_obs], each number of the robots that have it."""
-        if self.obs_normalization:
-            present = torch.cat([obs[ACTION_MASK], torch.ones_like(obs[ACTION_MASK][:, :1])], dim=1)
-            numbers = torch.cat([obs[group] for group in self.obs_groups], dim=-1)
-            self.obs_normalizer.update(numbers, present.index_select(1, self.joint_of_number % present.shape[1]))
-
 
 class MaskedNormalization(EmpiricalNormalization):
-    """Normalises by running mean and deviation of what is there. The share of each number is the same at all times."""
+    """Normalises by running mean and deviation.
+
+    What is missing stays 0: numbers that some robots lack are divided by the root of their mean square over those that
+    have them, and nothing is subtracted.
+    """
+
+    is_padded: torch.Tensor
+    scale: torch.Tensor
+
+    def __init__(self, shares: torch.Tensor) -> None:
+        """Of observations with these shares of envs that have each number, [num_obs], more than 0."""
+        super().__init__(shares.numel())
+        self.register_buffer("is_padded", (shares < 1.0).unsqueeze(0), persistent=False)
+        # squares of what is missing are 0 and lower the mean of all
+        self.register_buffer("scale", shares.float().rsqrt().unsqueeze(0), persistent=False)
 
     @torch.jit.unused
-    def update(self, x: torch.Tensor, present: torch.Tensor | None = None) -> None:
-        """Takes in observations [n, num_obs]; `present` is 1 where a number is there, else 0."""
-        if present is None:
-            super().update(x)
-            return
+    def update(self, x: torch.Tensor) -> None:
+        """Takes in observations [n, num_obs], 0 where a number is missing."""
         if not self.training:
             return
-        counts = present.sum(dim=0, keepdim=True)
-        mean_x = _over_present((x * present).sum(dim=0, keepdim=True), counts)
-        squares = ((x - mean_x).square() * present).sum(dim=0, keepdim=True)
-        samples = torch.tensor(x.shape[0], dtype=self.count.dtype, device=self.count.device)
-        if torch.distributed.is_initialized():
-            local_counts, local_mean = counts, mean_x
-            counts = counts.clone()
-            torch.distributed.all_reduce(counts)
-            torch.distributed.all_reduce(samples)
-            sums = local_mean * local_counts
-            torch.distributed.all_reduce(sums)
-            mean_x = _over_present(sums, counts)
-            squares = squares + local_counts * (local_mean - mean_x).square()
-            torch.distributed.all_reduce(squares)
-        var_x = _over_present(squares, counts)
-        self.count += samples
-        # what no robot has keeps what it has
-        rate = torch.where(counts > 0, samples / self.count, 0.0)
-        delta_mean = mean_x - self._mean
-        self._mean += rate * delta_mean
-        self._var += rate * (var_x - self._var + delta_mean * (mean_x - self._mean))
+        super().update(x * self.scale)
+        # variance about the mean to mean square
+        self._var += torch.where(self.is_padded, self._mean.square(), 0.0)
+        self._mean.masked_fill_(self.is_padded, 0.0)
         self._std = torch.sqrt(self._var)
-
-
-def _over_present(sums: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
-    return sums / counts.clamp(min=1.0)
 
 
 class MaskedGaussian(GaussianDistribution):

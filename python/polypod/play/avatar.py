@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from polypod.extras import package
 from polypod.play import turns
-from polypod.play.looks import Color, Look, Model
+from polypod.play.looks import Look, Model
 from polypod.play.mesh import Array, joined, rotation
-from polypod.play.raster import COMMAND, FORCE, FORCE_LENGTH
+from polypod.play.raster import COMMAND, FORCE, FORCE_LENGTH, Color
 from polypod.play.scene import Contact, RobotFrame
 
 VELOCITY: Color = (58, 110, 214)

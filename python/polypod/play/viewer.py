@@ -17,7 +17,7 @@ from polypod.play.avatar import Avatar
 from polypod.play.ground import Ground
 from polypod.play.looks import Look, Model
 from polypod.play.player import Player
-from polypod.play.raster import OBSTACLE
+from polypod.play.raster import OBSTACLE, Color
 from polypod.play.scene import Frame
 
 Array = npt.NDArray[np.float64]
@@ -221,7 +221,7 @@ class Viewer:
         self.show_names(self.shows_names)
         self.show(frame)
 
-    def _looks(self, robot: str, color: looks.Color) -> list[Look | Model]:
+    def _looks(self, robot: str, color: Color) -> list[Look | Model]:
         outline = self.player.outlines[robot]
         if self._meshes:
             try:

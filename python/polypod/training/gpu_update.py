@@ -88,8 +88,8 @@ class Update:
         device = self._device = torch.device(alg.device)
         self._mirror = None if symmetry is None else symmetry[0]
         self._is_in_turn = symmetry is not None and symmetry[1] == ALTERNATE
-        mask = sim.action_mask
-        self._mask = None if mask.all() else torch.from_numpy(mask.astype(np.float32)).to(device)
+        mask = torch.from_numpy(sim.action_mask.astype(np.float32)).to(device)
+        self._mask = mask if sim.is_padded else None
         self._networks = (alg.actor, alg.critic)
         self._rate = torch.tensor(algorithm.learning_rate, device=device)
         self._entropy_coef, self._desired_kl = (torch.zeros((), device=device) for _ in range(2))

@@ -317,7 +317,7 @@ class TrainConfig:
 
     def _distillation_cfg(self, algorithm: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
         assert self.distillation is not None
-        if sim is not None and not sim.action_mask.all():
+        if sim is not None and sim.is_padded:
             raise _core.ConfigError(
                 f"[distillation] is for bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
                 "distil for robots of one kind"
@@ -349,18 +349,15 @@ class TrainConfig:
 def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
     # a network of joints reads off the observation which joints a robot has
-    if sim is None or sim.action_mask.all() or model["class_name"] == URMA:
+    if sim is None or not sim.is_padded or model["class_name"] == URMA:
         return model
     if model["class_name"] != MLP:
         raise _core.ConfigError(
             f"{model['class_name']} learns bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
             f'use class_name = "{MLP}" or "{URMA}"'
         )
-    joint_of_number: list[int] = []
-    for term in (term for group in groups for term in terms_of(sim, group)):
-        per_joint = term.kind == "per_joint"
-        joint_of_number += [index % sim.num_actions if per_joint else -1 for index in range(term.size)]
-    masked = {**model, "class_name": MASKED_MLP, "joint_of_number": joint_of_number}
+    shares = [share for group in groups for share in sim.observation_shares(group)]
+    masked = {**model, "class_name": MASKED_MLP, "shares": shares}
     if "distribution_cfg" in model:
         masked["distribution_cfg"] = {**model["distribution_cfg"], "class_name": MASKED_GAUSSIAN}
     return masked
