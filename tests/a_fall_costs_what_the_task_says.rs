@@ -13,6 +13,7 @@ fn sim(weight: f64) -> Sim {
     let sets = ["anymal", "unitree"].map(|set| format!("rewards.{set}.is_terminated.weight={weight:?}"));
     options.overrides.extend(sets);
     options.overrides.push("sim.episode_length_s=1.0".into());
+    options.overrides.push("events.push_robot.velocity_range=[-8.0, 8.0]".into()); // over they go
     Sim::new(&options).unwrap()
 }
 

@@ -6,6 +6,7 @@ use polypod::dynamics::{
     ContactSettings, ControlStep, Drive, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace,
 };
 use polypod::morphology::MorphologyModel;
+use polypod::robot::Role;
 
 use crate::common;
 
@@ -148,4 +149,20 @@ fn self_collision_changes_no_momentum() {
         assert!(net.iter().all(|x| x.abs() < 1e-9 * (1.0 + largest)), "internal forces add up to {net:?} N");
     }
     assert!(hits > 20, "links met in {hits} steps only");
+}
+
+/// A thigh meets the trunk where the makers' rounded shells are, and not where the corners of a box around them would be.
+#[test]
+fn thighs_swing_clear_of_the_trunk() {
+    const INWARDS: f64 = 0.3; // rad
+    for name in ["anymal_d", "anymal_c", "anymal_b"] {
+        let robot = robot(name);
+        for slot in robot.slots.iter().filter(|slot| slot.slot.role == Role::Haa) {
+            let mut body = Body::new(&robot, true);
+            let inwards = if slot.slot.to_string().starts_with('L') { -INWARDS } else { INWARDS };
+            body.state.joint_position[slot.joint()] += f64::from(slot.sign) * inwards;
+            let overlap = body.overlap(&robot.topology);
+            assert!(overlap == 0.0, "{name}: {} turned inwards by {INWARDS} rad touches, {overlap} m", slot.slot);
+        }
+    }
 }
