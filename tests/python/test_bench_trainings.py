@@ -67,7 +67,7 @@ def test_figures_of_gpus_name_them_and_their_messages():
     }
     result = {**Options().conditions(), "samples": 1000, "device": "cuda", "gpus": ["T4", "T4"], "workers": rows}
     table = workers.table(result)
-    assert "rsl_rl on 2 x T4" in table
+    assert "updates on 2 x T4" in table
     assert "| 2 x 4 | 2 | nccl | 0.250 | 4,000 | 200% |" in table
     assert "| 4 x 2 | 2 | gloo | 0.400 | 2,500 | 125% |" in table
 

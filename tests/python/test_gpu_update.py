@@ -1,5 +1,9 @@
 """The native learner's update on a GPU computes what its update on the CPU computes, with the same checkpoints."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +15,7 @@ from polypod.training import run_dir
 from polypod.training.gpu import GpuRunner
 from polypod.training.native import NETWORKS, NativeRunner
 from polypod.training.report import Reporter
+from polypod.training.workers import Workers
 
 CUDA = pytest.param("cuda:0", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"))
 OWN_VARIANTS = {
@@ -121,3 +126,50 @@ def test_either_learner_goes_on_from_a_checkpoint(device, tmp_path):
     back.load(str(again))
     for parameter, expected in zip(back.alg.actor.parameters(), other.alg.actor.parameters(), strict=True):
         assert torch.equal(parameter, expected)
+
+
+def learn(variant, folder, workers, device):
+    """Two iterations; returns what the networks and their optimiser have become."""
+    torch.manual_seed(3)
+    config = train_config(OWN_VARIANTS[variant], variant.startswith("masked"))
+    env = polypod.make(
+        config.run.task,
+        ENVS,
+        robots=ROBOTS[variant.startswith("masked")],
+        seed=11,
+        overrides=["sim.episode_length_s=0.8"],
+        share=workers.share(ENVS, "native"),
+    )
+    made = GpuRunner(VecEnv(env, device, log_extras=False), config, folder, device, Reporter(quiet=True), workers)
+    made.alg.train_mode()
+    for iteration in range(2):
+        made.current_learning_iteration = iteration
+        made._collect(made.env.get_observations())
+        made._update(made.env.get_observations())
+    made._take()
+    numbers = {f"{name}.{key}": x for name in NETWORKS for key, x in getattr(made.alg, name).state_dict().items()}
+    moments = [of["exp_avg"] for of in made.alg.optimizer.state.values()]
+    return {**numbers, **{f"gradient {i}": x for i, x in enumerate(moments)}, "rate": made.alg.learning_rate}
+
+
+@pytest.mark.parametrize("device", ["cpu", CUDA])
+@pytest.mark.parametrize("variant", ["mirror_images", "images_in_turn", "masked", "advantages_of_mini_batches"])
+def test_workers_learn_what_one_learns(variant, device, tmp_path):
+    one = learn(variant, tmp_path, Workers.alone(), device)
+    torchrun = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
+    command = [sys.executable, *torchrun, __file__, variant, str(tmp_path), device.partition(":")[0]]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    of_workers = [torch.load(tmp_path / f"{index}.pt", map_location="cpu") for index in range(2)]
+    for name, mine in one.items():
+        first, second = (torch.as_tensor(of[name]) for of in of_workers)
+        assert torch.equal(first, second), name
+        assert_near(first, torch.as_tensor(mine).cpu(), name)
+
+
+if __name__ == "__main__":
+    variant, folder, kind = sys.argv[1:]
+    workers = Workers.join(kind == "cuda")
+    device = kind if kind == "cpu" else f"cuda:{torch.cuda.current_device()}"
+    torch.save(learn(variant, Path(folder), workers, device), Path(folder) / f"{workers.index}.pt")
+    workers.close()

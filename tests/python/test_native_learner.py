@@ -36,24 +36,21 @@ def test_a_run_goes_on_with_the_other_learner(first, second, tmp_path):
             assert change <= 0.5 * weights.float().norm() + 0.5 or name.endswith("count"), (network, name)
 
 
-def test_auto_is_native_for_perceptrons_on_a_cpu():
+def test_auto_is_native_for_perceptrons():
     flat, urma = config.load("flat"), config.load("flat_joints")
-    assert flat.with_learner_resolved(None, "cpu").run.learner == "native"
-    assert flat.with_learner_resolved(None, "cuda").run.learner == "native"
-    assert flat.with_learner_resolved(None, "cuda", True).run.learner == "rsl_rl"
-    assert flat.with_learner_resolved(None, "cpu", True).run.learner == "native"
-    assert flat.with_learner_resolved("rsl_rl", "cpu").run.learner == "rsl_rl"
-    assert urma.with_learner_resolved(None, "cpu").run.learner == "rsl_rl"
+    assert flat.with_learner_resolved(None).run.learner == "native"
+    assert flat.with_learner_resolved("rsl_rl").run.learner == "rsl_rl"
+    assert urma.with_learner_resolved(None).run.learner == "rsl_rl"
     with pytest.raises(polypod.ConfigError, match="perceptrons"):
-        urma.with_learner_resolved("native", "cpu")
+        urma.with_learner_resolved("native")
 
 
 def test_what_a_learner_lacks_is_refused():
     flat = config.load("flat")
     alternate = config.parse(flat.as_dict() | {"run": flat.as_dict()["run"] | {"symmetry": "alternate"}}, "test")
-    assert alternate.with_learner_resolved("native", "cpu").native_options()["symmetry"] == "alternate"
+    assert alternate.with_learner_resolved("native").native_options()["symmetry"] == "alternate"
     with pytest.raises(polypod.ConfigError, match="alternate"):
-        alternate.with_learner_resolved("rsl_rl", "cpu")
+        alternate.with_learner_resolved("rsl_rl")
     with pytest.raises(polypod.ConfigError, match="symmetry"):
         config.parse(flat.as_dict() | {"run": flat.as_dict()["run"] | {"symmetry": "both"}}, "test")
 

@@ -197,9 +197,9 @@ def test_mistakes_are_named(overrides, said, tmp_path):
 )
 def test_the_native_learner_says_what_it_does_not_do(override):
     loaded = config.load("flat", [override])
-    assert loaded.with_learner_resolved("auto", "cpu").run.learner == "rsl_rl"
+    assert loaded.with_learner_resolved("auto").run.learner == "rsl_rl"
     with pytest.raises(polypod.ConfigError, match="the native learner"):
-        loaded.with_learner_resolved("native", "cpu")
+        loaded.with_learner_resolved("native")
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """How trainings scale over workers of one machine: `polypod bench --workers`.
 
 The same cores are shared out among more and more workers. What is measured is what several workers cost: the time that
-they wait for one another, and the bytes that they send. On GPUs rsl_rl learns, worker 0 on the first GPU, worker 1 on
-the second; workers beyond the GPUs share them.
+they wait for one another, and the bytes that they send. With GPUs worker 0 learns on the first, worker 1 on the second;
+workers beyond the GPUs share them.
 """
 
 import json
@@ -26,8 +26,7 @@ ITERATIONS = 8
 NETWORKS = {"1 Gbit/s": 1e9 / 8, "10 Gbit/s": 1e10 / 8, "100 Gbit/s": 1e11 / 8}
 """Bytes per second that a worker sends, of the networks that limits are given for."""
 CUDA = "cuda"
-LEARNERS = {"cpu": "native", CUDA: "rsl_rl"}
-"""What learns on each kind of device."""
+LEARNER = "native"
 LONGEST_S = 600.0
 """Of one number of workers."""
 
@@ -39,7 +38,7 @@ def measure(options: Options, counts: Sequence[int], progress: Progress, device:
         options: what to train; its threads are those of all workers.
         counts: numbers of workers.
         progress: is told what is measured.
-        device: cpu, for the native learner, or cuda, for rsl_rl.
+        device: cpu, or cuda for updates on GPUs.
 
     Raises:
         ConfigError: for envs that so many workers cannot share, and for a training that fails.
@@ -49,7 +48,7 @@ def measure(options: Options, counts: Sequence[int], progress: Progress, device:
     if device == CUDA and not torch.cuda.is_available():
         raise _core.ConfigError("--device cuda, but torch finds no CUDA device; leave it out for the native learner")
     for count in counts:
-        Workers(0, count, 0, count, None).share(train_config.run.num_envs, LEARNERS[device])
+        Workers(0, count, 0, count, None).share(train_config.run.num_envs, LEARNER)
     rows = {}
     for count in counts:
         threads = max(1, cores // count)
@@ -106,11 +105,11 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _table_of_gpus(result: Mapping[str, Any]) -> str:
-    """The same for rsl_rl, whose messages are not counted."""
+    """The same for updates on GPUs, whose messages are not counted."""
     rows, gpus = result["workers"], result["gpus"]
     first = next(iter(rows.values()))
     names = ", ".join(f"{gpus.count(name)} x {name}" for name in dict.fromkeys(gpus))
-    what = f"{result['samples']} samples an iteration, rsl_rl on {names}, fastest of {ITERATIONS} iterations"
+    what = f"{result['samples']} samples an iteration, updates on {names}, fastest of {ITERATIONS} iterations"
     lines = [
         *heading(result, what),
         "| workers x threads | GPUs | messages of GPUs | iteration, s | samples/s | speed |",
@@ -142,7 +141,7 @@ def _work(asked: Mapping[str, Any]) -> None:
     device = f"{CUDA}:{torch.cuda.current_device()}" if is_cuda else "cpu"
     options = Options(asked["train_config"], asked["num_envs"], asked["threads"], asked["seed"])
     times = []
-    with training(options, LEARNERS[asked["device"]], device, workers=workers) as runner:
+    with training(options, LEARNER, device, workers=workers) as runner:
         runner.alg.train_mode()
         observations = runner.env.get_observations()
         for iteration in range(ITERATIONS + 1):

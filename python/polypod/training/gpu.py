@@ -11,7 +11,8 @@ from polypod.training.symmetry import Mirror
 class GpuRunner(NativeRunner):
     """A `NativeRunner` that learns on a GPU what its threads have collected.
 
-    It computes what rsl_rl computes with the same samples, but not the bits of the update on the CPU.
+    It computes what rsl_rl computes with the same samples, but not the bits of the update on the CPU. Of several
+    workers, each has a GPU for its own samples, or shares one.
     """
 
     def _prepare(self) -> None:
@@ -21,7 +22,7 @@ class GpuRunner(NativeRunner):
         self._no_moments = {
             name: [array_of(torch.zeros_like(parameter)) for parameter in self._parameters(name)] for name in NETWORKS
         }
-        self._update_of = Update(self.alg, env, self._samples, self.config.algorithm, mirror)
+        self._update_of = Update(self.alg, env, self._samples, self.config.algorithm, mirror, self.workers)
         super()._prepare()
 
     def _update(self, observations: TensorDict) -> dict[str, float]:

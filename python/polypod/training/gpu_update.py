@@ -17,6 +17,7 @@ from polypod.networks.masked import ACTION_MASK, MaskedGaussian
 from polypod.rsl_rl import VecEnv
 from polypod.training.schema import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
 from polypod.training.symmetry import Mirror
+from polypod.training.workers import Workers
 
 RATE_STEP = 1.5
 """The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted."""
@@ -64,7 +65,11 @@ class Samples:
 
 
 class Update:
-    """Steps of Adam on rsl_rl's loss, on any device; a CUDA device replays graphs of them."""
+    """Steps of Adam on rsl_rl's loss, on any device; a CUDA device replays graphs of them.
+
+    Several workers, each with the samples of its envs, take the steps that one would take with all samples. Their
+    gradients are summed by NCCL within the graphs. Workers that share a GPU sum by gloo, without graphs.
+    """
 
     def __init__(
         self,
@@ -73,6 +78,7 @@ class Update:
         samples: Samples,
         algorithm: AlgorithmConfig,
         symmetry: tuple[Mirror, bool | str] | None,
+        workers: Workers,
     ) -> None:
         """Of the networks of `alg`.
 
@@ -82,8 +88,10 @@ class Update:
             samples: what they learn from.
             algorithm: how.
             symmetry: the mirror and `[run] symmetry`; None: samples have no images.
+            workers: those that learn together.
         """
         self._alg, self._env, self._samples, self._algorithm = alg, env, samples, algorithm
+        self._workers = workers
         sim = env.unwrapped.sim
         device = self._device = torch.device(alg.device)
         self._mirror = None if symmetry is None else symmetry[0]
@@ -106,7 +114,10 @@ class Update:
                 "exp_avg": torch.zeros_like(parameter),
                 "exp_avg_sq": torch.zeros_like(parameter),
             }
-        self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
+        self._has_graphs = is_cuda and workers.backend != "gloo"
+        self._sizes: list[tuple[int, ...]] = []
+        """Of each mini-batch, the samples of all workers."""
+        self._graphs: dict[tuple[int, ...], torch.cuda.CUDAGraph] = {}
 
     def run(self, learning_rate: float, entropy_coef: float, desired_kl: float) -> dict[str, float]:
         """Learns from the samples, and takes their observations into the networks' statistics.
@@ -122,7 +133,9 @@ class Update:
         Raises:
             ConfigError: where a loss is not finite.
         """
-        samples = self._samples
+        samples, workers = self._samples, self._workers
+        if not self._sizes:
+            self._sizes = list(zip(*workers.gather_messages(samples.batch_sizes), strict=True))
         self._rate.fill_(learning_rate)
         self._entropy_coef.fill_(entropy_coef)
         self._desired_kl.fill_(desired_kl)
@@ -132,9 +145,9 @@ class Update:
             self._old_std.copy_(distribution.std_param.clamp(*distribution.std_range))
         for epoch in range(self._algorithm.num_learning_epochs):
             self._epoch.fill_(epoch)
-            for order in torch.split(samples.order, samples.batch_sizes):
+            for order, sizes in zip(torch.split(samples.order, samples.batch_sizes), self._sizes, strict=True):
                 self._index[: len(order)].copy_(order)
-                self._learn_mini_batch(len(order))
+                self._learn_mini_batch(sizes)
         with torch.no_grad():
             observations = self._groups(samples["observations"], torch.arange(len(samples.order), device=self._device))
             for network in self._networks:
@@ -151,16 +164,17 @@ class Update:
         losses = {"value": value / updates, "surrogate": surrogate / updates, "entropy": entropy / updates}
         return {**losses, "learning_rate": rate}
 
-    def _learn_mini_batch(self, size: int) -> None:
-        index = self._index[:size]
-        if self._device.type != "cuda":
-            self._step(index)
+    def _learn_mini_batch(self, sizes: tuple[int, ...]) -> None:
+        """Of samples at the beginning of `_index`, as many as `sizes` says of this worker."""
+        if not self._has_graphs:
+            self._step(sizes)
             return
-        if size not in self._graphs:
-            self._graphs[size] = self._capture(index)
-        self._graphs[size].replay()
+        # all workers come to the same sizes at the same time, and so to the same sums
+        if sizes not in self._graphs:
+            self._graphs[sizes] = self._capture(sizes)
+        self._graphs[sizes].replay()
 
-    def _capture(self, index: torch.Tensor) -> torch.cuda.CUDAGraph:
+    def _capture(self, sizes: tuple[int, ...]) -> torch.cuda.CUDAGraph:
         """A graph of a step; networks and moments stay as they are."""
         tensors = [self._rate, self._losses]
         for parameter, state in self.optimizer.state.items():
@@ -170,13 +184,14 @@ class Update:
         stream.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(stream):
             for _ in range(WARM_UP):
-                self._step(index)
+                self._step(sizes)
         torch.cuda.current_stream(self._device).wait_stream(stream)
         self.optimizer.zero_grad(set_to_none=True)
         graph = torch.cuda.CUDAGraph()
-        # on the stream of the steps before, whose autograd nodes live on
-        with torch.cuda.graph(graph, stream=stream):
-            self._step(index)
+        # on the stream of the steps before, whose autograd nodes live on; NCCL's own thread goes on meanwhile
+        mode = "global" if self._workers.count == 1 else "thread_local"
+        with torch.cuda.graph(graph, stream=stream, capture_error_mode=mode):
+            self._step(sizes)
         for tensor, values in zip(tensors, before, strict=True):
             tensor.copy_(values)
         return graph
@@ -203,11 +218,12 @@ class Update:
         chosen = TensorDict(groups, batch_size=[n], device=self._device)
         return chosen, torch.where(is_image, both_actions[n:], both_actions[:n]), ~is_image.squeeze(1)
 
-    def _step(self, index: torch.Tensor) -> None:
-        """One mini-batch: gradients of both networks, and a step of Adam. `index` [n]: its samples."""
+    def _step(self, sizes: tuple[int, ...]) -> None:
+        """One mini-batch: gradients of both networks, and a step of Adam."""
         samples, algorithm = self._samples, self._algorithm
         actor, critic = self._networks
-        n, clip = len(index), algorithm.clip_param
+        n, clip = sizes[self._workers.index], algorithm.clip_param
+        index, share = self._index[:n], n / sum(sizes)
         observations, actions, is_sample = self._with_images(
             index, self._groups(samples["observations"][index], index), samples["actions"][index]
         )
@@ -216,8 +232,7 @@ class Update:
             samples[name][index].squeeze(1).repeat(copies) for name in ("log_probs", "values", "returns", "advantages")
         )
         if algorithm.normalize_advantage_per_mini_batch:
-            of_samples = advantages[:n]
-            advantages = (advantages - of_samples.mean()) / (of_samples.std() + 1e-8)
+            advantages = self._normalized(advantages, n, sum(sizes))
         with torch.autocast(
             self._device.type,
             dtype=torch.bfloat16,
@@ -233,7 +248,7 @@ class Update:
             values = critic(observations).squeeze(1)
             entropy = actor.output_entropy[:n].mean()
             with torch.no_grad():
-                self._adapt_rate(index, is_sample)
+                divergence = self._divergence(index, is_sample)
             ratio = torch.exp(log_prob - old_log_prob)
             surrogate = torch.max(-advantages * ratio, -advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
             value_losses = (values - returns).square()
@@ -243,22 +258,52 @@ class Update:
             value = value_losses.mean()
             loss = surrogate + algorithm.value_loss_coef * value - self._entropy_coef * entropy
         self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        (loss * share).backward()
+        losses = torch.stack([value.detach(), surrogate.detach(), entropy.detach()]).float() * share
+        self._sum([*self._gradients(), losses, divergence])
+        self._adapt_rate(divergence)
         for network in self._networks:
             nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
         self.optimizer.step()
-        self._losses += torch.stack([value.detach(), surrogate.detach(), entropy.detach()]).float()
+        self._losses += losses
 
-    def _adapt_rate(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> None:
-        """Follows the divergence from the policy that collected the samples; images have none that counts."""
-        if self._algorithm.schedule != "adaptive":
+    def _gradients(self) -> list[torch.Tensor]:
+        parameters = (parameter for network in self._networks for parameter in network.parameters())
+        return [parameter.grad for parameter in parameters if parameter.grad is not None]
+
+    def _sum(self, tensors: list[torch.Tensor]) -> None:
+        """Sums each over all workers, in place."""
+        if self._workers.count == 1:
             return
+        flat = self._workers.sum(torch.cat([tensor.flatten() for tensor in tensors]))
+        for tensor, total in zip(tensors, torch.split(flat, [tensor.numel() for tensor in tensors]), strict=True):
+            tensor.copy_(total.view_as(tensor))
+
+    def _normalized(self, advantages: torch.Tensor, n: int, total: int) -> torch.Tensor:
+        """Of mean 0 and deviation 1 over the mini-batch: the first `n` of each worker, of `total` in all."""
+        of_samples = advantages[:n]
+        if self._workers.count == 1:
+            return (advantages - of_samples.mean()) / (of_samples.std() + 1e-8)
+        mean = of_samples.sum(dtype=torch.float64) / total
+        self._sum([mean])
+        squares = (of_samples - mean).square().sum() / (total - 1)
+        self._sum([squares])
+        return ((advantages - mean) / (squares.sqrt() + 1e-8)).float()
+
+    def _divergence(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
+        """[2], that from the policy that collected the samples, summed over those that are no images; their number."""
         n, means = len(index), self._samples["means"][index]
         new = tuple(numbers[:n].float() for numbers in self._alg.actor.output_distribution_params)
         old = (means, self._old_std.expand_as(means), *new[2:])
         divergence = self._alg.actor.get_kl_divergence(old, new)
         weights = torch.ones_like(divergence) if is_sample is None else is_sample.to(divergence.dtype)
-        mean = (divergence * weights).sum() / weights.sum().clamp(min=1.0)
+        return torch.stack([(divergence * weights).sum(), weights.sum()])
+
+    def _adapt_rate(self, divergence: torch.Tensor) -> None:
+        """Follows the divergence of the mini-batch, as `_divergence` gives it."""
+        if self._algorithm.schedule != "adaptive":
+            return
+        mean = divergence[0] / divergence[1].clamp(min=1.0)
         rate, wanted = self._rate, self._desired_kl
         slower, faster = (rate / RATE_STEP).clamp(min=LOWEST_RATE), (rate * RATE_STEP).clamp(max=HIGHEST_RATE)
         is_small = (mean < wanted / 2.0) & (mean > 0.0)

@@ -228,21 +228,17 @@ class TrainConfig:
         mode = "on" if is_faster else "off"
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
 
-    def with_learner_resolved(
-        self, learner: str | None, device_type: str, is_among_workers: bool = False
-    ) -> "TrainConfig":
+    def with_learner_resolved(self, learner: str | None) -> "TrainConfig":
         """The config with "auto" decided: the native learner for perceptrons, else rsl_rl.
 
         Args:
             learner: what is to learn instead of what the config says; None: that.
-            device_type: cpu or cuda.
-            is_among_workers: whether others learn with it.
 
         Raises:
             ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
         """
         config = self.with_run(learner=learner)
-        why_not = config._why_not_native(device_type, is_among_workers)
+        why_not = config._why_not_native()
         if config.run.learner == "auto":
             config = config.with_run(learner="rsl_rl" if why_not else "native")
         if config.run.learner == "native" and why_not:
@@ -253,10 +249,8 @@ class TrainConfig:
             )
         return config
 
-    def _why_not_native(self, device_type: str, is_among_workers: bool) -> str | None:
+    def _why_not_native(self) -> str | None:
         """What keeps the native learner from this config."""
-        if device_type != "cpu" and is_among_workers:
-            return f"learns on {device_type} in one process, and there are several workers"
         if self.rnd is not None:
             return "has no random network distillation, and the train config has [rnd]"
         if self.distillation is not None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import os
 import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -93,7 +94,7 @@ def train(options: Options) -> int:
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
     """
-    is_cuda = options.device != "cpu" and options.learner != "native" and torch.cuda.is_available()
+    is_cuda = options.device != "cpu" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
     try:
         run, runner = train_with(options, workers)
@@ -260,9 +261,7 @@ def new_plan(options: Options) -> Plan:
     ).with_teacher_located()
     terms = None if options.terms is None else python_terms.load(options.terms)
     kind = torch.device(device).type
-    train_config = train_config.with_learner_resolved(
-        _learner_of(options), kind, is_among_workers()
-    ).with_mixed_precision_resolved(kind)
+    train_config = train_config.with_learner_resolved(_learner_of(options)).with_mixed_precision_resolved(kind)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
@@ -303,9 +302,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
     terms = _terms_again(options, manifest)
-    train_config = train_config.with_learner_resolved(
-        _learner_of(options), torch.device(device).type, is_among_workers()
-    )
+    train_config = train_config.with_learner_resolved(_learner_of(options))
     robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
     return Plan(train_config, robots, seed, overrides, checkpoint, device, terms)
 
@@ -353,8 +350,8 @@ def _iterations_to_do(options: Options, run_config: RunConfig, done: int) -> int
 def _device(options: Options, train_config: TrainConfig) -> str:
     name, learner = options.device, options.learner or train_config.run.learner
     if name == "auto":
-        is_native_team = learner == "native" and is_among_workers()
-        name = "cuda" if torch.cuda.is_available() and not is_native_team else "cpu"
+        share_gpus = is_among_workers() and torch.cuda.device_count() < int(os.environ.get("LOCAL_WORLD_SIZE", 1))
+        name = "cuda" if torch.cuda.is_available() and not (learner == "native" and share_gpus) else "cpu"
     if name == "cpu":
         return "cpu"
     if not torch.cuda.is_available():
