@@ -1,11 +1,14 @@
 """Train configs are checked, and errors name file, key and remedy."""
 
 import dataclasses
+import tomllib
 
 import pytest
 
 import polypod
-from polypod.training import config, schema, session
+from polypod.training import config, run_dir, schema, session
+from polypod.training.session import Options, train_with
+from polypod.training.workers import Workers
 
 
 @pytest.mark.parametrize("name", ["flat", "flat_universal", "rough", "quick"])
@@ -71,6 +74,7 @@ def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
         ('extends = "flat"\n[actor]\nnum_heads = 4\n', r"\[actor\] num_heads is of networks of joints"),
         (f'extends = "flat"\n[actor]\nclass_name = "{schema.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
         ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),
+        ('extends = "flat"\n[run]\ntask_changes = ["sim.decimation=2"]\n', "begin with commands., events., rewards."),
         ("[run]\nnum_envs = 1\n", "extends"),
         ("[run\n", "not valid TOML"),
     ],
@@ -80,6 +84,31 @@ def test_errors(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(polypod.ConfigError, match=message):
         config.load(str(path))
+
+
+def test_changes_of_the_task_are_of_the_training_alone(tmp_path):
+    def params(*overrides):
+        options = Options(
+            train_config="quick",
+            num_envs=16,
+            max_iterations=1,
+            logger="none",
+            log_dir=tmp_path,
+            device="cpu",
+            robots=["spot"],
+            overrides=list(overrides),
+        )
+        run, runner = train_with(options, Workers.alone())
+        runner.env.unwrapped.close()
+        manifest = run_dir.read_manifest(run_dir.checkpoint_path(run, 1))
+        return tomllib.loads((run / "params/env.toml").read_text()), manifest
+
+    env, manifest = params()
+    assert env["commands"]["base_velocity"]["resampling_time_s"] == 7.0
+    assert manifest["overrides"] == []
+    env, manifest = params("commands.base_velocity.resampling_time_s=9.0")
+    assert env["commands"]["base_velocity"]["resampling_time_s"] == 9.0
+    assert manifest["overrides"] == ["commands.base_velocity.resampling_time_s=9.0"]
 
 
 def test_a_config_of_an_older_run_is_that_of_a_perceptron():

@@ -84,7 +84,9 @@ def training(
         torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     share = None if workers is None else workers.share(run.num_envs, run.learner)
-    env = polypod.make(run.task, run.num_envs, seed=options.seed, threads=options.threads, share=share)
+    env = polypod.make(
+        run.task, run.num_envs, seed=options.seed, threads=options.threads, overrides=run.task_changes, share=share
+    )
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
         path = Path(folder)
         run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")

@@ -26,7 +26,7 @@ class Bench:
     """Measure instead a batch of these kinds of bodies beside the same kinds one by one; `all`: sixteen kinds with two,
     four and six legs."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """What --workers measures: the native learner on the CPU, or rsl_rl on the machine's GPUs."""
+    """What --workers measures: workers on the CPU's cores, or on the machine's GPUs."""
     train_config: str = "quick"
     """What --learner, --walk and --workers train."""
     seeds: int = 3

@@ -218,6 +218,8 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
     raise _core.ConfigError(f"{where} = {value!r} must be of type {getattr(expected, '__name__', expected)}")
 
 
+CHANGEABLE = ("commands.", "events.", "rewards.")
+"""What `[run] task_changes` begin with: a policy of the changed task is one of the task."""
 MAX_RNN = 4096
 """Width of a recurrent layer."""
 MAX_RNN_LAYERS = 8
@@ -276,6 +278,12 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
             f"{source}: {run.num_envs} envs x {run.num_steps_per_env} steps do not fill "
             f"{algorithm.num_mini_batches} mini-batches; raise num_envs"
         )
+    for change in run.task_changes:
+        if not change.startswith(CHANGEABLE):
+            raise _core.ConfigError(
+                f"{source}: [run] task_changes: {change[:100]!r} would change more than the course of episodes; "
+                f"begin with {', '.join(CHANGEABLE)}, or name another task"
+            )
     if run.normalize_advantage_per_robot and algorithm.normalize_advantage_per_mini_batch:
         raise _core.ConfigError(
             f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude "

@@ -42,6 +42,8 @@ class RunConfig:
     symmetry: bool | str
     learner: str = "rsl_rl"
     """What learns: native, rsl_rl, or auto. Runs from before there was a choice are rsl_rl's."""
+    task_changes: list[str] = dataclasses.field(default_factory=list)
+    """What of the task is other while it is trained on, as `key=value` of `--set`. Evaluations have the task as it is."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -151,7 +151,7 @@ def train_with(
         robots=plan.robots,
         seed=plan.seed,
         threads=threads,
-        overrides=plan.overrides,
+        overrides=[*run_config.task_changes, *plan.overrides],
         autoreset="same_step" if terms is None else "disabled",
         share=workers.share(run_config.num_envs, run_config.learner),
     )
