@@ -1,11 +1,11 @@
 """Train configs are checked, and errors name file, key and remedy."""
 
 import dataclasses
-import tomllib
 
 import pytest
 
 import polypod
+from polypod.compat import tomllib
 from polypod.training import config, run_dir, schema, session
 from polypod.training.session import Options, train_with
 from polypod.training.workers import Workers
@@ -104,10 +104,10 @@ def test_changes_of_the_task_are_of_the_training_alone(tmp_path):
         return tomllib.loads((run / "params/env.toml").read_text()), manifest
 
     env, manifest = params()
-    assert env["commands"]["base_velocity"]["resampling_time_s"] == 7.0
+    assert env["task"]["commands"]["base_velocity"]["resampling_time_s"] == 7.0
     assert manifest["overrides"] == []
     env, manifest = params("commands.base_velocity.resampling_time_s=9.0")
-    assert env["commands"]["base_velocity"]["resampling_time_s"] == 9.0
+    assert env["task"]["commands"]["base_velocity"]["resampling_time_s"] == 9.0
     assert manifest["overrides"] == ["commands.base_velocity.resampling_time_s=9.0"]
 
 

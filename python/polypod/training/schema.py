@@ -43,7 +43,7 @@ class RunConfig:
     learner: str = "rsl_rl"
     """What learns: native, rsl_rl, or auto. Runs from before there was a choice are rsl_rl's."""
     task_changes: list[str] = dataclasses.field(default_factory=list)
-    """What of the task is other while it is trained on, as `key=value` of `--set`. Evaluations have the task as it is."""
+    """What is other in the task that is trained on, as `key=value` of `--set`. Evaluations have the task as it is."""
 
 
 @dataclasses.dataclass(frozen=True)
