@@ -5,7 +5,7 @@ from pathlib import Path
 from polypod import _core
 
 FOLDER = Path(__file__).parent / "policies"
-NAMES = {"flat": "flat_universal", "rough": "rough_universal"}
+NAMES = {"flat": "flat_universal", "rough": "rough_universal", "legged": "legged_masked"}
 """Names on the command line, and folders."""
 DEFAULT = "flat"
 

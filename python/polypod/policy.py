@@ -113,7 +113,7 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     """Loads a policy; nothing in the file is executed.
 
     Args:
-        path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat or rough.
+        path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat, rough or legged.
         task: what an ONNX file is made for that does not say so itself. Others are taken at their word.
         robots: its robots, likewise; None: those of the task.
 

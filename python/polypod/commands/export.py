@@ -14,7 +14,7 @@ class Export:
     """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat or rough."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat, rough or legged."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where to. Default: exported/ beside the checkpoint."""
     robots: RobotNames = None
