@@ -1,0 +1,26 @@
+"""The bundled policies walk with the robots that they are said to walk with."""
+
+import pytest
+
+from polypod import bundled
+from polypod.evaluation import evaluate_checkpoint
+
+WALKS = {
+    "flat": ["anymal_d", "anymal_c", "anymal_b", "unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2", "spot"],
+    "rough": ["anymal_c", "unitree_a1", "unitree_go1", "unitree_go2"],
+    "legged": ["spot", "solo12", "unitree_b1", "box_quadruped", "anymal_b_kinova", "unitree_h1", "phantomx"],
+}
+"""Robots of each; of `legged` on two, four and six legs, with eight to 19 joints."""
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_it_walks(name):
+    robots = WALKS[name]
+    found = evaluate_checkpoint(bundled.checkpoint(name), robots, num_envs=8 * len(robots), steps=400, threads=2)
+    for robot, result in found.robots.items():
+        assert result.error_vel_xy < 0.5 * result.still_error_vel_xy, robot
+        assert result.fall_rate <= 1 / 8, robot
+
+
+def test_all_are_known():
+    assert set(WALKS) == set(bundled.NAMES)
