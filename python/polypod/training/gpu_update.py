@@ -4,6 +4,7 @@ A mini-batch of small networks is a few hundred kernels of a few microseconds ea
 several times as long as they compute.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -67,8 +68,8 @@ class Samples:
 class Update:
     """Steps of Adam on rsl_rl's loss, on any device; a CUDA device replays graphs of them.
 
-    Several workers, each with the samples of its envs, take the steps that one would take with all samples. Their
-    gradients are summed by NCCL within the graphs. Workers that share a GPU sum by gloo, without graphs.
+    Several workers, each with the samples of its envs, take the steps that one would take with all samples. Of each
+    mini-batch they sum gradients and figures, between a graph of the gradients and one of the step.
     """
 
     def __init__(
@@ -114,10 +115,15 @@ class Update:
                 "exp_avg": torch.zeros_like(parameter),
                 "exp_avg_sq": torch.zeros_like(parameter),
             }
-        self._has_graphs = is_cuda and workers.backend != "gloo"
         self._sizes: list[tuple[int, ...]] = []
         """Of each mini-batch, the samples of all workers."""
-        self._graphs: dict[tuple[int, ...], torch.cuda.CUDAGraph] = {}
+        self._parameters = parameters
+        self._widths = [*(parameter.numel() for parameter in parameters), 3, 2]
+        self._sums = torch.zeros(sum(self._widths), device=device)
+        """Gradients of the parameters, losses, divergence: what several workers sum."""
+        self._advantage_moments = torch.zeros(2, dtype=torch.float64, device=device)
+        """Mean and deviation over a mini-batch of several workers."""
+        self._graphs: dict[tuple[str, tuple[int, ...]], torch.cuda.CUDAGraph] = {}
 
     def run(self, learning_rate: float, entropy_coef: float, desired_kl: float) -> dict[str, float]:
         """Learns from the samples, and takes their observations into the networks' statistics.
@@ -166,17 +172,27 @@ class Update:
 
     def _learn_mini_batch(self, sizes: tuple[int, ...]) -> None:
         """Of samples at the beginning of `_index`, as many as `sizes` says of this worker."""
-        if not self._has_graphs:
-            self._step(sizes)
+        if self._workers.count == 1:
+            self._run("step", sizes, lambda: self._apply(*self._backward(sizes)))
             return
-        # all workers come to the same sizes at the same time, and so to the same sums
-        if sizes not in self._graphs:
-            self._graphs[sizes] = self._capture(sizes)
-        self._graphs[sizes].replay()
+        if self._algorithm.normalize_advantage_per_mini_batch:
+            self._measure_advantages(sizes)
+        self._run("gradients", sizes, lambda: self._write_sums(sizes))
+        self._workers.sum(self._sums)
+        self._run("step", (), self._apply_sums)
 
-    def _capture(self, sizes: tuple[int, ...]) -> torch.cuda.CUDAGraph:
-        """A graph of a step; networks and moments stay as they are."""
-        tensors = [self._rate, self._losses]
+    def _run(self, name: str, sizes: tuple[int, ...], step: Callable[[], None]) -> None:
+        """Computes a step; on a CUDA device by a graph, of which there is one for each name and sizes."""
+        if self._device.type != "cuda":
+            step()
+            return
+        if (name, sizes) not in self._graphs:
+            self._graphs[name, sizes] = self._capture(step)
+        self._graphs[name, sizes].replay()
+
+    def _capture(self, step: Callable[[], None]) -> torch.cuda.CUDAGraph:
+        """A graph of a step; networks, moments and sums stay as they are."""
+        tensors = [self._rate, self._losses, self._sums]
         for parameter, state in self.optimizer.state.items():
             tensors += [parameter.data, *state.values()]
         before = [tensor.clone() for tensor in tensors]
@@ -184,14 +200,14 @@ class Update:
         stream.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(stream):
             for _ in range(WARM_UP):
-                self._step(sizes)
+                step()
         torch.cuda.current_stream(self._device).wait_stream(stream)
         self.optimizer.zero_grad(set_to_none=True)
         graph = torch.cuda.CUDAGraph()
         # on the stream of the steps before, whose autograd nodes live on; NCCL's own thread goes on meanwhile
         mode = "global" if self._workers.count == 1 else "thread_local"
         with torch.cuda.graph(graph, stream=stream, capture_error_mode=mode):
-            self._step(sizes)
+            step()
         for tensor, values in zip(tensors, before, strict=True):
             tensor.copy_(values)
         return graph
@@ -218,8 +234,8 @@ class Update:
         chosen = TensorDict(groups, batch_size=[n], device=self._device)
         return chosen, torch.where(is_image, both_actions[n:], both_actions[:n]), ~is_image.squeeze(1)
 
-    def _step(self, sizes: tuple[int, ...]) -> None:
-        """One mini-batch: gradients of both networks, and a step of Adam."""
+    def _backward(self, sizes: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradients of a mini-batch; returns its losses [3] and divergence [2]: what this worker has of them."""
         samples, algorithm = self._samples, self._algorithm
         actor, critic = self._networks
         n, clip = sizes[self._workers.index], algorithm.clip_param
@@ -232,7 +248,7 @@ class Update:
             samples[name][index].squeeze(1).repeat(copies) for name in ("log_probs", "values", "returns", "advantages")
         )
         if algorithm.normalize_advantage_per_mini_batch:
-            advantages = self._normalized(advantages, n, sum(sizes))
+            advantages = self._normalized(advantages, n)
         with torch.autocast(
             self._device.type,
             dtype=torch.bfloat16,
@@ -260,35 +276,44 @@ class Update:
         self.optimizer.zero_grad(set_to_none=True)
         (loss * share).backward()
         losses = torch.stack([value.detach(), surrogate.detach(), entropy.detach()]).float() * share
-        self._sum([*self._gradients(), losses, divergence])
+        return losses, divergence.float()
+
+    def _apply(self, losses: torch.Tensor, divergence: torch.Tensor) -> None:
+        """A step of Adam with the gradients that there are."""
         self._adapt_rate(divergence)
         for network in self._networks:
-            nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
+            nn.utils.clip_grad_norm_(network.parameters(), self._algorithm.max_grad_norm)
         self.optimizer.step()
         self._losses += losses
 
-    def _gradients(self) -> list[torch.Tensor]:
-        parameters = (parameter for network in self._networks for parameter in network.parameters())
-        return [parameter.grad for parameter in parameters if parameter.grad is not None]
+    def _write_sums(self, sizes: tuple[int, ...]) -> None:
+        """What this worker has of `_sums`."""
+        figures = self._backward(sizes)
+        gradients = [parameter.grad for parameter in self._parameters if parameter.grad is not None]
+        torch.cat([tensor.flatten() for tensor in (*gradients, *figures)], out=self._sums)
 
-    def _sum(self, tensors: list[torch.Tensor]) -> None:
-        """Sums each over all workers, in place."""
-        if self._workers.count == 1:
-            return
-        flat = self._workers.sum(torch.cat([tensor.flatten() for tensor in tensors]))
-        for tensor, total in zip(tensors, torch.split(flat, [tensor.numel() for tensor in tensors]), strict=True):
-            tensor.copy_(total.view_as(tensor))
+    def _apply_sums(self) -> None:
+        """The step with what all workers have."""
+        *gradients, losses, divergence = torch.split(self._sums, self._widths)
+        for parameter, gradient in zip(self._parameters, gradients, strict=True):
+            parameter.grad = gradient.view_as(parameter)
+        self._apply(losses, divergence)
 
-    def _normalized(self, advantages: torch.Tensor, n: int, total: int) -> torch.Tensor:
-        """Of mean 0 and deviation 1 over the mini-batch: the first `n` of each worker, of `total` in all."""
-        of_samples = advantages[:n]
+    def _measure_advantages(self, sizes: tuple[int, ...]) -> None:
+        """Moments of the mini-batch of all workers."""
+        n, total = sizes[self._workers.index], sum(sizes)
+        of_samples = self._samples["advantages"][self._index[:n]].double()
+        mean = self._workers.sum(of_samples.sum()) / total
+        squares = self._workers.sum((of_samples - mean).square().sum()) / (total - 1)
+        self._advantage_moments.copy_(torch.stack([mean, squares.sqrt()]))
+
+    def _normalized(self, advantages: torch.Tensor, n: int) -> torch.Tensor:
+        """Of mean 0 and deviation 1 over the mini-batch, of which the first `n` are this worker's samples."""
         if self._workers.count == 1:
+            of_samples = advantages[:n]
             return (advantages - of_samples.mean()) / (of_samples.std() + 1e-8)
-        mean = of_samples.sum(dtype=torch.float64) / total
-        self._sum([mean])
-        squares = (of_samples - mean).square().sum() / (total - 1)
-        self._sum([squares])
-        return ((advantages - mean) / (squares.sqrt() + 1e-8)).float()
+        mean, deviation = self._advantage_moments
+        return ((advantages - mean) / (deviation + 1e-8)).float()
 
     def _divergence(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
         """[2], that from the policy that collected the samples, summed over those that are no images; their number."""
