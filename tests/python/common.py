@@ -42,4 +42,5 @@ TINY: dict[str, Any] = {"num_envs": 64, "robots": ROBOTS, "seed": 5, "overrides"
 _POLICIES = Path(__file__).parents[2] / "assets" / "policies"
 (FLAT_POLICY,) = (_POLICIES / "flat_universal").glob("model_*.pt")
 (ROUGH_POLICY,) = (_POLICIES / "rough_universal").glob("model_*.pt")
+(LEGGED_POLICY,) = (_POLICIES / "legged_masked").glob("model_*.pt")
 """The checkpoints that come along."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from common import FLAT_POLICY, ROUGH_POLICY
+from common import FLAT_POLICY, LEGGED_POLICY, ROUGH_POLICY
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
@@ -60,7 +60,7 @@ def test_the_docs_are_light():
     assert sum(sizes.values()) <= MOST_BYTES, sorted(sizes, key=sizes.__getitem__)[-5:]
 
 
-@pytest.mark.parametrize("checkpoint", [FLAT_POLICY, ROUGH_POLICY], ids=lambda path: path.parent.name)
+@pytest.mark.parametrize("checkpoint", [FLAT_POLICY, ROUGH_POLICY, LEGGED_POLICY], ids=lambda path: path.parent.name)
 def test_bundled_policies_hold_weights_only(checkpoint):
     """No optimiser and no simulator: what `eval`, `play`, `export`, `sim2sim` and `--init` read."""
     state = torch.load(checkpoint, weights_only=True)

@@ -137,7 +137,7 @@ def test_info_says_what_a_bug_report_needs(cli, monkeypatch):
 
 def test_lists_as_json(cli):
     listed = json.loads(cli("list", "--json").stdout)
-    policies = [{"name": name, "file": str(bundled.checkpoint(name))} for name in ("flat", "rough")]
+    policies = [{"name": name, "file": str(bundled.checkpoint(name))} for name in ("flat", "rough", "legged")]
     assert listed == {"tasks": polypod.tasks(), "robots": polypod.robots(), "policies": policies}
     assert json.loads(cli("list", "robots", "--json").stdout) == {"robots": polypod.robots()}
 
