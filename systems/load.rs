@@ -9,7 +9,7 @@ use super::terms::{CompiledTask, Registry};
 use super::{Setup, SetupSet};
 use crate::batch::Batch;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs};
-use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask};
+use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -50,22 +50,24 @@ pub struct Share {
     pub envs: Range<usize>,
     /// Envs of the whole batch.
     pub num_envs: usize,
+    /// Envs of each robot in the whole batch.
+    pub counts: Vec<usize>,
     /// Of each robot, the place in its block in the whole batch that its first env here has.
     pub first_places: Vec<usize>,
 }
 
 impl Share {
-    /// Of envs that are shared out among so many robots; and how many envs of each robot it has.
-    fn new(envs: Range<usize>, num_envs: usize, robots: usize) -> (Self, Vec<usize>) {
+    /// Of a batch with `totals` envs of each robot; and how many envs of each robot it has.
+    fn new(envs: Range<usize>, totals: Vec<usize>) -> (Self, Vec<usize>) {
         let (mut first_places, mut counts, mut start) = (Vec::new(), Vec::new(), 0);
-        for count in distribute(num_envs, robots) {
-            let end = start + count;
+        for total in &totals {
+            let end = start + total;
             let first = envs.start.clamp(start, end);
             first_places.push(first - start);
             counts.push(envs.end.clamp(first, end) - first);
             start = end;
         }
-        (Self { envs, num_envs, first_places }, counts)
+        (Self { envs, num_envs: start, counts: totals, first_places }, counts)
     }
 
     /// Places of the rows in their robots' blocks in the whole batch; `blocks` are the rows of each robot.
@@ -96,7 +98,7 @@ fn load_into(world: &mut World) -> Result<(), Error> {
         morphology.allow_action_delay(compiled.max_action_delay(morphology));
     }
     let own = options.share.clone().unwrap_or(0..options.num_envs);
-    let (share, counts) = Share::new(own, options.num_envs, robots.len());
+    let (share, counts) = Share::new(own, counts_of(robots, &task.config, options.num_envs)?);
     let num_envs = share.envs.len();
     let simd = Simd::choose(options.simd)?;
     // a robot at a time, or a pack of one kind
@@ -137,9 +139,28 @@ fn read(options: &SimOptions) -> Result<Loaded, Error> {
     Ok(Loaded { task, robots })
 }
 
-/// Envs per robot: equal shares, the remainder to the first ones, in contiguous blocks.
-pub fn distribute(num_envs: usize, robots: usize) -> Vec<usize> {
-    (0..robots).map(|r| num_envs / robots + usize::from(r < num_envs % robots)).collect()
+/// Envs per robot, in contiguous blocks: each robot has envs for its shares, rounded down, and the first ones one more, as
+/// long as there are any left.
+pub fn distribute(num_envs: usize, shares: &[usize]) -> Vec<usize> {
+    let total: usize = shares.iter().sum();
+    let mut counts: Vec<usize> = shares.iter().map(|share| num_envs * share / total).collect();
+    let left = num_envs - counts.iter().sum::<usize>();
+    counts.iter_mut().take(left).for_each(|count| *count += 1);
+    counts
+}
+
+/// Envs of each robot in the whole batch.
+fn counts_of(robots: &[LoadedRobot], task: &TaskConfig, num_envs: usize) -> Result<Vec<usize>, Error> {
+    let shares = robots.iter().map(|robot| task.env_shares.get(&robot.config.name).map_or(1, |&share| share as usize));
+    let counts = distribute(num_envs, &shares.collect::<Vec<_>>());
+    match counts.iter().zip(robots).find(|(count, _)| **count == 0) {
+        Some((_, robot)) => Err(Error::argument(
+            "num_envs",
+            format!("none of {num_envs} envs is left for {} with the task's env_shares", robot.config.name),
+            "ask for more envs, or even out the shares".to_owned(),
+        )),
+        None => Ok(counts),
+    }
 }
 
 fn check_arguments(robots: &[String], options: &SimOptions) -> Result<(), Error> {

@@ -16,12 +16,41 @@ use crate::common::{ROBOTS, busy, step};
 
 #[test]
 fn equal_shares_and_the_remainder_to_the_first() {
-    assert_eq!(distribute(4096, 8), [512; 8]);
-    assert_eq!(distribute(4096, 7), [586, 585, 585, 585, 585, 585, 585]);
-    assert_eq!(distribute(11, 4), [3, 3, 3, 2]);
-    assert_eq!(distribute(3, 3), [1; 3]);
+    assert_eq!(distribute(4096, &[1; 8]), [512; 8]);
+    assert_eq!(distribute(4096, &[1; 7]), [586, 585, 585, 585, 585, 585, 585]);
+    assert_eq!(distribute(11, &[1; 4]), [3, 3, 3, 2]);
+    assert_eq!(distribute(3, &[5; 3]), [1; 3]);
     for (num_envs, robots) in [(8, 8), (203, 8), (1000, 7), (5, 1)] {
-        assert_eq!(distribute(num_envs, robots).iter().sum::<usize>(), num_envs);
+        assert_eq!(distribute(num_envs, &vec![1; robots]).iter().sum::<usize>(), num_envs);
+    }
+}
+
+#[test]
+fn a_task_may_give_a_robot_more_shares() {
+    assert_eq!(distribute(12, &[1, 3, 2]), [2, 6, 4]);
+    assert_eq!(distribute(13, &[1, 3, 2]), [3, 6, 4]);
+    let with = |shares: &[&str], num_envs| {
+        let mut options = busy(&ROBOTS, num_envs);
+        options.overrides.extend(shares.iter().map(|&share| share.to_owned()));
+        Sim::new(&options)
+    };
+    let sim = with(&["env_shares.spot=3", "env_shares.unitree_a1=2"], 22).unwrap();
+    let counts = (0..ROBOTS.len()).map(|robot| sim.env_ids(robot).len());
+    let expected = ROBOTS.iter().map(|&name| match name {
+        "spot" => 6,
+        "unitree_a1" => 4,
+        _ => 2,
+    });
+    assert!(counts.eq(expected));
+
+    let refusals = [
+        (with(&["env_shares.spot=100"], 19), "none of 19 envs is left for anymal_d"),
+        (with(&["env_shares.spot=0"], 19), "spot = 0: write a whole number from 1 to 1000"),
+        (with(&["env_shares.sport=2"], 19), "spot"),
+    ];
+    for (refused, words) in refusals {
+        let text = refused.err().unwrap().to_string();
+        assert!(text.contains(words), "{text}");
     }
 }
 

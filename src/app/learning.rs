@@ -9,7 +9,6 @@ use polypod_learner::{
 use super::Sim;
 use crate::config::ConfigError;
 use crate::error::Error;
-use crate::systems::distribute;
 use crate::workers::Workers;
 
 impl Team for Workers {
@@ -50,15 +49,15 @@ impl Sim {
     /// # Errors
     /// An unknown group.
     pub fn observation_shares(&self, group: &str) -> Result<Vec<f64>, ConfigError> {
-        let (task, num_envs) = (self.task(), self.share().num_envs);
+        let (task, share) = (self.task(), self.share());
         let columns = task.group(group)?.columns.clone();
         let mut counts = vec![0usize; columns.len()];
-        for (robot, envs) in self.morphologies().iter().zip(distribute(num_envs, self.morphologies().len())) {
+        for (robot, &envs) in self.morphologies().iter().zip(&share.counts) {
             for (count, has) in counts.iter_mut().zip(&task.observation_mask(robot)[columns.clone()]) {
                 *count += if *has { envs } else { 0 };
             }
         }
-        Ok(counts.into_iter().map(|count| count as f64 / num_envs as f64).collect())
+        Ok(counts.into_iter().map(|count| count as f64 / share.num_envs as f64).collect())
     }
 
     fn check_share(&self, worker: Worker) -> Result<(), Error> {
@@ -82,9 +81,8 @@ impl Sim {
 
     fn learner_settings(&self, options: Options) -> Settings {
         let has_mirrors = options.symmetry != Symmetry::None;
-        let counts = distribute(self.share().num_envs, self.morphologies().len());
         let mut next = 0;
-        let robots = self.morphologies().iter().zip(counts).map(|(robot, count)| {
+        let robots = self.morphologies().iter().zip(&self.share().counts).map(|(robot, count)| {
             let envs = next..next + count;
             next += count;
             let (observation_mirror, action_mirror) = if has_mirrors {

@@ -118,14 +118,16 @@ impl Library {
     /// Robots, by name or path, as a task has them: with the task's `[robot_overrides]` on top, by name or by a path's stem.
     ///
     /// # Errors
-    /// As [`Library::robot`]; overrides of a robot that does not exist.
+    /// As [`Library::robot`]; overrides or shares of a robot that does not exist.
     pub fn robots_in(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<Vec<LoadedRobot>, ConfigError> {
         self.check_overrides(names_or_paths, task)?;
         names_or_paths.iter().map(|name| self.robot_with(name, Some(task))).collect()
     }
 
     fn check_overrides(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<(), ConfigError> {
-        if task.robot_overrides.is_empty() {
+        let named = (task.robot_overrides.keys().map(|name| ("robot_overrides", name)))
+            .chain(task.env_shares.keys().map(|name| ("env_shares", name)));
+        if named.clone().next().is_none() {
             return Ok(());
         }
         let mut known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
@@ -133,9 +135,8 @@ impl Library {
             path if is_toml(path) => stem_of(path),
             _ => name.clone(),
         }));
-        let is_known = |name: &String| known.contains(name);
-        if let Some(stranger) = task.robot_overrides.keys().find(|name| !is_known(name)) {
-            let element = format!("robot_overrides.{stranger}");
+        if let Some((table, stranger)) = { named }.find(|(_, name)| !known.contains(*name)) {
+            let element = format!("{table}.{stranger}");
             let remedy = did_you_mean(stranger, known.iter().map(String::as_str), "robots");
             let error =
                 ConfigError::invalid(task.name.clone(), element, format!("there is no robot `{stranger}`"), remedy);

@@ -6,9 +6,9 @@ use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{OVERRIDE, element_index, merge, unknown_element};
 use super::suggest::did_you_mean;
 
-/// A table whose keys are not known beforehand: robots, and what a task changes in their configs. What is missing on the
-/// way into it is made; the robots' types check it where they are read.
-const OPEN: &str = "robot_overrides";
+/// Tables whose keys are not known beforehand: robots, with what a task changes in their configs and their shares of the
+/// envs. What is missing on the way into them is made; it is checked where the robots are read.
+const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 
 /// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
 /// Every table on the way must exist; whether a new last key is a known one is left to the types. Elements of an array are named by
@@ -73,7 +73,7 @@ fn descend<'a>(mut node: &'a mut Value, keys: &[&str], walked: &mut Vec<String>)
     for key in keys {
         node = match node {
             Value::Table(table) => {
-                if walked.first().map_or(*key, String::as_str) == OPEN {
+                if OPEN.contains(&walked.first().map_or(*key, String::as_str)) {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
                 }
                 if !table.contains_key(*key) {

@@ -29,6 +29,9 @@ pub struct TaskConfig {
     pub experiment_name: String,
     /// Names of the robots, in the order of their blocks of envs.
     pub robots: Vec<String>,
+    /// How many shares of the envs each robot has, by its name; robots that are not named have one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty", deserialize_with = "values::env_shares")]
+    pub env_shares: BTreeMap<String, u32>,
     /// What this task changes in robots' configs, by the robot's name: tables laid out like `configs/robots/*.toml`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub robot_overrides: BTreeMap<String, Table>,

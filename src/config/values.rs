@@ -1,6 +1,8 @@
 //! Checked values: functions for `#[serde(deserialize_with = "...")]`, for the types of this module and for the parameters
 //! of terms alike. Each error message holds the problem and, after a semicolon, the remedy.
 
+use std::collections::BTreeMap;
+
 use serde::de::{Deserialize, Deserializer, Error};
 
 use crate::bounds::{MAX_COMMAND, MAX_DELAY, MIN_DT};
@@ -183,6 +185,20 @@ pub fn count_up_to<'de, const MOST: u32, D: Deserializer<'de>>(deserializer: D) 
             Err(D::Error::custom(format!("{count} is too many; write a whole number from 1 to {MOST}")))
         }
         count => Ok(count),
+    }
+}
+
+/// Shares of the envs by robot: whole numbers from 1 to 1000.
+///
+/// # Errors
+/// Outside that, or not whole.
+pub fn env_shares<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, u32>, D::Error> {
+    let shares = BTreeMap::<String, u32>::deserialize(deserializer)?;
+    match shares.iter().find(|(_, share)| !(1..=1000).contains(*share)) {
+        Some((robot, share)) => {
+            Err(D::Error::custom(format!("{robot} = {share}: write a whole number from 1 to 1000")))
+        }
+        None => Ok(shares),
     }
 }
 

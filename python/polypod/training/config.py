@@ -218,7 +218,7 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
     raise _core.ConfigError(f"{where} = {value!r} must be of type {getattr(expected, '__name__', expected)}")
 
 
-CHANGEABLE = ("commands.", "events.", "rewards.")
+CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.")
 """What `[run] task_changes` begin with: a policy of the changed task is one of the task."""
 MAX_RNN = 4096
 """Width of a recurrent layer."""
@@ -281,7 +281,7 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
     for change in run.task_changes:
         if not change.startswith(CHANGEABLE):
             raise _core.ConfigError(
-                f"{source}: [run] task_changes: {change[:100]!r} would change more than the course of episodes; "
+                f"{source}: [run] task_changes: {change[:100]!r} would change what the policy sees or moves; "
                 f"begin with {', '.join(CHANGEABLE)}, or name another task"
             )
     if run.normalize_advantage_per_robot and algorithm.normalize_advantage_per_mini_batch:
