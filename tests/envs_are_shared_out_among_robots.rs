@@ -44,7 +44,7 @@ fn a_task_may_give_a_robot_more_shares() {
     assert!(counts.eq(expected));
 
     let refusals = [
-        (with(&["env_shares.spot=100"], 19), "none of 19 envs is left for anymal_d"),
+        (with(&["env_shares.spot=100"], 19), "none of 19 envs is left for anymal_b"),
         (with(&["env_shares.spot=0"], 19), "spot = 0: write a whole number from 1 to 1000"),
         (with(&["env_shares.sport=2"], 19), "spot"),
     ];

@@ -22,5 +22,24 @@ def test_it_walks(name):
         assert result.fall_rate <= 1 / 8, robot
 
 
+def test_a_training_begins_with_one_by_its_name(cli, tmp_path):
+    train = (
+        "train",
+        "--logger",
+        "none",
+        "--robots",
+        "spot",
+        "--num-envs",
+        "64",
+        "--max-iterations",
+        "1",
+        "--init",
+        "flat",
+    )
+    ended = cli(*train, "--init", "flat", "--train-config", "flat_finish", "--log-dir", str(tmp_path))
+    assert ended.returncode == 0, ended.stderr
+    assert len(list(tmp_path.rglob("model_1.pt"))) == 1
+
+
 def test_all_are_known():
     assert set(WALKS) == set(bundled.NAMES)

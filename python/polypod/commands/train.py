@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod import _core
+from polypod import _core, bundled
 from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
 
 
@@ -15,7 +15,7 @@ class Train:
     task: Name = None
     """Name or alias of the task (`polypod list`). Default: the train config's."""
     num_envs: Count = None
-    """Number of envs, shared out evenly among the robots. Default: the train config's, 4096 of most."""
+    """Number of envs, shared out among the robots. Default: the train config's, 4096 of most."""
     robots: Robots = None
     """Names of the robots, with commas between (`polypod list`). Default: the task's."""
     max_iterations: Count = None
@@ -34,7 +34,7 @@ class Train:
     resume: Annotated[str | None, arg(metavar="RUN")] = None
     """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Begin with the networks of this checkpoint, of a run with the same observation and sizes of networks."""
+    """Begin with the networks of this checkpoint, or bundled policy, of the same observation and sizes of networks."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None
@@ -73,7 +73,7 @@ class Train:
             logger=self.logger,
             log_project=self.log_project,
             resume=self.resume,
-            init=self.init,
+            init=self.init and bundled.resolve(self.init),
             terms=self.terms,
             run_name=self.run_name,
             log_dir=self.log_dir,
