@@ -34,7 +34,9 @@ VARIANTS = {
         "run": {"normalize_advantage_per_robot": False},
         "algorithm": {"normalize_advantage_per_mini_batch": True},
     },
-    "relu": {"actor": {"activation": "relu", "hidden_dims": [40, 24]}},
+    # few units: each number that enters one is a chance that roundings put it on the other side of 0
+    "relu": {"actor": {"activation": "relu", "hidden_dims": [10, 6]}},
+    "two_widths": {"actor": {"hidden_dims": [40, 24]}},
     "one_hidden_layer": {"critic": {"hidden_dims": [7]}},
     "tanh": {"actor": {"activation": "tanh"}, "critic": {"activation": "tanh", "obs_normalization": False}},
     "mirror_images": {"run": {"symmetry": True}},
