@@ -8,7 +8,7 @@ from polypod.evaluation import evaluate_checkpoint
 WALKS = {
     "flat": ["anymal_d", "anymal_c", "anymal_b", "unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2", "spot"],
     "rough": ["anymal_c", "unitree_a1", "unitree_go1", "unitree_go2"],
-    "legged": ["spot", "solo12", "unitree_b1", "box_quadruped", "anymal_b_kinova", "unitree_h1", "unitree_g1", "phantomx"],
+    "legged": ["solo12", "unitree_b1", "box_quadruped", "anymal_b_kinova", "unitree_h1", "unitree_g1", "phantomx"],
 }
 """Robots of each; of `legged` on two, four and six legs, with eight to 29 joints."""
 
