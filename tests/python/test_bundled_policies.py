@@ -23,19 +23,7 @@ def test_it_walks(name):
 
 
 def test_a_training_begins_with_one_by_its_name(cli, tmp_path):
-    train = (
-        "train",
-        "--logger",
-        "none",
-        "--robots",
-        "spot",
-        "--num-envs",
-        "64",
-        "--max-iterations",
-        "1",
-        "--init",
-        "flat",
-    )
+    train = ("train", "--logger", "none", "--robots", "spot", "--num-envs", "64", "--max-iterations", "1")
     ended = cli(*train, "--init", "flat", "--train-config", "flat_finish", "--log-dir", str(tmp_path))
     assert ended.returncode == 0, ended.stderr
     assert len(list(tmp_path.rglob("model_1.pt"))) == 1
