@@ -125,17 +125,17 @@ impl Library {
     }
 
     fn check_overrides(&self, names_or_paths: &[String], task: &TaskConfig) -> Result<(), ConfigError> {
-        let named = (task.robot_overrides.keys().map(|name| ("robot_overrides", name)))
-            .chain(task.env_shares.keys().map(|name| ("env_shares", name)));
-        if named.clone().next().is_none() {
+        if task.robot_overrides.is_empty() && task.env_shares.is_empty() {
             return Ok(());
         }
+        let mut named = (task.robot_overrides.keys().map(|name| ("robot_overrides", name)))
+            .chain(task.env_shares.keys().map(|name| ("env_shares", name)));
         let mut known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
         known.extend(task.robots.iter().chain(names_or_paths).map(|name| match Path::new(name) {
             path if is_toml(path) => stem_of(path),
             _ => name.clone(),
         }));
-        if let Some((table, stranger)) = { named }.find(|(_, name)| !known.contains(*name)) {
+        if let Some((table, stranger)) = named.find(|(_, name)| !known.contains(*name)) {
             let element = format!("{table}.{stranger}");
             let remedy = did_you_mean(stranger, known.iter().map(String::as_str), "robots");
             let error =
