@@ -30,3 +30,11 @@ def resolve(given: Path | None) -> Path:
     if given is None:
         return checkpoint()
     return checkpoint(str(given)) if str(given) in NAMES and not given.exists() else given
+
+
+def shown(checkpoint: Path) -> str:
+    """What stands in a command for a checkpoint: the name of a bundled policy, or the path."""
+    for name, folder in NAMES.items():
+        if checkpoint.parent == FOLDER / folder:
+            return name
+    return str(checkpoint)

@@ -8,15 +8,27 @@ from polypod.evaluation import evaluate_checkpoint
 WALKS = {
     "flat": ["anymal_d", "anymal_c", "anymal_b", "unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2", "spot"],
     "rough": ["anymal_c", "unitree_a1", "unitree_go1", "unitree_go2"],
-    "legged": ["solo12", "unitree_b1", "box_quadruped", "anymal_b_kinova", "unitree_h1", "unitree_g1", "phantomx"],
+    "legged": [
+        "anymal_d",
+        "unitree_b2",
+        "box_quadruped",
+        "anymal_b_kinova",
+        "unitree_h1",
+        "unitree_g1",
+        "cassie",
+        "booster_t1",
+        "limx_tron1",
+        "phantomx",
+    ],
 }
-"""Robots of each; of `legged` on two, four and six legs, with eight to 29 joints."""
+"""Robots of each; of `legged` on two, four and six legs, with six to 29 joints."""
 
 
 @pytest.mark.parametrize("name", WALKS)
 def test_it_walks(name):
     robots = WALKS[name]
     found = evaluate_checkpoint(bundled.checkpoint(name), robots, num_envs=8 * len(robots), steps=400, threads=2)
+    assert found.checkpoint["file"] == name
     for robot, result in found.robots.items():
         assert result.error_vel_xy < 0.5 * result.still_error_vel_xy, robot
         assert result.fall_rate <= 1 / 8, robot

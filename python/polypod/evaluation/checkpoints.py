@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from polypod import bundled
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
@@ -28,7 +29,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         **arguments,
     )
     origin = {
-        "file": str(checkpoint),
+        "file": bundled.shown(checkpoint),
         "sha256": policy.sha256,
         "iteration": policy.iteration,
         "task": manifest["task"],
