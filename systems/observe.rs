@@ -128,17 +128,14 @@ fn spread<I>(own_columns: I, columns: usize, numbers: &mut [f32])
 where
     I: ExactSizeIterator<Item = usize> + DoubleEndedIterator + Clone,
 {
-    let count = own_columns.len();
-    for block in (0..numbers.len() / columns).rev() {
-        let mut end = (block + 1) * columns;
+    let (count, blocks) = (own_columns.len(), numbers.len() / columns);
+    numbers[blocks * count..].fill(0.0);
+    for block in (0..blocks).rev() {
         for (own, column) in own_columns.clone().enumerate().rev() {
-            let to = block * columns + column;
-            let value = numbers[block * count + own];
-            numbers[to..end].fill(0.0);
-            numbers[to] = value;
-            end = to;
+            // last ones first: where a number goes, nothing lies that has yet to move
+            let number = std::mem::take(&mut numbers[block * count + own]);
+            numbers[block * columns + column] = number;
         }
-        numbers[block * columns..end].fill(0.0);
     }
 }
 
