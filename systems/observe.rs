@@ -132,7 +132,6 @@ where
     numbers[blocks * count..].fill(0.0);
     for block in (0..blocks).rev() {
         for (own, column) in own_columns.clone().enumerate().rev() {
-            // last ones first: where a number goes, nothing lies that has yet to move
             let number = std::mem::take(&mut numbers[block * count + own]);
             numbers[block * columns + column] = number;
         }

@@ -10,7 +10,9 @@ WALKS = {
     "rough": ["anymal_c", "unitree_a1", "unitree_go1", "unitree_go2"],
     "legged": [
         "anymal_d",
+        "unitree_b1",
         "unitree_b2",
+        "solo12",
         "box_quadruped",
         "anymal_b_kinova",
         "unitree_h1",
