@@ -8,10 +8,11 @@ SHELL := bash
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-UV_VERSION := 0.13.8
 LOCK := requirements.lock
 LEARNERS := target/learners
 LEARNERS_LOCK := requirements-learners.lock
+DOCS := target/docs
+DOCS_LOCK := requirements-docs.lock
 
 # The machine's own index, where pip is told of one and uv is not, and its own certificates.
 ifndef UV_DEFAULT_INDEX
@@ -60,14 +61,13 @@ train: $(VENV)/.extension ## Train one policy over all robots (ARGS="..." is pas
 eval: $(VENV)/.extension ## Evaluate a checkpoint: make eval ARGS="--checkpoint logs/.../model_300.pt"
 	$(BIN)/polypod eval $(ARGS)
 
-# Installs the wheel $(1) with what training and playing need into a new environment, $(2). Versions are those of the lock.
+# Installs the wheel $(1) with what training and playing need into a new environment, $(2): versions and hashes of the
+# lock, and the base's torch where that is used.
 define install_wheel
-@if [ -e $(VENV)/.base-torch ]; then \
-	$(PYTHON) -m venv --system-site-packages "$(2)"; install="$(2)/bin/python -m pip install --quiet"; \
-else \
-	$(PYTHON) -m venv "$(2)"; install="$(BIN)/uv pip install --python $(2)/bin/python"; \
-fi; \
-$$install --constraint $(VENV)/requirements.txt "$$(realpath "$(1)")[train,play]"
+$(PYTHON) -m venv $(if $(wildcard $(VENV)/.base-torch),--system-site-packages) "$(2)"
+@echo torch > $(VENV)/torch.txt
+$(BIN)/uv pip install --python "$(2)/bin/python" --constraint $(VENV)/requirements.txt --verify-hashes \
+	$(if $(wildcard $(VENV)/.base-torch),--excludes $(VENV)/torch.txt) "$$(realpath "$(1)")[train,play]"
 endef
 
 # Three commands of an installed polypod, $(1).
@@ -155,15 +155,14 @@ lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	$(BIN)/ruff format --check python tests/python examples
 	$(BIN)/mypy
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 
 doc: ## Build the documentation of the Rust crates: target/doc/polypod/index.html
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
 
 # In an environment of its own: MkDocs reads the sources and needs nothing of polypod's.
-docs: $(VENV)/.venv ## Build the documentation as a site: target/site/index.html
-	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python target/docs
-	$(BIN)/uv pip install --quiet --python target/docs/bin/python --group docs
-	target/docs/bin/mkdocs build --quiet --strict
+docs: $(DOCS)/.installed ## Build the documentation as a site: target/site/index.html
+	$(DOCS)/bin/mkdocs build --quiet --strict
 
 package: ## Pack the crates as `cargo publish` would: target/package
 	cargo package --locked --no-verify --allow-dirty --package polypod-dynamics --package polypod-learner --package polypod
@@ -173,14 +172,17 @@ format: $(VENV)/.dependencies ## Format all code
 	$(BIN)/ruff check --fix python tests/python
 	$(BIN)/ruff format python tests/python
 
-# RLlib and TorchRL want older versions of some packages than the newest, but the same torch.
-COMPILE = $(BIN)/uv pip compile pyproject.toml --extra train --extra bench --extra export --extra play --group dev --universal \
-	--python-version 3.10 --upgrade --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet
+# Versions for every platform and Python version, each file with its SHA-256: an installation checks what it downloads.
+PIP_COMPILE = $(BIN)/uv pip compile --universal --python-version 3.10 --upgrade --generate-hashes --no-emit-index-url \
+	--no-emit-find-links --custom-compile-command "make lock" --quiet
+COMPILE = $(PIP_COMPILE) pyproject.toml --extra train --extra bench --extra export --extra play --group dev
 
-lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows
+# RLlib and TorchRL want older versions of some packages than the newest, but the same torch.
+lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows, and their hashes
 	$(COMPILE) -o $(LOCK)
-	grep -E '^((torch|triton|numpy|mujoco|rsl-rl-lib)==|nvidia-|cuda-)' $(LOCK) > $(VENV)/same.txt
+	sed -nE '/^((torch|triton|numpy|mujoco|rsl-rl-lib)==|nvidia-|cuda-)/s/ \\$$//p' $(LOCK) > $(VENV)/same.txt
 	$(COMPILE) --extra ray --extra learners --constraint $(VENV)/same.txt --no-annotate -o $(LEARNERS_LOCK)
+	$(PIP_COMPILE) --group docs --no-annotate -o $(DOCS_LOCK)
 
 clean: ## Remove everything that is built; training runs in logs/ stay
 	rm -rf $(VENV) target dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
@@ -195,26 +197,40 @@ $(VENV)/.venv:
 	@if $(PYTHON) -c 'import torch; assert tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 6)' 2>/dev/null; then \
 		echo "using the torch of $(PYTHON)"; $(PYTHON) -m venv --system-site-packages $(VENV); touch $(VENV)/.base-torch; \
 	else $(PYTHON) -m venv $(VENV); fi
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
+	@$(call entries,$(LOCK),uv) > $(VENV)/uv.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement $(VENV)/uv.txt
 	@touch $@
 
+# An entry of a lock is a line and its indented lines, the hashes. Prints the entries of package $(2).
+entries = awk '/^[^ ]/ { found = index($$0, "$(2)==") == 1 } found' $(1)
+
 # The locks are complete, so nothing is resolved: with the base's torch, torch and its GPU libraries are left out of it.
-without_base_torch = if [ -e $(VENV)/.base-torch ]; then grep -vE '^((torch|triton)==|nvidia-|cuda-)' $(1); else cat $(1); fi
+without_base_torch = if [ -e $(VENV)/.base-torch ]; then \
+	awk '/^[^ ]/ { left_out = /^((torch|triton)==|nvidia-|cuda-)/ } !left_out' $(1); else cat $(1); fi
+
+# Installs what a lock pins into an environment: a file of another hash than the lock's is refused.
+INSTALL := $(BIN)/uv pip install --no-deps --require-hashes
 
 $(VENV)/.requirements: $(VENV)/.venv $(LOCK)
 	@$(call without_base_torch,$(LOCK)) > $(VENV)/requirements.txt
-	$(BIN)/uv pip install --python $(BIN)/python --no-deps "$$(grep '^maturin==' $(VENV)/requirements.txt)"
+	@$(call entries,$(LOCK),maturin) > $(VENV)/maturin.txt
+	$(INSTALL) --python $(BIN)/python --requirement $(VENV)/maturin.txt
 	@touch $@
 
 $(VENV)/.dependencies: $(VENV)/.requirements
-	$(BIN)/uv pip install --python $(BIN)/python --no-deps --compile-bytecode --requirement $(VENV)/requirements.txt
+	$(INSTALL) --python $(BIN)/python --compile-bytecode --requirement $(VENV)/requirements.txt
 	@touch $@
 
 $(LEARNERS)/.installed: $(VENV)/.venv $(LEARNERS_LOCK)
 	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python $(LEARNERS) \
 		$(if $(wildcard $(VENV)/.base-torch),--system-site-packages)
 	@$(call without_base_torch,$(LEARNERS_LOCK)) > $(LEARNERS)/requirements.txt
-	$(BIN)/uv pip install --quiet --python $(LEARNERS)/bin/python --no-deps --requirement $(LEARNERS)/requirements.txt
+	$(INSTALL) --quiet --python $(LEARNERS)/bin/python --requirement $(LEARNERS)/requirements.txt
+	@touch $@
+
+$(DOCS)/.installed: $(VENV)/.venv $(DOCS_LOCK)
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python $(DOCS)
+	$(INSTALL) --quiet --python $(DOCS)/bin/python --requirement $(DOCS_LOCK)
 	@touch $@
 
 # The extension, the program and the tests share target/, the release profile and the features of workspace-hack, so that
