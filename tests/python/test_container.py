@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -27,12 +28,22 @@ def ignored():
     ]
 
 
-def test_instructions_are_known_and_bases_have_versions():
+def test_instructions_are_known_and_bases_have_digests():
     assert {name for name, _ in instructions()} <= INSTRUCTIONS
-    bases = [arguments.split()[0] for name, arguments in instructions() if name == "FROM"]
-    assert len(bases) == 2
-    for base in bases:
-        assert re.fullmatch(r"docker\.io/library/python:3\.\d+-slim-\w+", base), base
+    assert [arguments.split()[0] for name, arguments in instructions() if name == "FROM"] == ["${PYTHON}"] * 2
+    (base,) = re.findall(r"^ARG PYTHON=(.*)$", (ROOT / "Containerfile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert re.fullmatch(r"docker\.io/library/python:3\.\d+\.\d+-slim-\w+@sha256:[0-9a-f]{64}", base)
+
+
+def test_what_is_downloaded_is_compared_with_a_hash_before_it_runs():
+    downloads = [arguments for name, arguments in instructions() if name == "RUN" and re.search(r"curl -", arguments)]
+    assert len(downloads) == 1
+    for arguments in downloads:
+        assert not re.search(r"\| *(ba)?sh\b", arguments)
+        file = re.search(r"--output (\S+)", arguments)[1]
+        compared, run = arguments.index("sha256sum --check"), arguments.index(f"&& {file} ")
+        assert arguments.index("curl -") < compared < run
+        assert len(re.findall(r"sha256=[0-9a-f]{64} ;;", arguments)) == 2
 
 
 def test_what_is_copied_exists():
@@ -59,15 +70,12 @@ def test_nothing_that_is_built_of_is_ignored():
 
 
 def test_the_lock_names_the_torch_that_is_installed():
-    (sed,) = re.findall(r"sed -n \"s/(.*?)/\\1/p\"", (ROOT / "Containerfile").read_text(encoding="utf-8"))
-    pattern = sed.replace(r"\(", "(").replace(r"\)", ")")
-    found = [
-        match[1]
-        for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
-        if (match := re.match(pattern, line))
-    ]
-    assert len(found) == 1
-    assert re.fullmatch(r"torch==\d+\.\d+\.\d+", found[0])
+    """One for the Python of the image, without the hashes of PyPI's files."""
+    (script,) = re.findall(r"sed -nE '(/\^torch==.*?)'", (ROOT / "Containerfile").read_text(encoding="utf-8"))
+    command = ["sed", "-nE", script, str(ROOT / "requirements.lock")]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    found = [re.fullmatch(r"torch==\d+\.\d+\.\d+ ; (python_full_version (?:<|>=) '3\.11')", line) for line in lines]
+    assert sorted(match[1] for match in found) == ["python_full_version < '3.11'", "python_full_version >= '3.11'"]
 
 
 def test_it_runs_the_program_as_no_root():

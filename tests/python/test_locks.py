@@ -1,0 +1,120 @@
+"""What is installed is what the lock names, to the hash, and the locks of all workspaces name the same versions."""
+
+import hashlib
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from polypod.compat import tomllib
+
+ROOT = Path(__file__).resolve().parents[2]
+LOCKS = ["requirements.lock", "requirements-learners.lock", "requirements-docs.lock"]
+ENTRY = re.compile(r"^([a-z0-9][\w.-]*)==(\S+?)(?: ; [^\n\\]*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)")
+
+
+def entries(text: str) -> Iterator[str]:
+    """The entries of a lock: a line and the indented ones below it."""
+    for entry in re.split(r"^(?=\S)", text, flags=re.MULTILINE):
+        if entry.strip() and not entry.startswith("#"):
+            yield entry
+
+
+def show(shell: str, folder: Path) -> str:
+    """What a recipe of the Makefile prints, with `folder` in place of .venv."""
+    command = ["make", "--no-print-directory", "-s", "-C", ROOT, f"VENV={folder}", f"--eval=show: ; @{shell}", "show"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_every_entry_has_hashes(lock):
+    found = list(entries((ROOT / lock).read_text(encoding="utf-8")))
+    assert len(found) > 30
+    assert [entry.split("\n")[0] for entry in found if not ENTRY.match(entry)] == []
+
+
+def test_every_installation_checks_them():
+    """In the Makefile and in the container; torch alone comes from an index of its own there."""
+    for file in ("Makefile", "Containerfile"):
+        text = re.sub(r"^#.*\n", "", (ROOT / file).read_text(encoding="utf-8"), flags=re.MULTILINE)
+        lines = [part for line in text.replace("\\\n", " ").splitlines() for part in line.split("&&")]
+        installs = [line.strip() for line in lines if re.search(r"\bpip install\b", line)]
+        assert len(installs) >= 3
+        loose = [line for line in installs if not re.search(r"--(require|verify)-hashes", line)]
+        assert [line for line in loose if "--index-url" not in line or "torch.txt" not in line] == [], file
+    lines = (ROOT / "Makefile").read_text(encoding="utf-8").splitlines()
+    used = [line for line in lines if line.startswith("\t$(INSTALL)")]
+    assert len(used) == 4
+
+
+def test_the_base_torch_is_left_out_with_its_hashes(tmp_path):
+    """No line of a left out entry stays: a hash without its package would be one of the package above it."""
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    shell = "$(call without_base_torch,requirements.lock)"
+    assert show(shell, tmp_path) == lock
+    (tmp_path / ".base-torch").touch()
+    left = show(shell, tmp_path)
+    ours = re.compile(r"(torch|triton)==|nvidia-|cuda-")
+    assert any(ours.match(entry) for entry in entries(lock))
+    assert list(entries(left)) == [entry for entry in entries(lock) if not ours.match(entry)]
+
+
+@pytest.mark.parametrize("package", ["uv", "maturin"])
+def test_one_entry_is_taken_whole(tmp_path, package):
+    found = show(f"$(call entries,requirements.lock,{package})", tmp_path)
+    (entry,) = entries(found)
+    assert entry.startswith(f"{package}==")
+    assert ENTRY.match(entry)
+
+
+@pytest.fixture
+def index(tmp_path):
+    """A folder with the wheel of a package, and its SHA-256."""
+    wheel = tmp_path / "index" / "sound-1.0-py3-none-any.whl"
+    wheel.parent.mkdir()
+    with zipfile.ZipFile(wheel, "w") as file:
+        file.writestr("sound.py", "")
+        file.writestr("sound-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: sound\nVersion: 1.0\n")
+        tag = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        file.writestr("sound-1.0.dist-info/WHEEL", tag)
+        file.writestr("sound-1.0.dist-info/RECORD", "")
+    return wheel.parent, hashlib.sha256(wheel.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("kind", ["sound", "flipped", "missing"])
+def test_a_file_of_another_hash_is_refused(tmp_path, index, kind):
+    folder, digest = index
+    flipped = f"{int(digest[0], 16) ^ 1:x}{digest[1:]}"
+    hashes = {"sound": f" --hash=sha256:{digest}", "flipped": f" --hash=sha256:{flipped}", "missing": ""}
+    lock = tmp_path / "some.lock"
+    lock.write_text(f"sound==1.0{hashes[kind]}\n")
+    command = show("echo $(INSTALL)", ROOT / ".venv").split()
+    if not Path(command[0]).is_file():
+        pytest.skip("needs the environment of make build")
+    options = ["--offline", "--no-index", "--find-links", folder, "--target", tmp_path / "into", "--no-cache"]
+    done = subprocess.run(
+        [*command, "--python", sys.executable, *options, "--requirement", lock], capture_output=True, text=True
+    )
+    assert (done.returncode == 0) == (kind == "sound"), done.stderr
+    assert (tmp_path / "into" / "sound.py").exists() == (kind == "sound")
+
+
+@pytest.mark.parametrize("other", ["fuzz/Cargo.lock"])
+def test_workspaces_apart_have_the_same_versions(other):
+    """Else `--locked` refuses the lock, or the fuzz targets run other code than what is shipped."""
+    ours, theirs = (
+        {(package["name"], package["version"]): package.get("dependencies", []) for package in tables["package"]}
+        for tables in (tomllib.loads((ROOT / path).read_text(encoding="utf-8")) for path in ("Cargo.lock", other))
+    )
+    names = {name for name, _ in ours}
+    assert sorted(package for package in theirs.keys() - ours.keys() if package[0] in names) == []
+    members = [package for package in theirs if package[0].startswith("polypod") and package in ours]
+    assert len(members) >= 3
+    for package in members:
+        tests = {"criterion", "proptest", "rand", "workspace-hack"}
+        wanted = {line.split()[0] for line in ours[package]} - tests
+        assert {line.split()[0] for line in theirs[package]} - tests == wanted
