@@ -1,4 +1,4 @@
-"""Runs `polypod` in forks of a process that has imported all it needs, which saves seconds a run.
+"""Runs `polypod`, or a function, in forks of a process that has imported all it needs, which saves seconds a run.
 
 A hang, an abort or a `kill -9` reaches the fork alone. The process is a fresh one: a fork of the tests' own would
 inherit what earlier tests have begun in it, such as torch's autograd.
@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -48,18 +49,25 @@ class ForkServer:
         self._running: int | None = None
 
     def start(
-        self, words: Iterable[str], folder: Path, seconds: float = 60.0, memory: int = 0, user: int | None = None
+        self,
+        words: Iterable[str],
+        folder: Path,
+        seconds: float = 60.0,
+        memory: int = 0,
+        user: int | None = None,
+        call: dict[str, Any] | None = None,
     ) -> int:
         """Starts `polypod` in `folder`, for at most so long, with at most so much memory, maybe as another user.
 
-        Returns its process.
+        With `call`, the function that it names runs in place of `polypod`. Returns the process.
         """
         if self._running is not None:  # a test failed before it ended
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._running, signal.SIGKILL)
             self._answer()
         self._folder = folder
-        request = {"words": list(words), "folder": str(folder), "seconds": seconds, "memory": memory, "user": user}
+        limits = {"folder": str(folder), "seconds": seconds, "memory": memory, "user": user}
+        request = {"words": list(words), "call": call, **limits}
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
@@ -78,6 +86,13 @@ class ForkServer:
     def run(self, *words: str, cwd: Path, seconds: float = 60.0, memory: int = 0, user: int | None = None) -> Ended:
         """Starts `polypod` and waits for it."""
         self.start(words, cwd, seconds, memory, user)
+        return self.ended()
+
+    def call(
+        self, function: str, *, cwd: Path, seconds: float = 60.0, memory: int = 0, **arguments: Any
+    ) -> Ended:
+        """Runs the function `module:name`, whose result is the exit code, and waits for it."""
+        self.start((), cwd, seconds, memory, call={"function": function, "arguments": arguments})
         return self.ended()
 
     def close(self) -> None:
@@ -112,7 +127,9 @@ def _serve() -> None:
         )
 
 
-def _become_polypod(words: list[str], folder: str, seconds: float, memory: int, user: int | None) -> None:
+def _become_polypod(
+    words: list[str], call: dict[str, Any] | None, folder: str, seconds: float, memory: int, user: int | None
+) -> None:
     import polypod.__main__
 
     os.setsid()
@@ -128,13 +145,22 @@ def _become_polypod(words: list[str], folder: str, seconds: float, memory: int, 
     if user is not None:
         os.setuid(user)
     try:
-        code = polypod.__main__.main()
+        code = _called(**call) if call else polypod.__main__.main()
     except SystemExit as left:
         code = left.code if isinstance(left.code, int) else 0
     with contextlib.suppress(OSError):
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)
+
+
+def _called(function: str, arguments: dict[str, Any]) -> int:
+    module, _, name = function.partition(":")
+    try:
+        return int(getattr(importlib.import_module(module), name)(**arguments))
+    except Exception:
+        traceback.print_exc()
+        return 1
 
 
 def _waited(child: int, seconds: float) -> tuple[int, resource.struct_rusage]:
