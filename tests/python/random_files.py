@@ -20,13 +20,10 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from random_input import anything, changed, generator, integer, mutated, number, toml_file, word
-
-import bad_lines
 from common import FLAT_POLICY
 from polypod.compat import tomllib
+from random_input import ROOT, anything, changed, generator, integer, mutated, number, toml_file, word
 
-ROOT = bad_lines.ROOT
 ROBOTS = ["box_quadruped", "spot", "cassie", "solo12", "unitree_go2w", "berkeley_humanoid", "phantomx"]
 URDFS = [ROOT / "assets" / "robots" / name / "robot.urdf" for name in ROBOTS]
 URDFS += sorted((ROOT / "tests" / "data" / "urdf").glob("*.urdf"))

@@ -14,13 +14,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import bad_lines
 from polypod.compat import tomllib
+
+ROOT = Path(__file__).resolve().parents[2]
+Line = tuple[str, ...]
 
 SEED = int(os.environ.get("POLYPOD_TEST_SEED", "1"))
 """Seed of every draw; another one gives other inputs."""
 
-PROGRAM = bad_lines.ROOT / "target" / "release" / "polypod-sim"
+PROGRAM = ROOT / "target" / "release" / "polypod-sim"
 TASKS = ["velocity_flat"] * 8 + ["velocity_flat_legged"] * 3 + ["velocity_flat_humanoid", "velocity_flat_joints"]
 TASKS += [
     "velocity_rough",
@@ -329,8 +331,10 @@ _OF_POLYPOD = {
 }
 
 
-def line(program: str, index: int) -> bad_lines.Line:
+def line(program: str, index: int) -> Line:
     """The random line with this number of a program."""
+    import bad_lines  # here, since it imports hypothesis, which what runs in forks has no use for
+
     draw = generator("line", program, index)
     if draw.random() < 0.6:
         task, robots = task_and_robots(draw)
@@ -373,7 +377,7 @@ def line(program: str, index: int) -> bad_lines.Line:
 _FLAG = {"--task": "task", "-t": "task", "--robots": "robots", "-r": "robots", "--set": "overrides"}
 
 
-def config_of(words: bad_lines.Line) -> dict[str, Any] | None:
+def config_of(words: Line) -> dict[str, Any] | None:
     """Task, robots and overrides that an accepted line simulates, None where it simulates nothing."""
     if not words or words[0] not in ("rollout", "eval", "play", "train"):
         return None
@@ -414,7 +418,7 @@ def complaint_of(code: int, output: str, seconds: float, codes: tuple[int, ...])
     return None
 
 
-def run_program(words: bad_lines.Line, folder: Path, seconds: float = 60.0, memory: int = 6 << 30) -> tuple[int, str]:
+def run_program(words: Line, folder: Path, seconds: float = 60.0, memory: int = 6 << 30) -> tuple[int, str]:
     """Runs `polypod-sim` with bounds on time and memory; returns its exit code and what it said."""
     import resource
 

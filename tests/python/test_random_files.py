@@ -7,9 +7,9 @@ Robots, meshes, configs, manifests, checkpoints, graphs, dumps, snapshots and re
 import shutil
 
 import pytest
+
 import random_files
 import random_input
-
 from common import size
 
 SHARE = size(0.02, 1.0)

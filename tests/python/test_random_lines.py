@@ -8,8 +8,8 @@ drawn: `POLYPOD_TEST_SEED=7 make test-extended` draws others. A complaint names 
 import random
 
 import pytest
-import random_input
 
+import random_input
 from common import size
 
 LINES = {"polypod": size(6, 1000), "polypod-sim": size(40, 1000)}
