@@ -550,7 +550,7 @@ def _dump(robot: str) -> bytes:
     broken = "terminations.illegal_state.max_joint_vel=1e-6"
     with tempfile.TemporaryDirectory() as folder:
         sim = _core.VecSim("velocity_flat_legged", 1, [robot], threads=1, overrides=[broken], dump_dir=folder)
-        sim.step(np.zeros((1, sim.num_actions), np.float32))
+        sim.step(np.full((1, sim.num_actions), 0.5, np.float32))
         (file,) = Path(folder).iterdir()
         return file.read_bytes()
 
