@@ -10,6 +10,7 @@ from common import size
 from polypod import cli
 from polypod.accuracy import robot as robots
 from polypod.bench import physics, report, sampling
+from polypod.bench.steps import control_steps
 
 
 def test_rates_are_work_per_second_in_turn() -> None:
@@ -76,6 +77,11 @@ def test_rollout_and_batch_step_the_same_model_to_the_same_targets(name: str, mo
     np.testing.assert_allclose(rolled[:, 1 : 1 + qpos.shape[1]], qpos, atol=1e-5)
     # the envs have targets of their own, and they move
     assert np.all(np.abs(np.diff(qpos, axis=0)).max(axis=1) > 1e-3)
+
+
+@pytest.mark.parametrize("name", ["phantomx", "unitree_h1", "unitree_go2"])
+def test_robots_of_every_class_are_measured(name: str) -> None:
+    assert control_steps(report.task_of(name), 2, 1, 0, robots=[name])() == 2
 
 
 def test_a_mujoco_without_batch_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

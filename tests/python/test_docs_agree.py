@@ -409,9 +409,7 @@ def simulator_flags() -> set[str]:
 
 @cache
 def every_flag() -> set[str]:
-    pages = [help_of(command) for command in cli.COMMANDS if command not in ("film", "bodies", "robot")]
-    for group in ("film", "bodies", "robot"):
-        pages += [help_of(group, name) for name in set(re.findall(r"^[│\s]+(\w+)  ", help_of(group), re.MULTILINE))]
+    pages = [help_of(command) for command in cli.COMMANDS]
     return {flag for page in pages for flag in re.findall(r"--[a-z][\w-]*", page)} | simulator_flags()
 
 

@@ -156,7 +156,7 @@ def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> 
 
 
 def _feet(name: str) -> list[str]:
-    sim = _core.VecSim("velocity_flat_play", 1, robots=[name], threads=1)
+    sim = _core.VecSim(robots.TASK, 1, robots=[name], threads=1)
     return list(json.loads(sim.robot_info())[name]["feet"])
 
 

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from polypod import _core, provenance
-from polypod.accuracy import reference
+from polypod.accuracy import reference, robot
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
 from polypod.drawing import pyplot_for, save
@@ -74,18 +74,18 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
 
 
 def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float | None]:
-    robot, threads, seed = options.robot, options.threads, options.seed
+    name, threads, seed = options.robot, options.threads, options.seed
     # MuJoCo's rate does not depend on the number of envs; its samples are to be short
     few = min(options.num_envs, 256 * threads)
     samples = {
-        "env_steps_per_s": physics.polypod(robot, options.num_envs, threads, seed),
-        "mujoco_steps_per_s": physics.rollout(robot, few, threads, seed),
+        "env_steps_per_s": physics.polypod(name, options.num_envs, threads, seed),
+        "mujoco_steps_per_s": physics.rollout(name, few, threads, seed),
     }
-    batch = physics.batch(robot, few, threads, seed)
+    batch = physics.batch(name, few, threads, seed)
     if batch is not None:
         samples["mujoco_batch_steps_per_s"] = batch
     if not options.quick:
-        samples["mujoco_one_iteration_steps_per_s"] = physics.rollout(robot, few, threads, seed, iterations=1)
+        samples["mujoco_one_iteration_steps_per_s"] = physics.rollout(name, few, threads, seed, iterations=1)
     measured = sampling.rates(samples, seconds, rounds)
     figures: dict[str, float | None] = {"mujoco_batch_steps_per_s": None, "batch_ratio": None}
     figures |= sampling.medians(measured)
@@ -112,14 +112,16 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
     result["scaling_num_envs"] = {}
     for size in sizes:
         progress(f"{size} envs of {options.robot}")
-        result["scaling_num_envs"][size] = rate(num_envs=size, threads=step_threads, robots=[options.robot])
+        result["scaling_num_envs"][size] = rate(
+            task=task_of(options.robot), num_envs=size, threads=step_threads, robots=[options.robot]
+        )
     threads, result["scaling_threads"] = 1, {}
     while threads <= (os.cpu_count() or 1):
         progress(f"{threads} threads")
         result["scaling_threads"][threads] = rate(num_envs=options.num_envs, threads=threads)
         threads *= 2
     result["scaling_robots"] = {}
-    (names,) = (entry["robots"] for entry in _core.tasks() if "velocity_flat" in entry["aliases"])
+    names = robot.names("velocity_flat")
     for count in (1, 2, 4, 8):
         progress(f"{count} different robots")
         result["scaling_robots"][count] = rate(num_envs=options.num_envs, threads=step_threads, robots=names[:count])
@@ -129,6 +131,11 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
         "env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, overrides=["sim.episode_length_s=0.1"])
     }
     result["random_actions"] = {"env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, scale=1.0)}
+
+
+def task_of(name: str) -> str:
+    """The flat task if it has the robot, else the one that has a reward set for every robot of the library."""
+    return "velocity_flat" if name in robot.names("velocity_flat") else "velocity_flat_legged"
 
 
 def table(result: Mapping[str, Any]) -> str:
