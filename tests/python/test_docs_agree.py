@@ -413,8 +413,17 @@ def every_flag() -> set[str]:
     return {flag for page in pages for flag in re.findall(r"--[a-z][\w-]*", page)} | simulator_flags()
 
 
-FOREIGN = {"--deterministic", "--nocapture", "--nnodes", "--nproc-per-node", "--build-arg", "--fmad", "--use_fast_math"}
-"""Flags of other programs."""
+FOREIGN = {
+    "--tyro-print-completion",
+    "--deterministic",
+    "--nocapture",
+    "--nnodes",
+    "--nproc-per-node",
+    "--build-arg",
+    "--fmad",
+    "--use_fast_math",
+}
+"""Flags of other programs, and of the library that reads the command line."""
 
 
 def commands(pages: Pages) -> list[str]:
