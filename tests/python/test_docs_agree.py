@@ -15,6 +15,7 @@ import pytest
 
 from polypod import _core, cli
 from polypod.compat import tomllib
+from polypod.training import config
 
 ROOT = Path(__file__).resolve().parents[2]
 Pages = Mapping[str, str]
@@ -206,7 +207,49 @@ def polypod_opset() -> str:
     return str(opset)
 
 
-# Features
+# Features and names
+
+
+def trainings(pages: Pages) -> list[str]:
+    """The tables of train configs give the envs and iterations of the configs, and name those that there are."""
+    problems = []
+    for page in ("docs/train.md", "docs/networks.md"):
+        for rows in tables(pages[page]):
+            for row in rows:
+                cells = list(row.values())
+                if next(iter(row)) not in ("config", "train config"):
+                    continue
+                for name in re.findall(r"`(\w+)`", cells[0].partition(" bundled as ")[0]):
+                    if not (ROOT / "configs" / "train" / f"{name}.toml").is_file():
+                        problems.append(f"{page}: no train config {name}")
+                        continue
+                    run = config.load(name).run
+                    said = {"max_iterations": r"(\d+) iterations", "num_envs": r"(\d+) envs"}
+                    for key, pattern in said.items():
+                        wrong = [n for n in re.findall(pattern, cells[-1]) if int(n) != getattr(run, key)]
+                        problems += [f"{page}: {name}: {key} is {getattr(run, key)}, not {n}" for n in wrong]
+    return problems
+
+
+def names(pages: Pages) -> list[str]:
+    """Tasks and robots that a page names in its text are built in. Tables of old trainings may name others."""
+    tasks = {name for task in _core.tasks() for name in (task["name"], *task["aliases"])}
+    robots = {robot["name"] for robot in _core.robots()}
+    makers = "|".join(sorted({robot.partition("_")[0] for robot in robots if "_" in robot} - {"box"}))
+    sets = {name for file in (ROOT / "configs" / "tasks").glob("*.toml")
+            for name in tomllib.loads(file.read_text(encoding="utf-8")).get("rewards", {})}  # fmt: skip
+    problems = []
+    for page, text in pages.items():
+        for code in codes(re.sub(r"<!-- results:begin -->.*<!-- results:end -->", "", text, flags=re.DOTALL)):
+            if re.fullmatch(r"Velocity-[\w-]+-v0", code) and code not in tasks and "Big-Dog" not in code:
+                problems.append(f"{page}: no task {code}")
+            if re.fullmatch(rf"(?:{makers})_\w+", code) and code not in robots | sets | EMBODIED:
+                problems.append(f"{page}: no robot {code}")
+    return problems
+
+
+EMBODIED = {"unitree_sdk2"}
+"""Names that begin like those of robots."""
 
 
 MISSING = re.compile(r"^## (Not (?:there|modelled|promised).*)$", re.MULTILINE)
@@ -451,6 +494,8 @@ RULES: tuple[Callable[[Pages], list[str]], ...] = (
     builds,
     start,
     versions,
+    trainings,
+    names,
     missing,
     support,
     extras,
@@ -482,6 +527,11 @@ WRONG = (
     ("versions", "docs/first-run.md", "It needs Python 3.9 or newer."),
     ("versions", "docs/performance.md", "mjlab 1.5 does this."),
     ("versions", "docs/export.md", "The graphs use opset 3."),
+    ("trainings", "docs/train.md", "| config | differs |\n|---|---|\n| `quick` | 651 iterations |"),
+    ("trainings", "docs/train.md", "| config | differs |\n|---|---|\n| `quick` | of 1023 envs |"),
+    ("trainings", "docs/networks.md", "| train config | robots |\n|---|---|\n| `quickest` | eight |"),
+    ("names", "docs/task.md", "`Velocity-Flat-Snake-v0`"),
+    ("names", "docs/results.md", "`unitree_z9` walks."),
     ("missing", "docs/physics.md", "## Not modelled\n\n- Learned actuator networks, motor heating."),
     ("missing", "docs/status.md", "## Not there\n\n- Policies that\n  remember."),
     ("support", "docs/networks.md", "| network | tools |\n|---|---|\n| recurrent | no export, no `sim2sim` |"),

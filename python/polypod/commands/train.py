@@ -25,8 +25,8 @@ class Train:
     train_config: Name = None
     """Name of a file in configs/train (`polypod list`), or the path of a .toml. Default: flat."""
     learner: Annotated[Literal["auto", "native", "rsl_rl"] | None, arg()] = None
-    """What learns: the native learner or rsl_rl. Default: the train config's; `auto` is native for perceptrons, else
-    rsl_rl. A resumed run may go on with the other one."""
+    """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
+    perceptrons on a CPU. A resumed run may go on with the other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
     """Where the curves go. wandb and neptune need their package and account; TensorBoard's files are written too."""
     log_project: str = "polypod"
@@ -34,7 +34,7 @@ class Train:
     resume: Annotated[str | None, arg(metavar="RUN")] = None
     """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Initialise the networks from this checkpoint, or bundled policy, of the same observation and sizes of networks."""
+    """Begin with the networks of this checkpoint, or bundled policy, of the same observation and sizes of networks."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None
@@ -49,7 +49,7 @@ class Train:
     """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0, or with train. before the key the train
     config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
     headless: bool = False
-    """Ignored; accepted for compatibility with other simulators' command lines."""
+    """Accepted for scripts of other simulators: trainings open no window."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
     started if there is none. Needs the extra ray."""

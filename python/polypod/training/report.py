@@ -98,7 +98,7 @@ class Reporter:
         """Prints the figures of the deterministic policy per robot."""
         self.message(
             f"deterministic policy, {_conditions(evaluation)} "
-            "(errors in m/s and rad/s; still: the error of a robot that stands still; power in W, slip in m/s)"
+            "(errors in m/s and rad/s; still: of a robot that does not move; power in W, slip in m/s)"
         )
         table = Rows(
             "robot", *("reward/s", "err xy", "still", "err yaw", "still", "falls", "length", "power", "CoT", "slip")
