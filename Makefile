@@ -89,7 +89,7 @@ demo: $(VENV)/.requirements
 	rm -rf "$(folder)"
 endif
 
-film: $(VENV)/.extension ## Film the robots on rough ground anew for the README and docs/terrain.md
+film: $(VENV)/.extension ## Regenerate the film of rough ground of the README and docs/terrain.md
 	$(BIN)/polypod play --checkpoint rough $(FILM_ROUGH) --video docs/media/rough_robots.webp
 
 films: $(VENV)/.extension ## Film a push, a stranger and MuJoCo for docs/viewer.md; RUN=<folder of a run> also a training

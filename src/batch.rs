@@ -12,9 +12,9 @@ pub struct Batch {
     pub num_envs: usize,
     /// Length of an observation.
     pub num_obs: usize,
-    /// Length of an action: the canonical joints.
+    /// Length of an action: the slots of the batch's robots.
     pub num_actions: usize,
-    /// Actions in canonical order, `[num_envs, num_actions]`; read at the start of a control step.
+    /// Actions in the order of the slots, `[num_envs, num_actions]`; read at the start of a control step.
     pub actions: Vec<f32>,
     /// Observations after the control step (and after resets), `[num_envs, num_obs]`.
     pub observations: Vec<f32>,

@@ -134,8 +134,8 @@ macro_rules! parameters {
     };
 }
 
-/// The bodies of a pack where they differ in little: in what their bases weigh and in what their feet are made of. The numbers that
-/// they have in common are held once, not once per lane: a kilobyte or two instead of thirty.
+/// Bodies of a pack that differ only in their bases' mass properties and their surfaces. The numbers that they have in
+/// common are held once, not once per lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UniformParameters<'a, S> {
     /// What they have in common.

@@ -1,6 +1,7 @@
 """`polypod bench` measures what it says, on the same robot and targets in both simulators."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from common import size
 from polypod import cli
 from polypod.accuracy import robot as robots
-from polypod.bench import physics, sampling
+from polypod.bench import physics, report, sampling
+from polypod.bench.steps import control_steps
 
 
 def test_rates_are_work_per_second_in_turn() -> None:
@@ -25,6 +27,11 @@ def test_rates_are_work_per_second_in_turn() -> None:
     assert order == ["a", "b"] * 4
     assert {name: len(rates) for name, rates in measured.items()} == {"a": 3, "b": 3}
     assert sampling.medians({"a": [1.0, 9.0, 2.0]}) == {"a": 2.0}
+
+
+def closure_of(sample) -> dict:
+    """The variables that a sample keeps, by name."""
+    return dict(zip(sample.__code__.co_freevars, (cell.cell_contents for cell in sample.__closure__), strict=True))
 
 
 @pytest.mark.parametrize("name", ["unitree_a1", "unitree_go2"])
@@ -45,15 +52,51 @@ def test_both_simulators_tread_on_the_spot(name: str, monkeypatch: pytest.Monkey
     mine = states["polypod"].qpos
     sample = physics.rollout(name, 16, 1, 0)
     assert sample() == 16 * physics.HOLD
-    closure = dict(zip(sample.__code__.co_freevars, (cell.cell_contents for cell in sample.__closure__), strict=True))
     # full physics state: time, then qpos
-    theirs = closure["state"][:, 1:8]
+    rolled = closure_of(sample)["state"][:, 1:8]
+    batch = physics.batch(name, 16, 1, 0)
+    assert batch() == 16 * physics.HOLD
+    batched = closure_of(batch)["simulations"].bind("qpos")[:, :7]
     height = robots.load(name).base_height
-    for where in (mine[:, 2], theirs[:, 2]):
+    for where in (mine[:, 2], rolled[:, 2], batched[:, 2]):
         assert np.all(np.abs(where - height) < 0.25 * height)
-    for quaternion in (mine[:, 3:7], theirs[:, 3:7]):
+    for quaternion in (mine[:, 3:7], rolled[:, 3:7], batched[:, 3:7]):
         upright = 1.0 - 2.0 * (quaternion[:, 1] ** 2 + quaternion[:, 2] ** 2)
         assert np.all(upright > 0.8)
+
+
+@pytest.mark.parametrize("name", ["unitree_a1", "anymal_c", "phantomx"])
+def test_rollout_and_batch_step_the_same_model_to_the_same_targets(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`batch` keeps the solver's warm start between calls and `rollout` does not, so that the last digits differ."""
+    monkeypatch.setattr(physics, "SETTLE", 3)
+    rolled = closure_of(physics.rollout(name, 4, 2, seed=5))["state"]
+    simulations = closure_of(physics.batch(name, 4, 2, seed=5))["simulations"]
+    qpos = simulations.bind("qpos")
+    np.testing.assert_allclose(rolled[:, 0], 3 * physics.HOLD * physics.DT)
+    np.testing.assert_allclose(simulations.bind("time"), 3 * physics.HOLD * physics.DT)
+    np.testing.assert_allclose(rolled[:, 1 : 1 + qpos.shape[1]], qpos, atol=1e-5)
+    # the envs have targets of their own, and they move
+    assert np.all(np.abs(np.diff(qpos, axis=0)).max(axis=1) > 1e-3)
+
+
+@pytest.mark.parametrize("name", ["phantomx", "unitree_h1", "unitree_go2"])
+def test_robots_of_every_class_are_measured(name: str) -> None:
+    assert control_steps(report.task_of(name), 2, 1, 0, robots=[name])() == 2
+
+
+def test_a_mujoco_without_batch_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo 3.16 and older lack `mujoco.batch`: the figures are null and the table says what brings them."""
+    monkeypatch.setitem(sys.modules, "mujoco.batch", None)
+    options = report.Options(num_envs=16, quick=True)
+    monkeypatch.setattr(
+        sampling, "rates", lambda samples, *_: {name: [float(sample())] for name, sample in samples.items()}
+    )
+    figures = report._physics(options, 0.0, 1)
+    assert figures["mujoco_batch_steps_per_s"] is None
+    assert figures["batch_ratio"] is None
+    assert figures["ratio"] > 0.0
+    result = {"mujoco": "3.16.0", "physics": figures}
+    assert "MuJoCo 3.16.0 has no mujoco.batch; 3.17 and newer have it" in report._ratios(result)
 
 
 def test_json_has_the_promised_figures(
@@ -69,11 +112,16 @@ def test_json_has_the_promised_figures(
     assert physics_figures["env_steps_per_s"] > 0
     assert physics_figures["mujoco_steps_per_s"] > 0
     assert physics_figures["ratio"] > 1.0
+    assert physics_figures["mujoco_batch_steps_per_s"] > 0
+    assert physics_figures["batch_ratio"] > 1.0
     assert result["env_step"]["env_steps_per_s"] > 0
     assert result["rough"]["env_steps_per_s"] > 0
     assert result["simd"] in ("avx512", "avx2", "neon", "portable")
     assert result["threads"] == 1
-    assert "mujoco.rollout" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "| mujoco.rollout, MuJoCo" in shown
+    assert "| mujoco.batch, MuJoCo" in shown
+    assert f"{physics_figures['batch_ratio']:.1f} times mujoco.batch" in shown
 
 
 def test_bad_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

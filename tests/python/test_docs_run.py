@@ -227,6 +227,11 @@ def check_command(words: list[str], page: str) -> None:
         case "export":
             (assignment,) = arguments
             assert re.fullmatch(r"\w+=.+", assignment)
+        case "git":
+            repository = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]
+            assert arguments == ["clone", repository["repository"]], shlex.join(words)
+        case "cd":
+            assert f"/{arguments[0]} && cd {arguments[0]}" in page, "only into what was just cloned"
         case "cp" | "mkdir" | "tar" | "ray" | "pip" | "uvx" | "podman" | ".venv/bin/tensorboard":
             pass
         case ".venv/bin/python" | "python":

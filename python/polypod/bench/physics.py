@@ -1,10 +1,14 @@
-"""Physics alone: `polypod.Simulation` and `mujoco.rollout` on the same robot and the same targets.
+"""Physics alone: `polypod.Simulation`, `mujoco.rollout` and `mujoco.batch` on the same robot and the same targets.
 
-Both have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
+All have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
 settings of solver and contacts, which are its fastest. Targets, drawn before anything is timed, change every 20 ms
 about the default pose, so that the robots tread on the spot.
+
+`rollout` runs trajectories from states that the caller holds. `batch`, of MuJoCo 3.17 and newer, keeps the simulations
+and their warm starts between calls.
 """
 
+import importlib
 import itertools
 import json
 from collections.abc import Iterator
@@ -63,21 +67,16 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
         seed: of the targets.
         iterations: of MuJoCo's solver; None: its standard, until it has converged.
     """
-    mj = mujoco()
     mj_rollout = package("mujoco.rollout", "comparing with MuJoCo", "bench")
-    robot = robots.load(name)
-    reference = Reference.of(robot, dt=DT, integrator="implicitfast", ground=Ground(FRICTION))
+    mj, robot, reference, order = _mujoco(name, iterations)
     model = reference.model
-    _standard_solver(mj, model, name, iterations)
     data = [mj.MjData(model) for _ in range(threads)]
     full = mj.mjtState.mjSTATE_FULLPHYSICS
     size = mj.mj_stateSize(model, full)
     start = np.zeros(size)
-    reference.set_state(np.concatenate([[0.0, 0.0, robot.base_height, 1.0, 0.0, 0.0, 0.0], robot.default_position]))
     mj.mj_getState(model, reference.data, start, full)
     state = np.tile(start, (num_envs, 1))
     runner = mj_rollout.Rollout(nthread=threads)
-    order = _actuator_order(model, robot.joint_names)
     targets = _targets(robot, num_envs, seed)
     out = np.zeros((num_envs, HOLD, size))
 
@@ -87,6 +86,51 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
         np.copyto(state, out[:, -1])
         return num_envs * HOLD
 
+    return _settled(sample, state, name)
+
+
+def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
+    """The same as `rollout` by `mujoco.batch`. None where the installed MuJoCo is older than 3.17 and lacks it.
+
+    Args:
+        name: of the robot.
+        num_envs: number of envs.
+        threads: number of threads.
+        seed: of the targets.
+    """
+    mujoco()
+    try:
+        mj_batch = importlib.import_module("mujoco.batch")
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco.batch":
+            raise
+        return None
+    _, robot, reference, order = _mujoco(name, None)
+    simulations = mj_batch.Batch(reference.model, num_envs, threads)
+    qpos, control = simulations.bind("qpos"), simulations.bind("ctrl")
+    qpos[:] = reference.data.qpos
+    targets = _targets(robot, num_envs, seed)
+
+    def sample() -> int:
+        control[:] = next(targets)[:, order]
+        simulations.step(nstep=HOLD)
+        return num_envs * HOLD
+
+    return _settled(sample, simulations.state, name)
+
+
+def _mujoco(name: str, iterations: int | None) -> tuple[Any, robots.Robot, Reference, list[int]]:
+    """MuJoCo, the robot, its model in the default pose, and for each actuator the joint's place in polypod's order."""
+    mj = mujoco()
+    robot = robots.load(name)
+    reference = Reference.of(robot, dt=DT, integrator="implicitfast", ground=Ground(FRICTION))
+    _standard_solver(mj, reference.model, name, iterations)
+    reference.set_state(np.concatenate([[0.0, 0.0, robot.base_height, 1.0, 0.0, 0.0, 0.0], robot.default_position]))
+    return mj, robot, reference, _actuator_order(reference.model, robot.joint_names)
+
+
+def _settled(sample: Sample, state: robots.Array, name: str) -> Sample:
+    """The sample after `SETTLE` calls. Raises ConfigError where MuJoCo's state is not finite then."""
     for _ in range(SETTLE):
         sample()
     if not np.isfinite(state).all():
@@ -112,7 +156,7 @@ def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> 
 
 
 def _feet(name: str) -> list[str]:
-    sim = _core.VecSim("velocity_flat_play", 1, robots=[name], threads=1)
+    sim = _core.VecSim(robots.TASK, 1, robots=[name], threads=1)
     return list(json.loads(sim.robot_info())[name]["feet"])
 
 

@@ -4,10 +4,11 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from polypod import _core, provenance
-from polypod.accuracy import reference
+from polypod.accuracy import reference, robot
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
 from polypod.drawing import pyplot_for, save
@@ -72,21 +73,28 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     return result
 
 
-def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float]:
-    robot, threads, seed = options.robot, options.threads, options.seed
+def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float | None]:
+    name, threads, seed = options.robot, options.threads, options.seed
     # MuJoCo's rate does not depend on the number of envs; its samples are to be short
     few = min(options.num_envs, 256 * threads)
     samples = {
-        "env_steps_per_s": physics.polypod(robot, options.num_envs, threads, seed),
-        "mujoco_steps_per_s": physics.rollout(robot, few, threads, seed),
+        "env_steps_per_s": physics.polypod(name, options.num_envs, threads, seed),
+        "mujoco_steps_per_s": physics.rollout(name, few, threads, seed),
     }
+    batch = physics.batch(name, few, threads, seed)
+    if batch is not None:
+        samples["mujoco_batch_steps_per_s"] = batch
     if not options.quick:
-        samples["mujoco_one_iteration_steps_per_s"] = physics.rollout(robot, few, threads, seed, iterations=1)
+        samples["mujoco_one_iteration_steps_per_s"] = physics.rollout(name, few, threads, seed, iterations=1)
     measured = sampling.rates(samples, seconds, rounds)
-    figures = sampling.medians(measured)
-    # of each round's two neighbours: what slows the machine slows both
-    ratios = [a / b for a, b in zip(measured["env_steps_per_s"], measured["mujoco_steps_per_s"], strict=True)]
-    return {**figures, "ratio": sorted(ratios)[len(ratios) // 2]}
+    figures: dict[str, float | None] = {"mujoco_batch_steps_per_s": None, "batch_ratio": None}
+    figures |= sampling.medians(measured)
+    # of the samples of one round: what slows the machine slows all of them
+    for ratio, other in (("ratio", "mujoco_steps_per_s"), ("batch_ratio", "mujoco_batch_steps_per_s")):
+        if other in measured:
+            pairs = zip(measured["env_steps_per_s"], measured[other], strict=True)
+            figures[ratio] = median(mine / theirs for mine, theirs in pairs)
+    return figures
 
 
 def _scaling(options: Options, step_threads: int, seconds: float, result: dict[str, Any], progress: Progress) -> None:
@@ -104,14 +112,16 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
     result["scaling_num_envs"] = {}
     for size in sizes:
         progress(f"{size} envs of {options.robot}")
-        result["scaling_num_envs"][size] = rate(num_envs=size, threads=step_threads, robots=[options.robot])
+        result["scaling_num_envs"][size] = rate(
+            task=task_of(options.robot), num_envs=size, threads=step_threads, robots=[options.robot]
+        )
     threads, result["scaling_threads"] = 1, {}
     while threads <= (os.cpu_count() or 1):
         progress(f"{threads} threads")
         result["scaling_threads"][threads] = rate(num_envs=options.num_envs, threads=threads)
         threads *= 2
     result["scaling_robots"] = {}
-    (names,) = (entry["robots"] for entry in _core.tasks() if "velocity_flat" in entry["aliases"])
+    names = robot.names("velocity_flat")
     for count in (1, 2, 4, 8):
         progress(f"{count} different robots")
         result["scaling_robots"][count] = rate(num_envs=options.num_envs, threads=step_threads, robots=names[:count])
@@ -123,6 +133,11 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
     result["random_actions"] = {"env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, scale=1.0)}
 
 
+def task_of(name: str) -> str:
+    """The flat task if it has the robot, else the one that has a reward set for every robot of the library."""
+    return "velocity_flat" if name in robot.names("velocity_flat") else "velocity_flat_legged"
+
+
 def table(result: Mapping[str, Any]) -> str:
     """The figures as Markdown."""
     p = result["physics"]
@@ -130,8 +145,13 @@ def table(result: Mapping[str, Any]) -> str:
         (f"physics, {result['robot']}, {result['threads']} threads", p["env_steps_per_s"], "env-physics-steps/s"),
         (f"mujoco.rollout, MuJoCo {result['mujoco']}, feet only", p["mujoco_steps_per_s"], "env-physics-steps/s"),
     ]
+    if p["mujoco_batch_steps_per_s"] is not None:
+        name = f"mujoco.batch, MuJoCo {result['mujoco']}, feet only"
+        rows.append((name, p["mujoco_batch_steps_per_s"], "env-physics-steps/s"))
     if "mujoco_one_iteration_steps_per_s" in p:
-        rows.append(("the same, one solver iteration", p["mujoco_one_iteration_steps_per_s"], "env-physics-steps/s"))
+        rows.append(
+            ("mujoco.rollout, one solver iteration", p["mujoco_one_iteration_steps_per_s"], "env-physics-steps/s")
+        )
     rows.append(
         (f"flat control step, {result['step_threads']} threads", result["env_step"]["env_steps_per_s"], "env-steps/s")
     )
@@ -150,7 +170,7 @@ def table(result: Mapping[str, Any]) -> str:
         rows += [(words.format(value), rate, "env-steps/s") for value, rate in result.get(key, {}).items()]
     head = [
         provenance.sentence(result["measured"]),
-        f"{result['num_envs']} envs, seed {result['seed']}; physics {p['ratio']:.1f} times mujoco.rollout (medians).",
+        f"{result['num_envs']} envs, seed {result['seed']}. {_ratios(result)}",
         "",
         "| what | rate | unit |",
         "|---|---|---|",
@@ -158,12 +178,32 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(head + [f"| {what} | {rate:,.0f} | {unit} |" for what, rate, unit in rows])
 
 
+def _ratios(result: Mapping[str, Any]) -> str:
+    """A sentence that compares the physics with MuJoCo's."""
+    p = result["physics"]
+    text = f"Physics: {p['ratio']:.1f} times mujoco.rollout"
+    if p["batch_ratio"] is None:
+        lacks = f"MuJoCo {result['mujoco']} has no mujoco.batch; 3.17 and newer have it"
+        return f"{text} (median of the rounds; {lacks})."
+    return f"{text}, {p['batch_ratio']:.1f} times mujoco.batch (medians of the rounds)."
+
+
 def picture(result: Mapping[str, Any], out: Path) -> None:
-    """Plots the scaling. Raises ConfigError without matplotlib, after --quick, or where it cannot be written."""
+    """Plots the physics beside MuJoCo's, and the scaling.
+
+    Raises ConfigError without matplotlib, after --quick, or where it cannot be written.
+    """
     if "scaling_num_envs" not in result:
         raise _core.ConfigError("--plot shows the scaling, which --quick leaves out; run without --quick")
     pyplot = pyplot_for("--plot")
-    figure, axes = pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")
+    figure, (rates, *axes) = pyplot.subplots(1, 4, figsize=(17, 4), layout="constrained")
+    p = result["physics"]
+    bars = {"polypod": p["env_steps_per_s"], "mujoco.rollout": p["mujoco_steps_per_s"]}
+    if p["mujoco_batch_steps_per_s"] is not None:
+        bars["mujoco.batch"] = p["mujoco_batch_steps_per_s"]
+    rates.bar(list(bars), list(bars.values()))
+    threads = result["threads"]
+    rates.set(xlabel=f"physics of {result['robot']}, threads: {threads}", ylabel="env-physics-steps/s", yscale="log")
     for axis, (key, label) in zip(
         axes,
         (("scaling_num_envs", "envs"), ("scaling_threads", "threads"), ("scaling_robots", "different robots")),

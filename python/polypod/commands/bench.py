@@ -36,7 +36,7 @@ class Bench:
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Also plot how the speed scales (.png, .svg, .pdf)."""
+    """Also plot the physics beside MuJoCo's and how the speed scales (.png, .svg, .pdf)."""
     robot: str = "unitree_a1"
     """Whose physics is compared."""
     num_envs: Count = None

@@ -26,7 +26,7 @@ class Eval:
     steps: Count = None
     """Control steps per episode. Default: a whole one."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
-    """Let each episode hold one command of so many forward and left velocities and yaw rates. Default: drawn anew."""
+    """Let each episode hold one command of so many forward and left velocities and yaw rates. Default: commands as the task draws them."""
     randomized: Annotated[bool, arg(aliases=("--randomised",))] = False
     """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None

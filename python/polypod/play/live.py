@@ -145,7 +145,7 @@ class Live:
         self.viewer.show(self.player.frame())
 
     def push(self) -> None:
-        """Pushes the chosen robot, or all where the group is followed, in a direction of chance."""
+        """Pushes the chosen robot, or all where the group is followed, in a random direction."""
         angle = self._draw.uniform(-np.pi, np.pi)
         env = self.env if isinstance(self.viewer.followed, int) else None
         self.player.push((PUSH * np.cos(angle), PUSH * np.sin(angle), 0.0), env)
