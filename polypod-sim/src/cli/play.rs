@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use polypod::Autoreset;
 use polypod::components::{BasePose, Command, EnvId, Imu, MountedOn};
 use polypod::config::Library;
-use polypod::{Error, Sim, SimOptions};
+use polypod::{Sim, SimOptions};
 use serde::Serialize;
 
 use crate::policy::{Policy, PolicyManifest};
@@ -23,7 +23,7 @@ pub(super) struct Play {
     /// Robots, separated by commas; those that the policy was trained on by default.
     #[arg(long, visible_alias = "robot", value_delimiter = ',')]
     robots: Option<Vec<String>>,
-    /// Name, alias or path of the task; by default the Play variant of the policy's own.
+    /// Name, alias or path of the task; by default the policy's own. Its Play variant is taken: no noise, no pushes.
     #[arg(long)]
     task: Option<String>,
     /// Number of envs; 16 per robot by default.
@@ -82,17 +82,18 @@ impl Play {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         let manifest = PolicyManifest::beside(&self.policy)?;
-        let task = match &self.task {
-            Some(task) => task.clone(),
-            None => play_task(&manifest.task)?,
-        };
+        let library = Library::new(Vec::new());
+        let task = library.play_task(self.task.as_ref().unwrap_or(&manifest.task))?;
+        // a training may have changed events; what is asked for here comes last
+        let disturbances = library.task(&task, &manifest.overrides)?.config.disturbances();
+        let quiet = disturbances.iter().map(|key| format!("{key}=false"));
         let robots = self.robots.clone().unwrap_or_else(|| manifest.robots.clone());
         let num_envs = self.num_envs.unwrap_or(16 * robots.len());
         let mut sim = Sim::new(&SimOptions {
             robots: Some(robots),
             seed: self.seed,
             threads: self.threads,
-            overrides: manifest.overrides.iter().chain(&self.overrides).cloned().collect(),
+            overrides: manifest.overrides.iter().cloned().chain(quiet).chain(self.overrides.iter().cloned()).collect(),
             autoreset: Autoreset::Disabled,
             slots: manifest.canonical_joint_names.clone(),
             ..SimOptions::new(task, num_envs)
@@ -164,15 +165,6 @@ impl Play {
         }
         Ok(())
     }
-}
-
-/// The Play variant of a task, without noise, pushes and randomisation; the task itself where there is none.
-fn play_task(task: &str) -> Result<String, Error> {
-    let tasks = Library::new(Vec::new()).tasks()?;
-    let entry = tasks.iter().find(|entry| entry.name == task || entry.aliases.iter().any(|alias| alias == task));
-    let name = entry.map_or(task, |entry| &entry.name);
-    let variant = name.rsplit_once("-v").map(|(stem, version)| format!("{stem}-Play-v{version}"));
-    Ok(variant.filter(|variant| tasks.iter().any(|entry| entry.name == *variant)).unwrap_or_else(|| name.to_string()))
 }
 
 /// Where each env's robot is over the ground.
