@@ -67,7 +67,10 @@ def main(arguments: Sequence[str]) -> int:
                 raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
         _check_command(arguments)
         command = tyro.cli(
-            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_flags(_respelled(arguments)) or ["--help"]
+            Command,
+            prog="polypod",
+            description=_DESCRIPTION,
+            args=_with_bare_flags(_respelled(arguments)) or ["--help"],
         )
         _check_seed(command)
         code = _run(command)

@@ -11,7 +11,10 @@ _seen: list[int] = []
 
 
 def watch() -> None:
-    """Forgets earlier ones and remembers each Ctrl-C from now on; it raises KeyboardInterrupt as before. Ignored interrupts stay so."""
+    """Remembers each Ctrl-C from now on, and forgets earlier ones. It raises KeyboardInterrupt as before.
+
+    Where interrupts are ignored, they stay so.
+    """
     _seen.clear()
     if (
         threading.current_thread() is threading.main_thread()

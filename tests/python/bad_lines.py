@@ -54,7 +54,16 @@ OVERRIDES += [
     "train.run.num_envs=x",
     "train=3",
 ]
-FILMS = ["/nothing/x.gif", "file/below.gif", "loop/x.webp", "folder.gif", ".gif", "x.mov", "a" * 5000 + ".gif", "\udcff.gif"]
+FILMS = [
+    "/nothing/x.gif",
+    "file/below.gif",
+    "loop/x.webp",
+    "folder.gif",
+    ".gif",
+    "x.mov",
+    "a" * 5000 + ".gif",
+    "\udcff.gif",
+]
 """Names of films that cannot be written."""
 PAGES = ["/nothing/x.html", "file/below.viser", "loop/x.html", "a" * 5000 + ".html"]
 """Names of recordings that cannot be written."""
@@ -114,7 +123,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--log-project": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]}
         | {"--quadrupeds": NAMES, "--learner": NAMES, "--terms": FILES},
     ),
-    "train resume": (("--resume", "latest"), {"--resume": FILES, "--log-dir": [*OUTPUTS, "\udcff"], "--learner": NAMES}),
+    "train resume": (
+        ("--resume", "latest"),
+        {"--resume": FILES, "--log-dir": [*OUTPUTS, "\udcff"], "--learner": NAMES},
+    ),
     "train workers": (("--ray", "nowhere:1"), {"--workers": COUNTS}),
     "sweep": ((Positional("sweep.toml"),), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
     "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
@@ -136,7 +148,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("--out", "map.npz", "--task", "velocity_rough", "--set", "scene.terrain.num_rows=1"),
         {"--out": [*OUTPUTS, "folder/x.npz/y"], "--task": NAMES, "--set": OVERRIDES},
     ),
-    "results": ((Positional(FLAT_POLICY.parents[1]),), {"": FILES, "--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES}),
+    "results": (
+        (Positional(FLAT_POLICY.parents[1]),),
+        {"": FILES, "--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES},
+    ),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},

@@ -150,7 +150,9 @@ def commands_in(help_text):
 def test_no_command_and_no_flag_is_left_out(fork_server, tmp_path, program):
     run, _ = RUNS[program]
     commands = COMMANDS[program]
-    assert commands_in(run(fork_server, ["--help"], tmp_path).output) == {bad_lines.name_of(command) for command in commands} - {""}
+    assert commands_in(run(fork_server, ["--help"], tmp_path).output) == {
+        bad_lines.name_of(command) for command in commands
+    } - {""}
     for command, flags in bad_lines.flags_of(commands):
         if command != "help":
             said = run(fork_server, [*([command] if command else []), "--help"], tmp_path).output

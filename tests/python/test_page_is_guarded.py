@@ -127,7 +127,14 @@ def port_of(url):
 def test_a_foreign_page_can_do_nothing(live):
     from websockets.exceptions import InvalidStatus
 
-    for origin in ("http://evil.example", "http://localhost:1", "https://127.0.0.1.evil.example", "null", "file://", "x"):
+    for origin in (
+        "http://evil.example",
+        "http://localhost:1",
+        "https://127.0.0.1.evil.example",
+        "null",
+        "file://",
+        "x",
+    ):
         with pytest.raises(InvalidStatus, match="403"):
             Page(live.viewer.url, Origin=origin)
         assert answer(live.viewer.url, Host=live.viewer.url.removeprefix("http://"), Origin=origin) == 403, origin
@@ -252,15 +259,19 @@ def test_no_message_opens_a_file(live, tmp_path):
     assert live.choice == Choice("flat")
 
 
-@pytest.mark.parametrize("choice", [Choice("/etc/passwd"), Choice("flat", task="x.toml"), Choice("flat", robot="./x.toml")])
+@pytest.mark.parametrize(
+    "choice", [Choice("/etc/passwd"), Choice("flat", task="x.toml"), Choice("flat", robot="./x.toml")]
+)
 def test_the_session_builds_what_the_page_lists(choice):
     with pytest.raises(_core.ConfigError, match="choose from the list of the page"):
         session._check_offered(choice, Choice("flat"), ["flat"], ["velocity_flat_play"], ["spot"])
-    session._check_offered(Choice("flat", "velocity_flat_play", "spot"), Choice("flat"), ["flat"], ["velocity_flat_play"], ["spot"])
+    session._check_offered(
+        Choice("flat", "velocity_flat_play", "spot"), Choice("flat"), ["flat"], ["velocity_flat_play"], ["spot"]
+    )
 
 
 def test_a_page_sets_values_and_nothing_else_of_a_control(live):
-    """viser sets whatever attribute a message names."""
+    """Viser sets whatever attribute a message names."""
     handle = control(live, "speed")
     page = Page(live.viewer.url)
     page.send(CAMERA)
@@ -402,6 +413,20 @@ def test_no_rubbish_ends_the_program(live, capfd):
     assert "Traceback" not in said.out + said.err
 
 
+class Waiters(list):
+    """Those that wait for an event; it keeps which threads looked at them."""
+
+    def __init__(self):
+        """Nobody waits yet."""
+        super().__init__()
+        self.threads = []
+
+    def __iter__(self):
+        """Asyncio goes through them to wake them."""
+        self.threads.append(threading.current_thread())
+        return super().__iter__()
+
+
 def test_events_of_viser_are_set_in_their_loop(live):
     """A page that leaves while another thread adds a message would end that thread with `deque mutated`."""
     sockets = live.viewer._server._websock_server
@@ -410,21 +435,11 @@ def test_events_of_viser_are_set_in_their_loop(live):
     settle(live, 0.3)
     (client,) = live.viewer._server.get_clients().values()
     for buffer in (sockets.get_message_buffer(), client._websock_connection.get_message_buffer()):
-        event = buffer.message_event
-
-        class Waiters(list):
-            """Those that wait for an event; it may not be looked at by other threads than the loop's."""
-
-            def __iter__(self):
-                names.append(threading.current_thread())
-                return super().__iter__()
-
-        names: list[threading.Thread] = []
-        event._value, event._waiters = False, Waiters()
-        event.set()
+        waiters = Waiters()
+        buffer.message_event._value, buffer.message_event._waiters = False, waiters
+        buffer.message_event.set()
         time.sleep(0.2)
-        assert names == [sockets._server_thread]
-        assert event.is_set()
+        assert waiters.threads == [sockets._server_thread]
     page.close()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from polypod import _core
 from polypod.accuracy import robot as robots
-from polypod.accuracy.reference import Ground, Reference, mujoco
+from polypod.accuracy.reference import Ground, Reference, mujoco, states
 from polypod.bench.sampling import Sample
 from polypod.extras import package
 
@@ -69,7 +69,7 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
     reference = Reference.of(robot, dt=DT, integrator="implicitfast", ground=Ground(FRICTION))
     model = reference.model
     _standard_solver(mj, model, name, iterations)
-    data = [mj.MjData(model) for _ in range(threads)]
+    data = states(model, threads, "--threads")
     full = mj.mjtState.mjSTATE_FULLPHYSICS
     size = mj.mj_stateSize(model, full)
     start = np.zeros(size)

@@ -13,8 +13,8 @@ class Eval:
     """Measure a trained policy: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled policy:
-    flat, rough or legged. Of several, the seeds of one training, the mean and its interval too."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
+    policy: flat, rough or legged. Of several, the seeds of one training, the mean and its interval too."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None

@@ -37,8 +37,8 @@ class Train:
     """Go on with a run: its name or the end of it, its directory, a checkpoint, or `latest` (also when RUN is left
     out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Initialise the networks from this checkpoint, bundled policy, or run by its name or the end of it. Observation and
-    sizes of networks must be the same."""
+    """Initialise the networks from this checkpoint, bundled policy, or run by its name or the end of it. Observation
+    and sizes of networks must be the same."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None

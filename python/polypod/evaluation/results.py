@@ -18,7 +18,7 @@ share of a standing robot's, or this much (m/s)."""
 
 
 WALKS = {"error_vel_xy": 0.20, "fall_rate": 0.05}
-"""A robot walks with a planar velocity error (m/s) and a share of falls of at most this, and if it turns, see `TURNS`."""
+"""Largest planar velocity error, m/s, and share of falls of a robot that walks; it has to turn, too, see `TURNS`."""
 TURNS = 0.7, 0.1
 """A robot turns if its yaw rate error is at most this share of a standing robot's, or this much (rad/s)."""
 

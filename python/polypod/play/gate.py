@@ -128,7 +128,7 @@ class Gate:
         return check
 
     def _filter(self, handler: Callable[[Any], Awaitable[None]]) -> Callable[[Any], Awaitable[None]]:
-        """viser's handler of a connection, which gets the messages that pass."""
+        """Viser's handler of a connection, which gets the messages that pass."""
 
         async def handle(connection: Any) -> None:
             while not self._is_open:
@@ -163,7 +163,7 @@ def offers(handle: Any, value: Any) -> bool:
 
 
 def open_server(gate: Gate, host: str, port: int) -> Any:
-    """viser's server behind a gate, which has still to be opened.
+    """Viser's server behind a gate, which has still to be opened.
 
     viser has no setting for the origins that it serves or for the messages that it takes. While it starts,
     `websockets.asyncio.server.serve` is therefore one that adds them.

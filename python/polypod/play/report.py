@@ -8,7 +8,8 @@ def show(player: Player) -> None:
     """Prints a line per robot."""
     console = console_of_output()
     console.print(
-        f"{player.sim.task_name}, {player.time:.4g} s (mean errors in m/s and rad/s; still: of a robot that stands still)",
+        f"{player.sim.task_name}, {player.time:.4g} s (mean errors in m/s and rad/s; "
+        "still: of a robot that stands still)",
         markup=False,
         soft_wrap=True,
     )

@@ -157,8 +157,8 @@ def _address(viewer: Viewer, task: str) -> str:
     here = f" (on this machine {viewer.url})" if viewer.url != viewer.public_url else ""
     return (
         f"{task}: open {viewer.public_url}{here} in a browser; Ctrl-C ends\n"
-        "polypod: warning: everyone who reaches this address can steer, and choose among the policies, tasks and robots "
-        "of the page; leave --host out to serve this machine alone"
+        "polypod: warning: everyone who reaches this address can steer, and choose among the policies, tasks and "
+        "robots of the page; leave --host out to serve this machine alone"
     )
 
 
