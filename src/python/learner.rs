@@ -91,12 +91,10 @@ impl Learner {
         #[pyo3(from_py_with = whole)] worker: i128,
         #[pyo3(from_py_with = whole)] workers: i128,
     ) -> PyResult<Self> {
+        let worker = Worker { index: unsigned(py, "worker", worker)?, count: unsigned(py, "workers", workers)? };
         let options: learner::Options =
             serde_json::from_str(options).map_err(|error| value_error(format!("options: {error}")))?;
-        let (worker, raised) = (
-            Worker { index: unsigned(py, "worker", worker)?, count: unsigned(py, "workers", workers)? },
-            Raised::default(),
-        );
+        let raised = Raised::default();
         let peers = peers.map(|object| Box::new(PythonPeers { object, raised: raised.clone() }));
         let learner = sim.sim().look(py, |sim| match peers {
             Some(peers) => sim.learner_of_worker(options, worker, peers),

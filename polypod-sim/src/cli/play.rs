@@ -55,6 +55,8 @@ struct Track {
     steps: usize,
     error_xy: f64,
     error_yaw: f64,
+    still_xy: f64,
+    still_yaw: f64,
     distance: f64,
     place: [f32; 2],
     fell: bool,
@@ -68,8 +70,12 @@ struct Played {
     envs: usize,
     /// m/s, between commanded and actual planar velocity.
     error_vel_xy: f64,
-    /// rad/s.
+    /// rad/s, between commanded and actual yaw rate.
     error_vel_yaw: f64,
+    /// m/s, the planar velocity error of a robot that stands still.
+    still_error_vel_xy: f64,
+    /// rad/s, the yaw rate error of a robot that stands still.
+    still_error_vel_yaw: f64,
     /// Episodes that ended in failure.
     falls: usize,
     /// Way of the base over the ground, m.
@@ -153,14 +159,30 @@ impl Play {
         )?;
         writeln!(
             out,
-            "  {:<14} {:>6} {:>7} {:>15} {:>18} {:>13} {:>11}",
-            "robot", "envs", "falls", "error xy (m/s)", "error yaw (rad/s)", "distance (m)", "length (s)"
+            "  {:<14} {:>6} {:>7} {:>15} {:>7} {:>18} {:>7} {:>13} {:>11}",
+            "robot",
+            "envs",
+            "falls",
+            "error xy (m/s)",
+            "still",
+            "error yaw (rad/s)",
+            "still",
+            "distance (m)",
+            "length (s)"
         )?;
         for p in &played {
             writeln!(
                 out,
-                "  {:<14} {:>6} {:>7} {:>15.3} {:>18.3} {:>13.2} {:>11.2}",
-                p.robot, p.envs, p.falls, p.error_vel_xy, p.error_vel_yaw, p.distance, p.episode_length_s
+                "  {:<14} {:>6} {:>7} {:>15.3} {:>7.3} {:>18.3} {:>7.3} {:>13.2} {:>11.2}",
+                p.robot,
+                p.envs,
+                p.falls,
+                p.error_vel_xy,
+                p.still_error_vel_xy,
+                p.error_vel_yaw,
+                p.still_error_vel_yaw,
+                p.distance,
+                p.episode_length_s
             )?;
         }
         Ok(())
@@ -189,6 +211,8 @@ fn advance(sim: &mut Sim, tracks: &mut [Track]) {
             track.steps += 1;
             track.error_xy += x.hypot(y);
             track.error_yaw += f64::from((wanted[2] - imu.angular_velocity[2]).abs());
+            track.still_xy += f64::from(wanted[0]).hypot(f64::from(wanted[1]));
+            track.still_yaw += f64::from(wanted[2].abs());
         }
     }
     visit(sim, |env, place| {
@@ -212,6 +236,8 @@ fn summary(robot: &str, tracks: &[Track], step_dt: f64) -> Played {
         envs: tracks.len(),
         error_vel_xy: mean(&|t| t.error_xy / t.steps.max(1) as f64),
         error_vel_yaw: mean(&|t| t.error_yaw / t.steps.max(1) as f64),
+        still_error_vel_xy: mean(&|t| t.still_xy / t.steps.max(1) as f64),
+        still_error_vel_yaw: mean(&|t| t.still_yaw / t.steps.max(1) as f64),
         falls: tracks.iter().filter(|t| t.fell).count(),
         distance: mean(&|t| t.distance),
         episode_length_s: mean(&|t| t.steps as f64 * step_dt),

@@ -170,7 +170,7 @@ def with_interval(interval: Interval, form: str) -> str:
 
 
 def _conditions(evaluation: Evaluation) -> str:
-    randomized = f", with {_named(evaluation.disturbances)}" if evaluation.randomized else ""
+    randomized = f", {_named(evaluation.disturbances)}" if evaluation.randomized else ""
     grid = f", {'x'.join(map(str, evaluation.grid))} commands" if evaluation.grid is not None else ""
     return f"{evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s{randomized}{grid}"
 
@@ -178,4 +178,8 @@ def _conditions(evaluation: Evaluation) -> str:
 def _named(disturbances: Sequence[str]) -> str:
     """What disturbs the robots, in words: `events.push_robot.enabled` is push_robot."""
     names = [key.removeprefix("events.").removesuffix(".enabled") for key in disturbances]
-    return ", ".join("noise" if name == "observations.enable_noise" else name for name in names) or "randomisation"
+    noisy, pushed = "observations.enable_noise" in names, "push_robot" in names
+    others = [name for name in names if name not in ("observations.enable_noise", "push_robot")]
+    if not names or (noisy and pushed and others):
+        return "randomised and pushed"
+    return f"with {', '.join([*(['noise'] if noisy else []), *(['pushes'] if pushed else []), *others])}"
