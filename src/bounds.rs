@@ -5,6 +5,8 @@
 pub const MAX_ENVS: usize = 1 << 24;
 /// Most threads of a simulation: more than any machine has cores. Each takes about 2 MB.
 pub const MAX_THREADS: usize = 1024;
+/// Most physics steps of one call: four months of simulated time at 5 ms.
+pub const MAX_STEPS: usize = (1 << 31) - 1;
 /// Largest magnitude of an action. Policies act within about 10; rewards square differences of actions in single precision.
 pub const MAX_ACTION: f32 = 1e6;
 /// Largest magnitude of a command, m/s or rad/s.
@@ -28,6 +30,17 @@ pub const MAX_SUBSTEPS: u32 = 1000;
 pub(crate) const BYTES_PER_ENV: usize = 8 << 10;
 /// Bytes that a link takes in an env without a task.
 pub(crate) const BYTES_PER_LINK: usize = 256;
+
+/// Whether there may be so many threads: problem and remedy if not.
+pub(crate) fn check_threads(threads: Option<usize>) -> Result<(), (String, String)> {
+    match threads {
+        Some(threads) if !(1..=MAX_THREADS).contains(&threads) => {
+            let remedy = format!("ask for 1 to {MAX_THREADS}, or leave it out for all cores");
+            Err((format!("{threads} threads"), remedy))
+        }
+        _ => Ok(()),
+    }
+}
 
 /// Whether there may be `num_envs` envs of about `bytes_per_env` bytes: problem and remedy if not.
 ///

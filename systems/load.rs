@@ -8,7 +8,7 @@ use bevy_ecs::prelude::*;
 use super::terms::{CompiledTask, Registry};
 use super::{Setup, SetupSet};
 use crate::batch::Batch;
-use crate::bounds::{BYTES_PER_ENV, check_num_envs};
+use crate::bounds::{BYTES_PER_ENV, check_num_envs, check_threads};
 use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
@@ -126,7 +126,14 @@ fn slots(names: &[String]) -> Result<Vec<Slot>, Error> {
             Error::argument("slots", format!("there is no slot `{name}`"), remedy)
         })
     };
-    names.iter().map(parse).collect()
+    let slots = names.iter().map(parse).collect::<Result<Vec<Slot>, Error>>()?;
+    match (0..slots.len()).find(|&i| slots[..i].contains(&slots[i])) {
+        Some(i) => {
+            let problem = format!("`{}` is listed twice, last at place {i}", names[i]);
+            Err(Error::argument("slots", problem, "name each slot once"))
+        }
+        None => Ok(slots),
+    }
 }
 
 fn read(options: &SimOptions) -> Result<Loaded, Error> {
@@ -183,10 +190,7 @@ fn check_arguments(robots: &[String], options: &SimOptions) -> Result<(), Error>
     }
     check_num_envs(num_envs, BYTES_PER_ENV)
         .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;
-    if threads == Some(0) {
-        return Err(Error::argument("threads", "0 threads", "ask for at least one, or leave it out for all cores"));
-    }
-    Ok(())
+    check_threads(threads).map_err(|(problem, remedy)| Error::argument("threads", problem, remedy))
 }
 
 /// A name and a path may mean the same robot: what counts is the name in its config.

@@ -159,8 +159,8 @@ fn each_robot_is_dumped_once() {
             if t == 15 {
                 // neither a new episode nor another directory makes a robot due again
                 sim.reset(Some(1), None).unwrap();
-                sim.set_dump_dir(None);
-                sim.set_dump_dir(Some(dir.clone()));
+                sim.set_dump_dir(None).unwrap();
+                sim.set_dump_dir(Some(dir.clone())).unwrap();
             }
             step(&mut sim, t);
         }

@@ -279,6 +279,18 @@ fn overrides_that_lead_nowhere_are_refused() {
             "no element `joint_pos_rl`",
             "did you mean `joint_pos_rel`?",
         ),
+        // tables that this task is without, and what is no part of a task
+        ("scene.terrain.num_rows=3", "scene.terrain", "this task has none", "scene.terrain={"),
+        ("scene.terrain.sub_terrains=[]", "scene.terrain", "this task has none", "velocity_rough"),
+        ("sensors.height_scanner.resolution=0.1", "sensors.height_scanner", "this task has none", "begin with a task"),
+        ("scene.terain.num_rows=3", "scene.terain", "unknown key `terain`", "known keys"),
+        (
+            "robots.unitree_go2.action_scale=0.4",
+            "robots.unitree_go2",
+            "no element `unitree_go2`",
+            "robot_overrides.unitree_go2.<key>",
+        ),
+        ("robots.spot=null", "robots.spot", "no element `spot`", "robot_overrides.spot"),
         ("sim.dt.x=1", "sim.dt.x", "`sim.dt` is a float", "end the key there"),
         ("sim.dt=0", "sim.dt", "not positive", "above 0"),
         ("sim.dt=fast", "sim.dt", "where a number is expected", "write a number"),

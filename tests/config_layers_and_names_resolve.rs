@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use polypod::config::{Library, LoadedTask, TaskConfig};
+use polypod::config::{ConfigErrorKind, Library, LoadedTask, TaskConfig};
 use polypod::morphology::MorphologyModel;
 
 fn root(test: &str) -> PathBuf {
@@ -115,6 +115,80 @@ fn play_tasks_are_quiet() {
     assert!(play.events["reset_base"].enabled);
     assert_eq!(play.rewards, train.rewards);
     assert_eq!(play.aliases, ["velocity_flat_play"]);
+}
+
+#[test]
+fn a_task_without_a_play_variant_gets_one() {
+    let root = root("quiet");
+    let write = |file: &str, text: &str| fs::write(root.join("configs/tasks").join(file), text).unwrap();
+    write("mine.toml", "extends = \"velocity_flat\"\nname = \"Mine-HeteroQuadruped-v0\"\n[sim]\ndecimation = 2\n");
+    write("hills.toml", "extends = \"velocity_rough\"\nname = \"Hills-v2\"\n[events.action_delay]\nmode = \"reset\"\n");
+    write("bare.toml", "extends = \"velocity_flat_variation\"\nname = \"bare\"\n");
+    let library = Library::new(vec![root.clone()]);
+    let path = root.join("configs/tasks/mine.toml").display().to_string();
+    let names = [
+        ("mine", "Mine-HeteroQuadruped-Play-v0"),
+        ("Mine-HeteroQuadruped-v0", "Mine-HeteroQuadruped-Play-v0"),
+        ("Mine-Spot-v0", "Mine-Spot-Play-v0"),
+        ("hills", "Hills-Play-v2"),
+        ("bare", "bare_play"),
+        (&path, &path.replace(".toml", "_play.toml")),
+        // those that have a file, by all their names
+        ("velocity_flat", "Velocity-Flat-HeteroQuadruped-Play-v0"),
+        ("velocity_flat_play", "Velocity-Flat-HeteroQuadruped-Play-v0"),
+        ("Isaac-Velocity-Flat-Spot-v0", "Velocity-Flat-Spot-Play-v0"),
+    ];
+    for (task, play) in names {
+        assert_eq!(library.play_task(task).unwrap(), play);
+        assert_eq!(library.play_task(play).unwrap(), play);
+        let quiet = library.task(play, &[]).unwrap().config;
+        assert_eq!(quiet.disturbances(), Vec::<String>::new(), "{play}");
+        assert!(quiet.events["reset_base"].enabled && quiet.events["reset_joints"].enabled);
+        let noisy = library.task(&library.training_task(play).unwrap(), &[]).unwrap().config;
+        assert!(!noisy.disturbances().is_empty(), "{task}");
+        assert_eq!((&quiet.rewards, &quiet.commands, &quiet.sim), (&noisy.rewards, &noisy.commands, &noisy.sim));
+    }
+    // the rule is that of the built-in files: made of the same task, it gives the same but for its names
+    let made = |task: &str, file: &str| {
+        write("same.toml", &format!("extends = \"{task}\"\nname = \"Same-v0\"\n"));
+        let mut made = library.task("Same-Play-v0", &[]).unwrap().config;
+        let built_in = library.task(file, &[]).unwrap().config;
+        (made.name, made.aliases) = (built_in.name.clone(), built_in.aliases.clone());
+        assert_eq!(made, built_in, "{task}");
+    };
+    for task in
+        ["velocity_flat", "velocity_flat_variation", "velocity_rough", "velocity_rough_blind", "velocity_flat_legged"]
+    {
+        made(task, &format!("{task}_play"));
+    }
+    let hills = library.task("Hills-Play-v2", &[]).unwrap().config;
+    assert!(!hills.events["action_delay"].enabled && !hills.curriculum["terrain_levels"].enabled);
+    assert_eq!(hills.scene.terrain.unwrap().max_init_terrain_level, Some(4));
+}
+
+#[test]
+fn a_play_variant_of_nothing_is_no_task() {
+    let library = Library::new(Vec::new());
+    for name in ["Nothing-Play-v0", "nothing_play", "Nothing-v0"] {
+        let error = library.task(name, &[]).unwrap_err();
+        assert_eq!(error.kind, ConfigErrorKind::UnknownName, "{error}");
+        assert!(error.to_string().contains(name), "{error}");
+        assert!(library.play_task(name).is_err());
+    }
+    for path in ["/nothing/here_play.toml", "/nothing/here.toml"] {
+        let error = library.task(path, &[]).unwrap_err();
+        assert!(error.to_string().contains(path), "{error}");
+    }
+}
+
+#[test]
+fn what_an_override_switches_on_is_known() {
+    let noise = task("velocity_flat_play", &["observations.enable_noise=true"]).config;
+    assert_eq!(noise.disturbances(), ["observations.enable_noise"]);
+    let push = "events.push_robot={ mode = \"interval\", interval_range_s = [1.0, 1.0], velocity_range = [-1.0, 1.0] }";
+    assert_eq!(task("velocity_flat_play", &[push]).config.disturbances(), ["events.push_robot.enabled"]);
+    let delay = "events.action_delay.enabled=true";
+    assert_eq!(task("velocity_flat_play", &[delay]).config.disturbances(), ["events.action_delay.enabled"]);
 }
 
 #[test]

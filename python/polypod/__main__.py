@@ -5,6 +5,8 @@ import sys
 from collections.abc import MutableMapping
 from importlib.util import find_spec
 
+from polypod import interrupts
+
 _TRAIN_EXTRA = {
     "filelock": "filelock",
     "msgspec": "msgspec",
@@ -32,15 +34,23 @@ def spin_briefly(environ: MutableMapping[str, str]) -> None:
 
 def main() -> int:
     """Runs the command line and returns its exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C."""
-    missing = [package for module, package in _TRAIN_EXTRA.items() if find_spec(module) is None]
-    if missing:
-        remedy = "install the train extra: pip install 'polypod[train]'"
-        print(f"polypod: the command line needs {', '.join(missing)}; {remedy}", file=sys.stderr)
-        return 2
-    spin_briefly(os.environ)  # libgomp reads it when torch is imported
-    from polypod import cli
+    try:
+        interrupts.watch()
+        missing = [package for module, package in _TRAIN_EXTRA.items() if find_spec(module) is None]
+        if missing:
+            remedy = "install the train extra: pip install 'polypod[train]'"
+            print(f"polypod: the command line needs {', '.join(missing)}; {remedy}", file=sys.stderr)
+            return 2
+        spin_briefly(os.environ)  # libgomp reads it when torch is imported
+        from polypod import cli
 
-    return cli.main(sys.argv[1:])
+        return cli.main(sys.argv[1:])
+    except KeyboardInterrupt:
+        return interrupts.ended()
+    except Exception:
+        if interrupts.happened():
+            return interrupts.ended()
+        raise
 
 
 if __name__ == "__main__":

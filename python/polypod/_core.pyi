@@ -37,6 +37,12 @@ class RobotEntry(TypedDict):
     name: str
     title: str
 
+class TrainEntry(TypedDict):
+    name: str
+    file: str
+    title: str
+    """The comment in its first line."""
+
 class TrainFile(TypedDict):
     """A training config as text."""
 
@@ -259,7 +265,7 @@ class VecSim:
             num_envs: number of envs, at least one per robot.
             robots: names of the robots, see `robots`; None: those of the task.
             seed: of every random stream.
-            threads: worker threads; None: one per core.
+            threads: worker threads, 1 to 1024; None: one per core.
             overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML syntax.
             autoreset: "same_step", "next_step" or "disabled".
             dump_dir: see `set_dump_dir`.
@@ -427,6 +433,12 @@ class VecSim:
     def link_pose(self, robot: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Positions [n, links, 3], m, and quaternions [n, links, 4] (w, x, y, z) of the links' URDF frames. Copies."""
 
+    def link_names(self, robot: str) -> list[str]:
+        """Links of a robot in the order of `link_pose`, as in the URDF; links fixed to another are part of it."""
+
+    def contact_body_names(self, robot: str) -> list[str]:
+        """Contact bodies of a robot in the order of `contact_forces`: links of the URDF, those fixed to others too."""
+
     def contact_forces(self, robot: str) -> npt.NDArray[np.float64]:
         """[n, bodies, 3], net force on each contact body in the last physics step, N, world axes. A copy."""
 
@@ -586,6 +598,9 @@ class VecSim:
 
         A state breaks when it becomes non-finite or runs away; its episode ends as `illegal_state`. A robot of which a
         state was dumped before is left out. A dump that cannot be written stops nothing.
+
+        Raises:
+            ConfigError: for a path with a zero byte.
         """
 
     def snapshot(self) -> bytes:
@@ -655,7 +670,7 @@ class Simulation:
             ground_normal: normal of the ground plane, of any length.
             solver_iterations: sweeps of the articulated engine's contact solver per physics step.
             avian_substeps: substeps of the engine "avian" per physics step.
-            threads: None: all cores.
+            threads: 1 to 1024; None: all cores.
             simd: instruction set: "avx512", "avx2", "neon" or "portable". None: the fastest one, or what `POLYPOD_SIMD`
                 says. Of no effect in float64.
             dtype: "float32", or "float64" for reference, which is slower.
@@ -911,6 +926,45 @@ def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides:
         UnknownNameError: for a name that does not exist.
         ConfigError: for a config or an override that cannot be used.
     """
+
+def play_task(task: str) -> str:
+    """The name of a task's Play variant: without noise, pushes, randomisation and curriculum.
+
+    It is the task of that name, where there is a file for it, or else one that is made by the same rule. A Play variant
+    is its own.
+
+    Args:
+        task: name, alias or path of a task.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a file that cannot be read.
+    """
+
+def training_task(task: str) -> str:
+    """The name of the task that a Play variant belongs to; of any other task its own name.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a file that cannot be read.
+    """
+
+def disturbances(task: str, overrides: Sequence[str] = ...) -> list[str]:
+    """Keys of a task's noise, pushes and randomisation that are on, such as `events.push_robot.enabled`.
+
+    Each set to false, by an override, leaves a task that only draws how episodes begin and what is commanded. The list
+    of a Play variant is empty.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a config or an override that cannot be used.
+    """
+
+def task_robots(task: str, overrides: Sequence[str] = ...) -> list[str]:
+    """Names or paths of a task's robots. Raises UnknownNameError and ConfigError as `disturbances`."""
+
+def train_configs() -> list[TrainEntry]:
+    """All training configs, by name. Raises ConfigError for a folder of `POLYPOD_PATH` that cannot be read."""
 
 def with_overrides(config: str, overrides: Sequence[str]) -> str:
     """Writes overrides into a config, by the rules of `VecSim`'s.

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from polypod import _core
+from polypod import _core, interrupts
 from polypod.commands.accuracy import Accuracy
 from polypod.commands.bench import Bench
 from polypod.commands.bodies import Bodies
@@ -57,7 +57,8 @@ def main(arguments: Sequence[str]) -> int:
     `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo. `train` returns 143 after SIGTERM and 129
     after SIGHUP.
     """
-    if list(arguments) in (["--version"], ["-V"]):
+    if arguments and arguments[0] in _VERSION:
+        # as in most programs, nothing else counts then
         print(f"polypod {_core.__version__}")
         return 0
     try:
@@ -66,7 +67,10 @@ def main(arguments: Sequence[str]) -> int:
                 raise _core.ConfigError(f"{argument!r} is no text in UTF-8; rename the file, or correct the argument")
         _check_command(arguments)
         command = tyro.cli(
-            Command, prog="polypod", description=_DESCRIPTION, args=_with_bare_flags(arguments) or ["--help"]
+            Command,
+            prog="polypod",
+            description=_DESCRIPTION,
+            args=_with_bare_flags(_respelled(arguments)) or ["--help"],
         )
         _check_seed(command)
         code = _run(command)
@@ -76,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"polypod: {_one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 130
+        return interrupts.ended()
     except BrokenPipeError:
         _drop_output()
         return 1
@@ -89,6 +93,9 @@ def main(arguments: Sequence[str]) -> int:
         print("polypod: out of memory; choose smaller sizes, such as --num-envs", file=sys.stderr)
         return 2
     except Exception:
+        if interrupts.happened():
+            # a library has turned the KeyboardInterrupt within its import into an error of its own
+            return interrupts.ended()
         traceback.print_exc()
         print("polypod: this is a bug; please report the lines above and the command", file=sys.stderr)
         return 1
@@ -132,6 +139,20 @@ _DESCRIPTION = """Trains one locomotion policy over many legged robots, on ordin
 def _run(command: Any) -> int:
     code: int = command.run()
     return code
+
+
+_VERSION = ("--version", "-V")
+_SPELLINGS = {"--quadrupeds": "--robots", "--randomised": "--randomized", "--no-randomised": "--no-randomized"}
+"""Spellings of flags that are taken and that no help lists."""
+
+
+def _respelled(arguments: Sequence[str]) -> list[str]:
+    """The arguments with the spellings that the commands know."""
+    respelled = []
+    for argument in arguments:
+        flag, is_joined, value = argument.partition("=")
+        respelled.append(_SPELLINGS.get(flag, flag) + is_joined + value)
+    return respelled
 
 
 _BARE = {"--resume": "latest", "--ray": "auto"}

@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from collections.abc import Sequence
 
 import gymnasium
 
@@ -46,14 +47,21 @@ def _built_in_tasks() -> "list[_core.TaskEntry]":
             os.environ[PATH] = folders
 
 
-def num_robots(task: str) -> int:
-    """Number of robots of a task by one of its names, at least 1; for the path of a task, that of all robots."""
-    for entry in _core.tasks():
-        if task == entry["name"] or task in entry["aliases"]:
-            return entry["num_robots"] or 1
-    return len(_core.robots())
+def num_robots(task: str, overrides: Sequence[str] = ()) -> int:
+    """Number of robots of a task by one of its names or its path, at least 1.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a config or an override that cannot be used.
+    """
+    return max(1, len(_core.task_robots(task, list(overrides))))
 
 
 def task_of(task_id: str) -> str:
-    """The core's name of a task that may be given as a Gymnasium id."""
+    """The core's name of a task that may be given as a Gymnasium id. Raises TypeError for anything but a text."""
+    if not isinstance(task_id, str):
+        raise TypeError(
+            f"the task is a {type(task_id).__name__}; pass a name or a path as text, such as 'velocity_flat' "
+            "(polypod.tasks() lists the names)"
+        )
     return task_id.removeprefix(NAMESPACE)

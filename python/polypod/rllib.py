@@ -12,12 +12,16 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
-from ray.tune.registry import register_env
-
 import polypod
 from polypod._core import ConfigError
+from polypod.extras import missing
 from polypod.single_env import Env
+
+try:
+    from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+    from ray.tune.registry import register_env
+except ModuleNotFoundError as error:
+    raise missing(error, "polypod.rllib", "learners") from error
 
 NAME = "polypod"
 """Under which the env is registered by default."""

@@ -9,14 +9,19 @@ The simulator runs on the CPU. With a CUDA device, observations, rewards and fla
 from typing import Any
 
 import numpy as np
-import rsl_rl.env
-import torch
 from gymnasium.vector import AutoresetMode
-from tensordict import TensorDict
 
 from polypod._core import ConfigError, VecSim
+from polypod.extras import missing
 from polypod.terms import CustomTerms
 from polypod.vector_env import VectorEnv
+
+try:
+    import rsl_rl.env
+    import torch
+    from tensordict import TensorDict
+except ModuleNotFoundError as error:
+    raise missing(error, "polypod.rsl_rl", "train") from error
 
 
 class VecEnv(rsl_rl.env.VecEnv):
@@ -112,7 +117,8 @@ class VecEnv(rsl_rl.env.VecEnv):
         if actions.shape != self._actions.shape:
             raise ValueError(f"actions have shape {tuple(actions.shape)}, expected {tuple(self._actions.shape)}")
         sim = self._source
-        self._actions.copy_(actions)
+        # a policy that is asked outside of inference mode gives tensors with gradients
+        self._actions.copy_(actions.detach())
         sim.step(self._actions.numpy())
         time_outs = sim.truncated & ~sim.terminated
         extras: dict[str, Any] = {"time_outs": self._tensor("time_outs", time_outs.astype(np.float32))}

@@ -12,14 +12,19 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv as BaseVecEnv
 
 from polypod._core import ConfigError
+from polypod.extras import missing
 from polypod.terms import CustomTerms
 from polypod.vector_env import FloatArray, VectorEnv
+
+try:
+    import torch
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv as BaseVecEnv
+except ModuleNotFoundError as error:
+    raise missing(error, "polypod.sb3", "learners") from error
 
 Indices = None | int | Iterable[int]
 

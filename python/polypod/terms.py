@@ -94,6 +94,8 @@ class CustomTerms(_VectorWrapper):
         self._factor = {name: self._factors(name, term) for name, term in self.rewards.items()}
         self._sums = {name: np.zeros(env.num_envs) for name in self.rewards}
         self._finished: dict[str, list[float]] = {}
+        self._causes: dict[str, BoolArray] = {}
+        self._ends: dict[str, int] = {}
         self.final_mask: BoolArray = np.zeros(env.num_envs, dtype=np.bool_)
         extra = self._observe_terms()
         low = np.full(env.sim.num_obs + extra.shape[1], -np.inf, dtype=np.float32)
@@ -157,13 +159,14 @@ class CustomTerms(_VectorWrapper):
         self.observation = self._extended(self.sim.observation, self._observe_terms())
 
     def log(self) -> dict[str, float]:
-        """The task's log with that of one's own rewards, over the episodes that ended since the last call.
+        """The task's log with that of one's own terms, over the episodes that ended since the last call.
 
         `Episode_Reward/<robot>/<term>`: mean sum of the weighted term over an episode, divided by the full episode's
-        length in seconds.
+        length in seconds. `Episode_Termination/<robot>/<term>`: how many episodes the term ended.
         """
         own = {name: float(np.mean(values)) for name, values in self._finished.items()}
-        self._finished = {}
+        own |= {name: float(count) for name, count in self._ends.items()}
+        self._finished, self._ends = {}, {}
         return {**self.sim.log(), **own}
 
     def _factors(self, name: str, term: Reward) -> npt.NDArray[np.float64]:
@@ -199,6 +202,7 @@ class CustomTerms(_VectorWrapper):
             self._check("terminations", name, mine.shape, (self.env.num_envs,))
             if mine.dtype != np.bool_:
                 raise ConfigError(f"terminations[{name!r}] gives {mine.dtype}; return bools, e.g. of a comparison")
+            self._causes[name] = mine
             ends |= mine
         return ends
 
@@ -239,3 +243,9 @@ class CustomTerms(_VectorWrapper):
                 if sums.size:
                     self._finished.setdefault(f"Episode_Reward/{robot}/{name}", []).extend(sums / full)
             self._sums[name][done] = 0.0
+        for robot in self.env.robots:
+            ids = self.env.env_ids(robot)
+            if done[ids].any():
+                for name, cause in self._causes.items():
+                    key = f"Episode_Termination/{robot}/{name}"
+                    self._ends[key] = self._ends.get(key, 0) + int(cause[ids].sum())

@@ -10,11 +10,15 @@ import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from torchrl.envs import GymWrapper
-
 import polypod
 from polypod import _core
+from polypod.extras import missing
 from polypod.vector_env import fresh_seed
+
+try:
+    from torchrl.envs import GymWrapper
+except ModuleNotFoundError as error:
+    raise missing(error, "polypod.torchrl", "learners") from error
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

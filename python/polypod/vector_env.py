@@ -2,11 +2,10 @@
 
 import copy
 import difflib
-import functools
 import json
 import operator
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -117,21 +116,22 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         robots, seed = options.get("robots"), options.get("seed")
         if isinstance(robots, str):
             raise _core.ConfigError(f"robots={robots!r} is one string; pass a list of names, e.g. [{robots!r}]")
-        task = task_of(task_id)
-        build = functools.partial(
-            _core.VecSim,
+        task, overrides = task_of(task_id), override_texts(options.get("overrides", ()))
+        if num_envs is None:
+            num_envs = num_robots(task, overrides) if robots is None else len(robots)
+        self._sim: _core.VecSim | None
+        self._sim = _core.VecSim(
             task,
+            _index(num_envs, "num_envs"),
             robots=None if robots is None else list(robots),
             seed=fresh_seed() if seed is None else _index(seed, "seed"),
             threads=options.get("threads"),
-            overrides=override_texts(options.get("overrides", ())),
+            overrides=overrides,
             autoreset=next(name for name, value in _AUTORESET_MODES.items() if value is mode),
             dump_dir=options.get("dump_dir"),
             share=options.get("share"),
             slots=list(options.get("slots", ())),
         )
-        self._sim: _core.VecSim | None
-        self._sim = _one_env_per_robot(build, task, robots) if num_envs is None else build(_index(num_envs, "num_envs"))
         self.copy = options.get("copy", True)
         self.autoreset_mode = mode
         self.render_mode = _render_mode(options.get("render_mode"))
@@ -461,7 +461,10 @@ def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
 
 def _float32(actions: Any) -> FloatArray:
     """Actions as the simulator takes them; what float32 does not hold becomes an infinity, which it refuses."""
-    array = np.asarray(actions)
+    try:
+        array = np.asarray(actions)
+    except RuntimeError as error:  # torch's word for a tensor that is part of a gradient
+        raise TypeError(f"actions are no plain array ({error}); pass actions.detach()") from None
     if array.dtype.kind not in "fiu":
         raise TypeError(f"actions of type {array.dtype} are no numbers; pass an array of floats")
     with np.errstate(over="ignore"):
@@ -483,13 +486,6 @@ def _spec(task: str, num_envs: int, options: "EnvOptions") -> gymnasium.envs.reg
     spec = copy.deepcopy(registered)
     spec.kwargs |= {"num_envs": num_envs, **options}
     return spec
-
-
-def _one_env_per_robot(build: Callable[[int], _core.VecSim], task: str, robots: Sequence[str] | None) -> _core.VecSim:
-    """Builds as many envs as there are robots; those of a task with overrides are known once it is built."""
-    count = num_robots(task) if robots is None else len(robots)
-    sim = build(count)
-    return sim if len(sim.robots) == count else build(len(sim.robots))
 
 
 def _autoreset_mode(autoreset: str | AutoresetMode) -> AutoresetMode:

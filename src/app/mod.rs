@@ -81,7 +81,7 @@ impl Sim {
         }
         run(&mut world, Setup)?;
         let mut sim = Self { world, seed: options.seed, dump_dir: None };
-        sim.set_dump_dir(options.dump_dir);
+        sim.set_dump_dir(options.dump_dir)?;
         sim.reset(Some(options.seed), None)?;
         Ok(sim)
     }
@@ -315,11 +315,18 @@ impl Sim {
 
     /// From now on dumps the first state of each robot that breaks to a file in this directory, or none. A robot of which
     /// a state was dumped before is left out.
-    pub fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) {
+    ///
+    /// # Errors
+    /// A path that no folder has.
+    pub fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) -> Result<(), Error> {
+        if dump_dir.as_ref().is_some_and(|dir| dir.as_os_str().as_encoded_bytes().contains(&0)) {
+            return Err(Error::argument("dump_dir", "the path has a zero byte", "name a folder"));
+        }
         if let Some(mut broken) = self.world.get_resource_mut::<BrokenStates>() {
             broken.watch(dump_dir.is_some());
         }
         self.dump_dir = dump_dir;
+        Ok(())
     }
 }
 

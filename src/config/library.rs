@@ -10,7 +10,8 @@ use toml::{Table, Value};
 use super::document::{Document, Kind, documents, documents_named, is_toml, stem_of, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
-use super::names::{RobotEntry, TaskEntry, TaskNames, single_robot_name, task_names, unknown_name};
+use super::names::{RobotEntry, TaskEntry, TaskNames, TrainEntry, single_robot_name, task_names, unknown_name};
+use super::play;
 use super::robot::RobotConfig;
 use super::scene::embed_meshes;
 use super::suggest::did_you_mean;
@@ -209,17 +210,13 @@ impl Library {
     }
 
     /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`, in order.
-    /// Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out.
+    /// Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out. The Play variant of a task that has no file for
+    /// one is made, see [`Library::play_task`].
     ///
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config or in an override.
     pub fn task(&self, name: &str, overrides: &[String]) -> Result<LoadedTask, ConfigError> {
-        let mut layers = match (self.task_layers(name), name.strip_prefix(ISAAC_LAB)) {
-            (Err(error), Some(own)) if error.kind == ConfigErrorKind::UnknownName => {
-                self.task_layers(own).map_err(|_| error)?
-            }
-            (layers, _) => layers?,
-        };
+        let mut layers = self.layers_of_task(name)?;
         for layer in &mut layers.0 {
             let dir = layer.document.dir.clone().unwrap_or_default();
             embed_meshes(&mut layer.table, &dir).map_err(|error| error.in_file(layer.document.file.clone()))?;
@@ -227,6 +224,30 @@ impl Library {
         let (config, resolved) = layers.typed(overrides, TaskConfig::validate)?;
         let hash = fnv1a(resolved.to_string().as_bytes());
         Ok(LoadedTask { config, resolved, hash })
+    }
+
+    /// The name of the Play variant of a task, for [`Library::task`]: without noise, pushes, randomisation and curriculum. It is the one
+    /// that has a file, or else one that is made. A Play variant is its own.
+    ///
+    /// # Errors
+    /// Unknown name, unreadable file.
+    pub fn play_task(&self, name: &str) -> Result<String, ConfigError> {
+        let layers = self.layers_of_task(name)?;
+        Ok(play::play_name(&if is_toml(Path::new(name)) { name.to_owned() } else { full_name(&layers)? }))
+    }
+
+    /// The task that a Play variant belongs to; the task itself where it is none, or where there is no such task.
+    ///
+    /// # Errors
+    /// Unknown name, unreadable file.
+    pub fn training_task(&self, name: &str) -> Result<String, ConfigError> {
+        let layers = self.layers_of_task(name)?;
+        let full = if is_toml(Path::new(name)) { name.to_owned() } else { full_name(&layers)? };
+        let Some(training) = play::training_name(&full) else { return Ok(full) };
+        match self.layers_of_task(&training) {
+            Ok(_) => Ok(training),
+            Err(_) => Ok(full),
+        }
     }
 
     /// The file `configs/train/<name>.toml`, or that of a path to a `.toml`, that is not among the files `above` by their ids:
@@ -238,6 +259,28 @@ impl Library {
         let above: Vec<_> = above.iter().map(|id| (id.clone(), id.display().to_string())).collect();
         let document = self.find(Kind::Train, name, None, &above)?;
         Ok(TrainFile { text: document.text?, id: document.id, folder: document.dir })
+    }
+
+    /// All training configs, by name, but for those that cannot be read.
+    ///
+    /// # Errors
+    /// A root that is no folder, an unreadable folder.
+    pub fn train_configs(&self) -> Result<Vec<TrainEntry>, ConfigError> {
+        let entry = |document: Document| {
+            let first = document
+                .text
+                .ok()?
+                .lines()
+                .next()
+                .and_then(|line| line.strip_prefix('#'))
+                .unwrap_or("")
+                .trim()
+                .to_owned();
+            Some(TrainEntry { name: document.stem, file: document.file, title: first })
+        };
+        let mut configs: Vec<_> = self.listed(Kind::Train)?.into_iter().filter_map(entry).collect();
+        configs.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(configs)
     }
 
     /// All robots, by name, but for those of [`Library::broken`].
@@ -309,13 +352,54 @@ impl Library {
         Ok(TaskEntry { name, aliases, file, robots })
     }
 
+    /// The layers of a task by one of its names, which may begin as Isaac Lab's do.
+    fn layers_of_task(&self, name: &str) -> Result<Layers, ConfigError> {
+        match (self.task_layers(name), name.strip_prefix(ISAAC_LAB)) {
+            (Err(error), Some(own)) if error.kind == ConfigErrorKind::UnknownName => {
+                self.task_layers(own).map_err(|_| error)
+            }
+            (layers, _) => layers,
+        }
+    }
+
     /// The layers of a task by one of its names.
     fn task_layers(&self, name: &str) -> Result<Layers, ConfigError> {
+        if is_toml(Path::new(name)) && !Path::new(name).exists() {
+            // an error about the name that was given, not about the one that it leads to
+            let found = self.find(Kind::Task, name, None, &[]).and_then(|top| self.layers(Kind::Task, top));
+            return found.or_else(|error| self.play_layers(name)?.ok_or(error));
+        }
         match self.find(Kind::Task, name, None, &[]) {
             Ok(top) => self.layers(Kind::Task, top),
-            Err(error) if error.kind == ConfigErrorKind::UnknownName => self.single_robot_layers(name)?.ok_or(error),
+            Err(error) if error.kind == ConfigErrorKind::UnknownName => {
+                let made = match self.single_robot_layers(name)? {
+                    Some(layers) => Some(layers),
+                    None => self.play_layers(name)?,
+                };
+                made.ok_or(error)
+            }
             Err(error) => Err(error),
         }
+    }
+
+    /// The layers of the Play variant `name`, if it is one of a task that has no file for it.
+    fn play_layers(&self, name: &str) -> Result<Option<Layers>, ConfigError> {
+        let Some(training) = play::training_name(name) else {
+            return Ok(None);
+        };
+        let mut layers = match self.task_layers(&training) {
+            Ok(layers) => layers,
+            Err(error) if error.kind == ConfigErrorKind::UnknownName => return Ok(None),
+            Err(_) if is_toml(Path::new(&training)) && !Path::new(&training).exists() => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let full = play::play_name(&full_name(&layers)?);
+        let table = play::changes(&full, &layers.merged()?);
+        if let Some(layer) = layers.0.last() {
+            let document = layer.document.clone();
+            layers.0.push(Layer { document, table });
+        }
+        Ok(Some(layers))
     }
 
     /// The layers of the task `name`, if it is one made for one robot.
@@ -498,6 +582,13 @@ impl Library {
         );
         Err(layers.locate(error.of_kind(ConfigErrorKind::Unreadable), &[]))
     }
+}
+
+/// The full name of a task.
+fn full_name(layers: &Layers) -> Result<String, ConfigError> {
+    let merged = layers.merged()?;
+    let stem = || layers.0.last().map_or_else(String::new, |layer| layer.document.stem.clone());
+    Ok(merged.get("name").and_then(Value::as_str).map_or_else(stem, str::to_owned))
 }
 
 /// Relative package folders are meant from the folder of the file that names them.

@@ -7,6 +7,7 @@ mod library;
 mod names;
 mod overrides;
 mod parse;
+mod play;
 mod randomization;
 mod robot;
 mod scene;
@@ -17,7 +18,7 @@ pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
 pub use library::{Library, LoadedRobot, LoadedTask, NetworkFile, PATH_VARIABLE, TrainFile};
-pub use names::{RobotEntry, TaskEntry};
+pub use names::{RobotEntry, TaskEntry, TrainEntry};
 pub use overrides::apply as apply_override;
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};

@@ -38,6 +38,17 @@ pub struct TaskEntry {
     pub robots: Vec<String>,
 }
 
+/// A training config in the library's list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainEntry {
+    /// Name.
+    pub name: String,
+    /// File.
+    pub file: String,
+    /// The comment in its first line; empty where there is none.
+    pub title: String,
+}
+
 /// What a task file says about its names.
 pub(super) struct TaskNames {
     /// Full name.

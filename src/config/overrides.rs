@@ -10,6 +10,9 @@ use super::suggest::did_you_mean;
 /// envs. What is missing on the way into them is made; it is checked where the robots are read.
 const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 
+/// Tables that a task may be without: they are not among the keys of its resolved config then.
+const OPTIONAL: [&str; 2] = ["scene.terrain", "sensors.height_scanner"];
+
 /// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
 /// Every table on the way must exist; whether a new last key is a known one is left to the types. Elements of an array are named by
 /// index, `name` or `term`. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
@@ -77,7 +80,9 @@ fn descend<'a>(mut node: &'a mut Value, keys: &[&str], walked: &mut Vec<String>)
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
                 }
                 if !table.contains_key(*key) {
-                    return Err(unknown(key, table.keys().map(String::as_str), walked));
+                    let here = dotted(walked, key);
+                    let missing = OPTIONAL.contains(&here.as_str()).then(|| no_such_table(&here));
+                    return Err(missing.unwrap_or_else(|| unknown(key, table.keys().map(String::as_str), walked)));
                 }
                 walked.push((*key).to_owned());
                 &mut table[*key]
@@ -128,13 +133,28 @@ fn write(node: &mut Value, key: &str, value: Option<Value>, walked: &mut Vec<Str
 
 /// The index that `key` means.
 fn index_of(items: &[Value], key: &str, walked: &[String]) -> Result<usize, ConfigError> {
-    element_index(items, key).ok_or_else(|| unknown_element(items, &dotted(walked, key), key).in_file(OVERRIDE))
+    element_index(items, key).ok_or_else(|| {
+        let error = unknown_element(items, &dotted(walked, key), key).in_file(OVERRIDE);
+        if walked != ["robots"] {
+            return error;
+        }
+        // it is a list of names, and what a robot is lies elsewhere
+        let remedy = format!("a robot's own config is changed by robot_overrides.{key}.<key>=<value>");
+        ConfigError { remedy, ..error }
+    })
 }
 
 fn unknown<'a>(key: &str, known: impl IntoIterator<Item = &'a str>, walked: &[String]) -> ConfigError {
     let remedy = did_you_mean(key, known, "keys");
     ConfigError::invalid(OVERRIDE, dotted(walked, key), format!("unknown key `{key}`"), remedy)
         .of_kind(ConfigErrorKind::UnknownKey)
+}
+
+/// That a task has no table which other tasks have.
+fn no_such_table(table: &str) -> ConfigError {
+    let remedy =
+        format!("set all of it, as in {table}={{ ... }}, or begin with a task that has it, such as velocity_rough");
+    ConfigError::invalid(OVERRIDE, table, "this task has none", remedy).of_kind(ConfigErrorKind::UnknownKey)
 }
 
 fn not_a_table(key: &str, found: &Value, walked: &[String]) -> ConfigError {

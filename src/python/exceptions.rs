@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use pyo3::exceptions::{PyException, PyKeyError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
-use pyo3::types::{PyDict, PyTuple, PyType};
+use pyo3::types::{PyBool, PyDict, PyTuple, PyType};
 
 use polypod::Error;
 use polypod::config::ConfigErrorKind;
@@ -83,8 +83,12 @@ pub(super) fn to_python(py: Python<'_>, error: Error) -> PyErr {
     PyErr::from_type(class.bind(py).clone(), error.to_string())
 }
 
-/// A whole number of any size; beyond 128 bits the nearest of those.
+/// A whole number of any size; beyond 128 bits the nearest of those. All arguments that count something are read by this function or
+/// one of the next two, and by [`unsigned`], so that a number out of range is a `ConfigError` that names the argument.
 pub(super) fn whole(value: &Bound<'_, PyAny>) -> PyResult<i128> {
+    if value.is_instance_of::<PyBool>() {
+        return Err(type_error("'bool' object cannot be interpreted as an integer".into()));
+    }
     value.extract().or_else(|error: PyErr| {
         if !error.is_instance_of::<PyOverflowError>(value.py()) {
             return Err(error);
@@ -96,6 +100,15 @@ pub(super) fn whole(value: &Bound<'_, PyAny>) -> PyResult<i128> {
 /// The same or `None`.
 pub(super) fn optional_whole(value: &Bound<'_, PyAny>) -> PyResult<Option<i128>> {
     if value.is_none() { Ok(None) } else { whole(value).map(Some) }
+}
+
+/// A pair of whole numbers or `None`.
+pub(super) fn optional_pair(value: &Bound<'_, PyAny>) -> PyResult<Option<(i128, i128)>> {
+    if value.is_none() {
+        return Ok(None);
+    }
+    let (first, second): (Bound<'_, PyAny>, Bound<'_, PyAny>) = value.extract()?;
+    Ok(Some((whole(&first)?, whole(&second)?)))
 }
 
 /// A number as Rust counts, or a `ConfigError` that names the argument.
@@ -162,9 +175,12 @@ impl<S> Deref for Guarded<S> {
     }
 }
 
-/// Works without the interpreter's lock. A panic becomes an exception.
+/// Works without the interpreter's lock. A panic becomes an exception. A signal that came meanwhile, such as Ctrl-C, is raised here:
+/// this work may take seconds, and what follows it may be long, too.
 pub(super) fn guarded<T: Send>(py: Python<'_>, f: impl FnOnce() -> T + Send) -> PyResult<T> {
-    py.detach(|| caught(f)).map_err(|fault| fault_exception(py, &fault))
+    let done = py.detach(|| caught(f)).map_err(|fault| fault_exception(py, &fault))?;
+    py.check_signals()?;
+    Ok(done)
 }
 
 /// What `f` returns, or the message that it panics with.

@@ -88,12 +88,13 @@ impl Learner {
         sim: &VecSim,
         options: &str,
         peers: Option<Py<PyAny>>,
-        worker: usize,
-        workers: usize,
+        #[pyo3(from_py_with = whole)] worker: i128,
+        #[pyo3(from_py_with = whole)] workers: i128,
     ) -> PyResult<Self> {
+        let worker = Worker { index: unsigned(py, "worker", worker)?, count: unsigned(py, "workers", workers)? };
         let options: learner::Options =
             serde_json::from_str(options).map_err(|error| value_error(format!("options: {error}")))?;
-        let (worker, raised) = (Worker { index: worker, count: workers }, Raised::default());
+        let raised = Raised::default();
         let peers = peers.map(|object| Box::new(PythonPeers { object, raised: raised.clone() }));
         let learner = sim.sim().look(py, |sim| match peers {
             Some(peers) => sim.learner_of_worker(options, worker, peers),
@@ -159,9 +160,9 @@ impl Learner {
         weights: Vec<PyReadonlyArray1<f32>>,
         first: Vec<PyReadonlyArray1<f32>>,
         second: Vec<PyReadonlyArray1<f32>>,
-        steps: u64,
+        #[pyo3(from_py_with = whole)] steps: i128,
     ) -> PyResult<()> {
-        let (which, weights) = (which(name)?, vectors(&weights)?);
+        let (which, weights, steps) = (which(name)?, vectors(&weights)?, unsigned(py, "steps", steps)?);
         let state = NetworkState { weights, first: vectors(&first)?, second: vectors(&second)?, steps };
         let done = self.learner.run(py, |learner| learner.set_network(which, &state))?;
         done.map_err(|error| to_python(py, error.into()))
@@ -186,9 +187,9 @@ impl Learner {
         name: &str,
         mean: PyReadonlyArray1<f32>,
         variance: PyReadonlyArray1<f32>,
-        count: u64,
+        #[pyo3(from_py_with = whole)] count: i128,
     ) -> PyResult<()> {
-        let which = which(name)?;
+        let (which, count) = (which(name)?, unsigned(py, "count", count)?);
         let normalizer = Normalizer::from_parts(mean.as_slice()?.to_vec(), variance.as_slice()?.to_vec(), count);
         let done = self.learner.run(py, |learner| learner.set_normalizer(which, normalizer))?;
         done.map_err(|error| to_python(py, error.into()))

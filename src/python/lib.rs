@@ -16,10 +16,11 @@ mod vec_sim;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
-use exceptions::{guarded, to_python, value_error};
+use exceptions::{guarded, to_python, unsigned, value_error, whole};
 use polypod::config::Library;
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
@@ -103,6 +104,49 @@ fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, override
     guarded(py, check)?.map_err(|error: polypod::config::ConfigError| to_python(py, error.into()))
 }
 
+#[doc = docstring!("play_task")]
+#[pyfunction]
+fn play_task(py: Python<'_>, task: &str) -> PyResult<String> {
+    guarded(py, || Library::new(Vec::new()).play_task(task))?.map_err(|error| to_python(py, error.into()))
+}
+
+#[doc = docstring!("training_task")]
+#[pyfunction]
+fn training_task(py: Python<'_>, task: &str) -> PyResult<String> {
+    guarded(py, || Library::new(Vec::new()).training_task(task))?.map_err(|error| to_python(py, error.into()))
+}
+
+#[doc = docstring!("disturbances")]
+#[pyfunction]
+#[pyo3(signature = (task, overrides=Vec::new()))]
+fn disturbances(py: Python<'_>, task: &str, overrides: Vec<String>) -> PyResult<Vec<String>> {
+    let task = guarded(py, || Library::new(Vec::new()).task(task, &overrides))?;
+    Ok(task.map_err(|error| to_python(py, error.into()))?.config.disturbances())
+}
+
+#[doc = docstring!("task_robots")]
+#[pyfunction]
+#[pyo3(signature = (task, overrides=Vec::new()))]
+fn task_robots(py: Python<'_>, task: &str, overrides: Vec<String>) -> PyResult<Vec<String>> {
+    let task = guarded(py, || Library::new(Vec::new()).task(task, &overrides))?;
+    Ok(task.map_err(|error| to_python(py, error.into()))?.config.robots)
+}
+
+#[doc = docstring!("train_configs")]
+#[pyfunction]
+fn train_configs(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    let configs =
+        guarded(py, || Library::new(Vec::new()).train_configs())?.map_err(|error| to_python(py, error.into()))?;
+    let entry = |config: polypod::config::TrainEntry| {
+        let dict = PyDict::new(py);
+        dict.set_item("name", config.name)?;
+        dict.set_item("file", config.file)?;
+        dict.set_item("title", config.title)?;
+        Ok(dict)
+    };
+    configs.into_iter().map(entry).collect()
+}
+
 #[doc = docstring!("with_overrides")]
 #[pyfunction]
 fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyResult<String> {
@@ -152,8 +196,15 @@ fn draft_robot(
 
 #[doc = docstring!("share_of_worker")]
 #[pyfunction]
-fn share_of_worker(py: Python<'_>, num_envs: usize, worker: usize, workers: usize) -> PyResult<(usize, usize)> {
-    let envs = Worker { index: worker, count: workers }.envs(num_envs).map_err(|error| to_python(py, error.into()))?;
+fn share_of_worker(
+    py: Python<'_>,
+    #[pyo3(from_py_with = whole)] num_envs: i128,
+    #[pyo3(from_py_with = whole)] worker: i128,
+    #[pyo3(from_py_with = whole)] workers: i128,
+) -> PyResult<(usize, usize)> {
+    let num_envs = unsigned(py, "num_envs", num_envs)?;
+    let worker = Worker { index: unsigned(py, "worker", worker)?, count: unsigned(py, "workers", workers)? };
+    let envs = worker.envs(num_envs).map_err(|error| to_python(py, error.into()))?;
     Ok((envs.start, envs.end))
 }
 
@@ -174,9 +225,20 @@ fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     Ok(dict)
 }
 
+/// Has NumPy's C interface loaded while nothing else happens. The crate `numpy` loads it with the first array, and panics where that
+/// fails, as it does after a Ctrl-C; the first array of a simulation comes after seconds of work.
+fn load_numpy(py: Python<'_>) -> PyResult<()> {
+    py.import("numpy")?;
+    py.check_signals()?;
+    let array = PyArray1::<f32>::zeros(py, 1, false);
+    drop(array.try_readwrite()?);
+    Ok(())
+}
+
 #[doc = docstring!("_core")]
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    load_numpy(module.py())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
@@ -188,6 +250,11 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(check_names, module)?)?;
+    module.add_function(wrap_pyfunction!(play_task, module)?)?;
+    module.add_function(wrap_pyfunction!(training_task, module)?)?;
+    module.add_function(wrap_pyfunction!(disturbances, module)?)?;
+    module.add_function(wrap_pyfunction!(task_robots, module)?)?;
+    module.add_function(wrap_pyfunction!(train_configs, module)?)?;
     module.add_function(wrap_pyfunction!(with_overrides, module)?)?;
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;

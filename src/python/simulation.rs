@@ -90,7 +90,7 @@ fn link_of(link: &Bound<'_, PyAny>, num_links: usize) -> PyResult<Link> {
     let Ok(index) = whole(link) else {
         return Err(type_error(format!("link: a {}; pass a name or an index", link.get_type().name()?)));
     };
-    usize::try_from(index).map(Link::Index).map_err(|_| {
+    unsigned(link.py(), "link", index).map(Link::Index).map_err(|_| {
         let remedy = format!("the links are 0 to {}, in the order of link_names", num_links - 1);
         let problem = format!("there is no link {index}");
         to_python(link.py(), Error::Argument { element: "link", problem, remedy })
@@ -353,7 +353,7 @@ impl Simulation {
         kd: Option<Bound<'_, PyAny>>,
         effort_limit: Option<Bound<'_, PyAny>>,
         implicit: Option<bool>,
-        n: i64,
+        #[pyo3(from_py_with = whole)] n: i128,
     ) -> PyResult<()> {
         let shapes = self.of_joints(self.sim.num_envs());
         let torque = Self::optional("torque", torque.as_ref(), &shapes)?;
@@ -369,7 +369,7 @@ impl Simulation {
             effort_limit: effort_limit.as_deref(),
             implicit,
         };
-        let n = usize::try_from(n).unwrap_or(0);
+        let n = unsigned(py, "n", n)?;
         self.sim.run(py, |sim| sim.step(&control, n))?.map_err(|error| to_python(py, error))
     }
 

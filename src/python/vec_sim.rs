@@ -13,7 +13,7 @@ use pyo3::types::{PyBytes, PyDict, PySlice};
 use serde::Serialize;
 
 use super::exceptions::{
-    Guarded, fault_exception, optional_whole, to_python, type_error, unsigned, value_error, whole,
+    Guarded, fault_exception, optional_pair, optional_whole, to_python, type_error, unsigned, value_error, whole,
 };
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
@@ -196,14 +196,17 @@ impl VecSim {
         overrides: Vec<String>,
         autoreset: &str,
         dump_dir: Option<PathBuf>,
-        share: Option<(usize, usize)>,
+        #[pyo3(from_py_with = optional_pair)] share: Option<(i128, i128)>,
         slots: Vec<String>,
     ) -> PyResult<Self> {
         let autoreset = autoreset.parse::<Autoreset>().map_err(|error| to_python(py, error))?;
         let num_envs = unsigned(py, "num_envs", num_envs)?;
         let seed = unsigned(py, "seed", seed)?;
         let threads = threads.map(|threads| unsigned(py, "threads", threads)).transpose()?;
-        let share = share.map(|(start, end)| start..end);
+        let share = match share {
+            Some((start, end)) => Some(unsigned(py, "share", start)?..unsigned(py, "share", end)?),
+            None => None,
+        };
         let options = SimOptions {
             robots,
             seed,
@@ -504,6 +507,18 @@ impl VecSim {
         ))
     }
 
+    #[doc = docstring!("VecSim.link_names")]
+    fn link_names(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<&str>> {
+        let model = &self.sim.morphologies()[self.robot_index(py, robot)?].model;
+        Ok(model.links.iter().map(|link| link.name.as_str()).collect())
+    }
+
+    #[doc = docstring!("VecSim.contact_body_names")]
+    fn contact_body_names(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<&str>> {
+        let model = &self.sim.morphologies()[self.robot_index(py, robot)?].model;
+        Ok(model.bodies.iter().map(|body| body.name.as_str()).collect())
+    }
+
     #[doc = docstring!("VecSim.contact_forces")]
     fn contact_forces<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let index = self.robot_index(py, robot)?;
@@ -771,7 +786,7 @@ impl VecSim {
     #[doc = docstring!("VecSim.set_dump_dir")]
     #[pyo3(signature = (dump_dir))]
     fn set_dump_dir(&mut self, py: Python<'_>, dump_dir: Option<PathBuf>) -> PyResult<()> {
-        self.sim.run(py, |sim| sim.set_dump_dir(dump_dir))
+        self.sim.run(py, |sim| sim.set_dump_dir(dump_dir))?.map_err(|error| to_python(py, error))
     }
 
     #[doc = docstring!("VecSim.snapshot")]

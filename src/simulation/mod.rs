@@ -27,7 +27,7 @@ pub use options::{Precision, SimulationOptions};
 pub use parameters::LinkId;
 pub use queries::{LinkPoses, LinkVelocities};
 
-use crate::bounds::{BYTES_PER_LINK, check_num_envs};
+use crate::bounds::{BYTES_PER_LINK, MAX_STEPS, check_num_envs};
 use crate::config::EngineKind;
 use crate::dynamics::lanes::Simd;
 use crate::dynamics::{ContactSettings, Parameters, Plane, StepSettings};
@@ -350,6 +350,9 @@ impl Simulation {
     pub fn step(&mut self, control: &Control, n: usize) -> Result<(), Error> {
         if n == 0 {
             return Err(Error::argument("n", "0 steps", "pass at least 1"));
+        }
+        if n > MAX_STEPS {
+            return Err(Error::argument("n", format!("{n} steps"), format!("pass at most {MAX_STEPS}")));
         }
         let (values, element) = match (control.torque, control.targets) {
             (Some(_), Some(_)) => {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT};
+use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT, check_threads};
 use crate::config::{AVIAN_SUBSTEPS, EngineKind};
 use crate::dynamics::SWEEPS;
 use crate::dynamics::lanes::Simd;
@@ -124,9 +124,7 @@ impl SimulationOptions {
                 format!("pass at most {MAX_ENVS}"),
             ));
         }
-        if self.threads == Some(0) {
-            return Err(Error::argument("threads", "0 threads", "pass at least 1, or nothing for all cores"));
-        }
+        check_threads(self.threads).map_err(|(problem, remedy)| Error::argument("threads", problem, remedy))?;
         check_count("solver_iterations", self.solver_iterations, MAX_SWEEPS, "sweeps")?;
         check_count("avian_substeps", self.avian_substeps, MAX_SUBSTEPS, "substeps")?;
         if !(self.dt >= MIN_DT && self.dt.is_finite()) {

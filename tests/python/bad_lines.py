@@ -10,14 +10,23 @@ from hypothesis import strategies as st
 from common import FLAT_POLICY
 
 ROOT = Path(__file__).parents[2]
-URDF = ROOT / "assets" / "robots" / "spot" / "spot.urdf"
+URDF = ROOT / "assets" / "robots" / "spot" / "robot.urdf"
 
 Line = tuple[str, ...]
 Commands = dict[str, tuple[Line, dict[str, list[str | None]]]]
-"""By command: a line of arguments that is in order but for what follows, and the bad values of each flag.
+"""By command: a line of arguments that is in order, and the bad values of each flag.
 
-The flag "" stands for positional arguments, the value None for a flag without a value.
+A bad value takes the place of what the line has for its flag: appended, it would end at the parser, as a flag that is
+given twice or an argument too many. The flag "" stands for positional arguments, the value None for a flag without a
+value. A command's name may be followed by a word that tells several lines of it apart.
 """
+
+
+class Positional(str):
+    """A positional argument that bad values take the place of."""
+
+    __slots__ = ()
+
 
 UNKNOWN = "--x"
 """A flag that no command has."""
@@ -29,6 +38,8 @@ NAMES = ["", " ", ",", "spott", "spot,", "spot,spot", "..", "/", "/dev/null", "/
 NAMES += ["\u202e", "\udcff", "spot\n", "-", "--", "robots/spot", "~", "$HOME", "`true`", "%s%n", "nul.toml", "."]
 FILES = ["", ".", "/", "/dev/null", "/dev/full", "/proc/self/mem", "/nothing/here", "a" * 5000, "loop", "binary"]
 FILES += ["manifest.json", "empty.pt", "binary.pt", "\udcff", "../../../../etc/passwd", "folder"]
+FILES += ["binary.toml", "empty.toml", "folder.toml", "binary.py", "binary.onnx", "empty.onnx", "loop.toml", "loop.pt"]
+FILES += ["binary.urdf", "empty.urdf", "loop.urdf", "nothing.urdf"]
 OUTPUTS = ["", ".", "/", "/proc/nothing", "/nothing/\x01/here", "loop", "folder", "a" * 5000, "file/below"]
 OVERRIDES = ["", "=", "a", "sim.dt", "sim.dt=", "sim.dt=nan", "sim.dt=-1", "sim.dt=0", "sim.dt=1e-320", "sim.dt=[]"]
 OVERRIDES += ["sim.dt=1=1", ".=1", "sim..dt=1", "sim.gravity=[nan,0,0]", "sim.gravity=[0,0]", "sim.decimation=0"]
@@ -43,6 +54,19 @@ OVERRIDES += [
     "train.run.num_envs=x",
     "train=3",
 ]
+FILMS = [
+    "/nothing/x.gif",
+    "file/below.gif",
+    "loop/x.webp",
+    "folder.gif",
+    ".gif",
+    "x.mov",
+    "a" * 5000 + ".gif",
+    "\udcff.gif",
+]
+"""Names of films that cannot be written."""
+PAGES = ["/nothing/x.html", "file/below.viser", "loop/x.html", "a" * 5000 + ".html"]
+"""Names of recordings that cannot be written."""
 SWITCH = [None, "x", ""]
 """What a flag without a value takes: nothing, or what does not belong to it."""
 
@@ -66,14 +90,22 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "play": (
         (*_CHECKPOINT, "--headless", "--seconds", "0.1"),
         _WITH_TASK
-        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--seconds": FLOATS, "--warm-up": FLOATS, "--fps": COUNTS}
-        | {"--record": OUTPUTS, "--video": OUTPUTS, "--command": FLOATS, "--size": COUNTS, "--robot": NAMES}
+        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--seconds": FLOATS, "--warm-up": FLOATS}
+        | {"--command": FLOATS, "--robot": NAMES},
+    ),
+    "play page": (
+        (*_CHECKPOINT, "--robots", "spot", "--seconds", "0.1", "--port", "0"),
+        {"--record": [*OUTPUTS, *PAGES], "--meshes": SWITCH}
         | {"--port": [*COUNTS, "99999"], "--host": ["", "x y", "256.1.1.1", "nowhere.invalid", "-", "\udcff"]},
     ),
+    "play film": (
+        (*_CHECKPOINT, "--robots", "spot", "--seconds", "0.1", "--video", "film.gif", "--size", "32", "32"),
+        {"--fps": COUNTS, "--size": COUNTS, "--video": [*OUTPUTS, *FILMS]},
+    ),
     "film": (
-        ("walk", "film.gif", *_CHECKPOINT, "--seconds", "0.1", "--warm-up", "0"),
+        (Positional("walk"), Positional("film.gif"), *_CHECKPOINT, "--seconds", "0.1", "--warm-up", "0"),
         _WITH_TASK
-        | {"": [*NAMES, "training", "mujoco"], "--checkpoint": FILES, "--seconds": FLOATS, "--warm-up": FLOATS}
+        | {"": [*NAMES, "training", "mujoco", *FILMS], "--checkpoint": FILES, "--seconds": FLOATS, "--warm-up": FLOATS}
         | {"--fps": COUNTS, "--size": COUNTS, "--command": FLOATS, "--parts": COUNTS, "--push": FLOATS}
         | {"--robot": NAMES},
     ),
@@ -86,15 +118,20 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "train": (
         ("--num-envs", "64", "--max-iterations", "1", "--logger", "none", "--robots", "spot"),
         _WITH_TASK
-        | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES], "--resume": FILES}
+        | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES]}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
         | {"--log-project": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]}
         | {"--quadrupeds": NAMES, "--learner": NAMES, "--terms": FILES},
     ),
-    "sweep": (("empty.pt",), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
-    "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
+    "train resume": (
+        ("--resume", "latest"),
+        {"--resume": FILES, "--log-dir": [*OUTPUTS, "\udcff"], "--learner": NAMES},
+    ),
+    "train workers": (("--ray", "nowhere:1"), {"--workers": COUNTS}),
+    "sweep": ((Positional("sweep.toml"),), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
+    "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
     "robot": (
-        ("new", str(URDF), "--out", "/nothing/spot.toml"),
+        ("new", Positional(URDF), "--out", "/nothing/spot.toml"),
         {
             "": FILES,
             "--name": NAMES,
@@ -104,14 +141,17 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         },
     ),
     "bodies": (
-        ("generate", "new", "--count", "1"),
+        ("generate", Positional("new"), "--count", "1"),
         {"": OUTPUTS, "--count": COUNTS, "--seed": _SEEDS[:1], "--kinds": NAMES, "--prefix": [*NAMES, "Spot", "a b"]},
     ),
     "terrain": (
-        ("--out", "map.npz", "--task", "velocity_flat"),
-        {"--out": OUTPUTS, "--task": NAMES, "--set": OVERRIDES},
+        ("--out", "map.npz", "--task", "velocity_rough", "--set", "scene.terrain.num_rows=1"),
+        {"--out": [*OUTPUTS, "folder/x.npz/y"], "--task": NAMES, "--set": OVERRIDES},
     ),
-    "results": (("folder",), {"": FILES, "--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES}),
+    "results": (
+        (Positional(FLAT_POLICY.parents[1]),),
+        {"": FILES, "--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES},
+    ),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},
@@ -147,8 +187,8 @@ _SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--dump-dir": OUTPUTS},
     ),
     "inspect": (("--robot", "spot"), {"--robot": NAMES}),
-    "check": ((str(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
-    "replay": (("manifest.json",), {"": [*FILES, "/dev/zero"], "--simd": NAMES}),
+    "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
+    "replay": ((Positional("manifest.json"),), {"": [*FILES, "/dev/zero"], "--simd": NAMES}),
     "play": (
         ("--policy", str(FLAT_POLICY.parent / "exported" / "policy.onnx"), "--num-envs", "8", "--steps", "1"),
         _WITH_TASK
@@ -189,10 +229,11 @@ POLYPOD_SIM = _completed(_SIM, _SIM_SWITCHES)
 def single(commands: Commands) -> list[Line]:
     """Lines with one bad thing: every flag of every command with every value, in a mixed order."""
     lines = [
-        _line(command, base, _spelled(flag, value, False))
+        _line(command, base, flag, value, place=place)
         for command, (base, flags) in commands.items()
         for flag, values in flags.items()
         for value in values
+        for place in range(max(1, sum(isinstance(word, Positional) for word in base)) if not flag else 1)
     ]
     random.Random(0).shuffle(lines)
     return lines
@@ -202,18 +243,40 @@ def single(commands: Commands) -> list[Line]:
 def several(draw: st.DrawFn, commands: Commands, command: str) -> Line:
     """Lines of one command with two to four bad things, in both spellings, some of them of no list."""
     base, flags = commands[command]
-    words: list[str] = []
+    line = base
     for flag in draw(st.lists(st.sampled_from(sorted(flags)), min_size=2, max_size=4)):
         values = flags[flag]
         value = draw(
             st.sampled_from(values) | st.text(string.printable, max_size=8) if flag else st.sampled_from(values)
         )
-        words += _spelled(flag, value, draw(st.booleans()))
-    return _line(command, base, words)
+        line = _line(command, line, flag, value, draw(st.booleans()))[1 if name_of(command) else 0 :]
+    return (*([name_of(command)] if name_of(command) else []), *line)
 
 
-def _line(command: str, base: Line, words: list[str]) -> Line:
-    return (*([command] if command else []), *base, *words)
+def name_of(command: str) -> str:
+    """The command's name, without the word that tells lines of it apart."""
+    return command.split(" ")[0]
+
+
+def _line(command: str, base: Line, flag: str, value: str | None, joined: bool = False, place: int = 0) -> Line:
+    """The line with a bad value for a flag, in the place of what it has; `place` counts positional arguments."""
+    name = name_of(command)
+    line = list(base)
+    places = [index for index, word in enumerate(line) if isinstance(word, Positional)]
+    if not flag and places and value is not None:
+        line[places[place % len(places)]] = Bad(value)
+    else:
+        if flag in line:
+            start = line.index(flag)
+            del line[start : start + 1 + _VALUES.get(flag, 1)]
+        line += _spelled(flag, value, joined)
+    return (*([name] if name else []), *line)
+
+
+class Bad(Positional):
+    """A bad value in the place of a positional argument."""
+
+    __slots__ = ()
 
 
 def _spelled(flag: str, value: str | None, joined: bool) -> list[str]:
@@ -226,7 +289,14 @@ def _spelled(flag: str, value: str | None, joined: bool) -> list[str]:
     return [flag, *[value] * _VALUES.get(flag, 1)]
 
 
+HIDDEN = {"--quadrupeds", "--randomised", "--no-randomised"}
+"""Flags that no help lists."""
+
+
 def flags_of(commands: Commands) -> Iterator[tuple[str, set[str]]]:
-    """Commands and their flags, without what no command has."""
+    """Commands and their flags, without what no command has and no help lists."""
+    found: dict[str, set[str]] = {}
     for command, (_, flags) in commands.items():
-        yield command, {flag for flag in flags if flag not in ("", UNKNOWN)}
+        found.setdefault(name_of(command), set()).update(flags)
+    for command, flags in found.items():
+        yield command, flags - {"", UNKNOWN} - HIDDEN

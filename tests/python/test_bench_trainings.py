@@ -34,8 +34,11 @@ def test_walks_are_looked_for_at_intervals(cli, tmp_path, monkeypatch):
     assert (run["seed"], run["walked"]) == (42, False)
     assert [point["samples"] for point in run["curve"]] == [128, 256]
     assert run["curve"][1]["error_vel_xy"] > walking.WALKS["error_vel_xy"]
+    assert 0.0 < run["curve"][1]["still_error_vel_yaw"] < 1.0
+    assert run["curve"][1]["error_vel_yaw"] > 0.0
     assert (tmp_path / "walk.png").stat().st_size > 0
     assert "| 42 | no | 0.0 |" in finished.stdout
+    assert "| worst yaw error (rad/s) | still (rad/s) |" in finished.stdout
 
 
 def test_workers_share_the_cores(cli, tmp_path):

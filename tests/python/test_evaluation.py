@@ -15,7 +15,7 @@ from common import FLAT_POLICY, SHORT, SMALL_TERRAIN, TASK, size
 from polypod import evaluation
 from polypod.evaluation import measures, plot, seeds
 from polypod.evaluation.results import robot_result
-from polypod.training import run_dir
+from polypod.training import report, run_dir
 
 
 def still(observations):
@@ -236,6 +236,73 @@ def test_randomized_means_as_in_the_training():
     found = evaluation.evaluate(still, TASK, robots=["spot"], num_envs=2, overrides=SHORT, randomized=True)
     assert found.randomized
     assert found.task == evaluation.play_task(TASK)
+
+
+OWN = '''
+extends = "velocity_flat_universal"
+name = "{name}"
+experiment_name = "own"
+'''
+
+
+@pytest.fixture
+def own_tasks(tmp_path, monkeypatch):
+    """Tasks of one's own without a Play variant: by name, and one that no library holds, by path."""
+    folder = tmp_path / "library" / "configs" / "tasks"
+    folder.mkdir(parents=True)
+    (folder / "own.toml").write_text(OWN.format(name="Own-HeteroQuadruped-v0"))
+    (tmp_path / "elsewhere.toml").write_text(OWN.format(name="Elsewhere-v0"))
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "library"))
+    return ["own", "Own-HeteroQuadruped-v0", "Own-Spot-v0", str(tmp_path / "elsewhere.toml")]
+
+
+def test_tasks_without_a_play_variant_are_measured_without_noise_and_pushes(own_tasks):
+    """They have the figures of the task with all of it switched off, and say what was on."""
+    arguments = {"robots": ["spot"], "num_envs": 4, "steps": 25}
+    expected = evaluation.evaluate(still, "velocity_flat_universal", **arguments)
+    disturbed = evaluation.evaluate(still, "velocity_flat_universal", randomized=True, **arguments)
+    assert (expected.randomized, expected.disturbances) == (False, [])
+    assert {"observations.enable_noise", "events.push_robot.enabled"} < set(disturbed.disturbances)
+    for task in own_tasks:
+        found = evaluation.evaluate(still, task, **arguments)
+        assert (found.randomized, found.disturbances) == (False, [])
+        assert "-Play-v0" in found.task
+        assert found.robots == expected.robots
+        again = evaluation.evaluate(still, task, randomized=True, **arguments)
+        assert again.randomized
+        assert again.disturbances == disturbed.disturbances
+        assert again.robots == disturbed.robots
+    assert expected.robots != disturbed.robots
+
+
+def test_what_a_training_changed_is_on_with_randomized_alone():
+    """An event that a training has defined again would otherwise be on in every evaluation."""
+    push = 'events.push_robot={ mode = "interval", interval_range_s = [0.1, 0.1], velocity_range = [-1.0, 1.0] }'
+    arguments = {"robots": ["spot"], "num_envs": 4, "steps": 25}
+    quiet = evaluation.evaluate(still, TASK, **arguments)
+    found = evaluation.evaluate(still, TASK, trained=[push, "observations.enable_noise=true"], **arguments)
+    assert (found.randomized, found.robots) == (False, quiet.robots)
+    pushed = evaluation.evaluate(still, TASK, trained=[push], randomized=True, **arguments)
+    assert pushed.robots["spot"].error_vel_xy > quiet.robots["spot"].error_vel_xy
+    # what is asked for in the evaluation itself is done, and said
+    asked = evaluation.evaluate(still, TASK, overrides=[push], **arguments)
+    assert (asked.randomized, asked.disturbances) == (True, ["events.push_robot.enabled"])
+    assert report._conditions(asked).endswith("with pushes")
+    assert report._conditions(quiet).endswith("0.5 s")
+
+
+def test_a_robot_that_does_not_turn_does_not_walk():
+    (result,) = evaluation.evaluate(still, TASK, robots=["spot"], num_envs=4, steps=20).robots.values()
+    good = {"error_vel_xy": 0.1, "fall_rate": 0.0, "still_error_vel_yaw": 0.6}
+    for yaw, walks in ((0.1, True), (0.41, True), (0.43, False), (0.6, False)):
+        assert evaluation.walks(dataclasses.replace(result, **good, error_vel_yaw=yaw)) is walks
+    for bad in ({"error_vel_xy": 0.21}, {"fall_rate": 0.06}):
+        assert not evaluation.walks(dataclasses.replace(result, **{**good, **bad}, error_vel_yaw=0.1))
+    # nothing to turn for: what counts is that it does not turn by itself
+    straight = {**good, "still_error_vel_yaw": 0.0}
+    assert evaluation.walks(dataclasses.replace(result, **straight, error_vel_yaw=0.09))
+    assert not evaluation.walks(dataclasses.replace(result, **straight, error_vel_yaw=0.2))
+    assert not evaluation.walks(result)
 
 
 def test_pushes_come_with_randomized_unless_switched_off():

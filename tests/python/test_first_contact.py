@@ -18,8 +18,59 @@ from polypod.training import config, run_dir
 
 
 def test_the_version(cli):
-    for flag in ("--version", "-V"):
-        assert cli(flag).stdout == f"polypod {polypod.__version__}\n"
+    for words in (("--version",), ("-V",), ("--version", "list"), ("-V", "-V"), ("-V", "--nothing", "x")):
+        done = cli(*words)
+        assert (done.returncode, done.stdout) == (0, f"polypod {polypod.__version__}\n")
+
+
+def test_the_list_has_what_the_flags_take(cli):
+    """`train --help` sends to it for tasks, robots and train configs."""
+    said = cli("list").stdout
+    for name in ("velocity_flat", "unitree_go2", "flat", "legged_finish", "quick"):
+        assert f"  {name} " in said or f" {name}\n" in said, name
+    configs = json.loads(cli("list", "train_configs", "--json").stdout)["train_configs"]
+    assert {"name": "quick", "file": "configs/train/quick.toml"}.items() <= next(
+        entry for entry in configs if entry["name"] == "quick"
+    ).items()
+    assert all(entry["title"] for entry in configs)
+
+
+def test_the_help_names_what_is_usual_first(cli):
+    """No flag is listed under an odd name, and no choice is None."""
+    said = cli("train", "--help").stdout
+    assert "--quadrupeds" not in said
+    assert "None" not in said
+    assert "--learner {auto,native,rsl_rl}" in said
+    for command in ("train", "eval", "accuracy"):
+        assert "--robots A,B,C" in cli(command, "--help").stdout
+    line = ("train", "--num-envs", "8", "--max-iterations", "1", "--logger", "none")
+    for spelling in (("--quadrupeds", "spott"), ("--quadrupeds=spott",)):
+        done = cli(*line, *spelling)
+        assert done.returncode == 2
+        assert "did you mean `spot`?" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "package", "extra"),
+    [
+        ("sb3", "stable_baselines3", "learners"),
+        ("torchrl", "torchrl", "learners"),
+        ("rllib", "ray", "learners"),
+        ("rsl_rl", "torch", "train"),
+    ],
+)
+def test_an_adapter_without_its_package_names_the_extra(module, package, extra):
+    script = f"""
+import sys
+sys.modules[{package!r}] = None
+try:
+    import polypod.{module}
+except ModuleNotFoundError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100, check=True)
+    assert done.stdout.startswith(f"polypod.{module} needs the package ")
+    assert f"pip install 'polypod[{extra}]'" in done.stdout
 
 
 @pytest.mark.parametrize(("word", "meant"), [("trian", "train"), ("evaluate", "eval"), ("simsim", "sim2sim")])

@@ -24,15 +24,33 @@ SECONDS = 20
 MEMORY = 4 << 30
 
 
+SWEEP = """
+seeds = [1]
+[train]
+num_envs = 8
+max_iterations = 1
+device = "cpu"
+threads = 1
+set = ["sim.episode_length_s=0.2", "train.run.num_steps_per_env=2"]
+[configs.plain]
+[robots]
+one = ["spot"]
+"""
+
+
 @pytest.fixture
 def place(tmp_path):
     """A folder with files of several bad kinds."""
-    (tmp_path / "loop").symlink_to("loop")
-    (tmp_path / "folder").mkdir()
+    for kind in ("", ".toml", ".pt", ".urdf"):
+        (tmp_path / f"loop{kind}").symlink_to(f"loop{kind}")
+    for name in ("folder", "folder.toml", "folder.gif"):
+        (tmp_path / name).mkdir()
     (tmp_path / "file").write_text("")
-    for name in ("binary", "binary.pt", "manifest.json"):
+    for name in ("binary", "manifest.json", *(f"binary.{kind}" for kind in ("pt", "toml", "py", "onnx", "urdf"))):
         (tmp_path / name).write_bytes(random.Random(0).randbytes(5000))
-    (tmp_path / "empty.pt").write_bytes(b"")
+    for kind in ("pt", "toml", "onnx", "urdf"):
+        (tmp_path / f"empty.{kind}").write_bytes(b"")
+    (tmp_path / "sweep.toml").write_text(SWEEP)
     return tmp_path
 
 
@@ -132,11 +150,37 @@ def commands_in(help_text):
 def test_no_command_and_no_flag_is_left_out(fork_server, tmp_path, program):
     run, _ = RUNS[program]
     commands = COMMANDS[program]
-    assert commands_in(run(fork_server, ["--help"], tmp_path).output) == set(commands) - {""}
+    assert commands_in(run(fork_server, ["--help"], tmp_path).output) == {
+        bad_lines.name_of(command) for command in commands
+    } - {""}
     for command, flags in bad_lines.flags_of(commands):
         if command != "help":
             said = run(fork_server, [*([command] if command else []), "--help"], tmp_path).output
             assert flags_in(said) == flags, command
+
+
+ENDS = {
+    "polypod": ("Unrecognized options", "unexpected argument", "given more than once"),
+    "polypod-sim": ("cannot be used multiple times", "unexpected argument"),
+}
+"""What parsers say of a line whose bad value has not taken the place of a good one."""
+
+
+@pytest.mark.parametrize("program", RUNS)
+def test_bad_values_take_the_place_of_good_ones(fork_server, place, program):
+    """A value that is appended ends at the parser and tests nothing behind it."""
+    run, _ = RUNS[program]
+    for command, (base, flags) in COMMANDS[program].items():
+        for flag in flags:
+            if flag in ("", "--help", "-h", bad_lines.UNKNOWN):
+                continue
+            line = bad_lines._line(command, base, flag, "x")
+            assert line.count(flag) == 1, line
+        if any(isinstance(word, bad_lines.Positional) for word in base):
+            line = bad_lines._line(command, base, "", "nothing.urdf")
+            assert len(line) == len(base) + 1, line
+            said = run(fork_server, line, place)
+            assert not any(end in said.errors for end in ENDS[program]), (line, said.errors)
 
 
 def test_the_lines_are_as_many_as_are_promised():

@@ -192,7 +192,38 @@ def test_own_terminations_end_and_reset(make, actions):
     for robot in env.robots:
         assert log[f"Metrics/{robot}/fall_rate"] == 1.0
         assert log[f"Episode_Reward/{robot}/alive"] == pytest.approx(limit * env.step_dt / 20.0)
-    assert "Episode_Reward/spot/alive" not in wrapped.log()
+        assert log[f"Episode_Termination/{robot}/long"] == len(env.env_ids(robot))
+    again = wrapped.log()
+    assert "Episode_Reward/spot/alive" not in again
+    assert "Episode_Termination/spot/long" not in again
+
+
+def test_own_terminations_are_counted_by_robot_and_term(make, actions):
+    """Each episode that a term has ended, of the robots that had ends; two terms may end the same episode."""
+    env = make(autoreset="disabled", overrides=QUIET)
+    ids = {robot: env.env_ids(robot) for robot in env.robots}
+    first, second = env.robots[:2]
+
+    def ends(rows):
+        mask = np.zeros(env.num_envs, dtype=np.bool_)
+        mask[rows] = True
+        return lambda state: mask & (state.episode_length >= 2)
+
+    terms = {"one": ends(ids[first][:1]), "both": ends([*ids[first][:2], ids[second][0]]), "never": ends([])}
+    wrapped = CustomTerms(env, terminations=terms)
+    wrapped.reset(seed=3)
+    for step in range(2):
+        wrapped.step(actions(env, step, scale=0.05))
+    log = wrapped.log()
+    counts = {key: value for key, value in log.items() if key.split("/")[-1] in terms}
+    assert counts == {
+        f"Episode_Termination/{first}/one": 1.0,
+        f"Episode_Termination/{first}/both": 2.0,
+        f"Episode_Termination/{first}/never": 0.0,
+        f"Episode_Termination/{second}/one": 0.0,
+        f"Episode_Termination/{second}/both": 1.0,
+        f"Episode_Termination/{second}/never": 0.0,
+    }
 
 
 def test_an_env_that_ends_leaves_the_others_alone(make, actions):

@@ -1,5 +1,7 @@
 """Every env holds one robot, robots hold contiguous and fair shares, and joints map one to one."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -37,3 +39,23 @@ def test_the_default_is_the_tasks_robots(make):
 def test_the_layout_adds_up(make):
     env = make(robots=None)
     assert sum(size for _, size in env.observation_layout) == env.single_observation_space.shape[0]
+
+
+def test_links_and_contact_bodies_have_names(make):
+    """As many as there are rows of poses and forces, in their order; feet that are fixed to shanks are bodies."""
+    env = make(robots=["unitree_go2", "anymal_d"])
+    for robot in env.robots:
+        links, bodies = env.sim.link_names(robot), env.sim.contact_body_names(robot)
+        assert len(links) == env.sim.link_pose(robot)[0].shape[1]
+        assert len(bodies) == env.sim.contact_forces(robot).shape[1]
+        alone = polypod.Simulation(robot)
+        assert links == alone.link_names
+        shapes = json.loads(env.sim.robot_shapes())[robot]
+        assert bodies == [body["name"] for body in shapes["bodies"]]
+    assert env.sim.link_names("unitree_go2")[0] == "base"
+    assert "FL_foot" in env.sim.contact_body_names("unitree_go2")
+    assert "FL_foot" not in env.sim.link_names("unitree_go2")
+    with pytest.raises(polypod.UnknownNameError, match="unitree_go2"):
+        env.sim.link_names("spot")
+    with pytest.raises(polypod.UnknownNameError, match="unitree_go2"):
+        env.sim.contact_body_names("spot")

@@ -227,3 +227,27 @@ def test_mistakes_get_one_line(capsys, arguments, message):
     errors = capsys.readouterr().err
     assert message in errors
     assert errors.count("\n") == 1
+
+
+def test_states_that_memory_does_not_hold_are_refused(monkeypatch):
+    """MuJoCo's own error is none of Python's; the message names what to lower."""
+    import mujoco
+
+    from polypod.accuracy import reference
+
+    class Starved:
+        """MuJoCo on a machine with little memory."""
+
+        FatalError = mujoco.FatalError
+
+        @staticmethod
+        def MjData(model):  # noqa: N802
+            """As MuJoCo raises it."""
+            raise mujoco.FatalError("Could not allocate memory")
+
+    monkeypatch.setattr(reference, "mujoco", lambda: Starved)
+    with pytest.raises(polypod.ConfigError, match=r"no memory for 1000 states .*choose a smaller --num-envs"):
+        reference.states(None, 1000, "--num-envs")
+    monkeypatch.setattr(Starved, "MjData", staticmethod(lambda model: (_ for _ in ()).throw(MemoryError)))
+    with pytest.raises(polypod.ConfigError, match=r"no memory for 7 states .*choose a smaller --threads"):
+        reference.states(None, 7, "--threads")

@@ -24,7 +24,16 @@ def public(found):
 
 
 def test_module():
-    typed_dicts = {"TaskEntry", "RobotEntry", "CoreInfo", "TerrainEntry", "RobotDraft", "TrainFile", "Peers"}
+    typed_dicts = {
+        "TaskEntry",
+        "RobotEntry",
+        "CoreInfo",
+        "TerrainEntry",
+        "RobotDraft",
+        "TrainFile",
+        "TrainEntry",
+        "Peers",
+    }
     assert public(names(stub().body)) - typed_dicts <= public(dir(_core))
 
 

@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use polypod::Autoreset;
 use polypod::components::{BasePose, Command, EnvId, Imu, MountedOn};
 use polypod::config::Library;
-use polypod::{Error, Sim, SimOptions};
+use polypod::{Sim, SimOptions};
 use serde::Serialize;
 
 use crate::policy::{Policy, PolicyManifest};
@@ -23,7 +23,7 @@ pub(super) struct Play {
     /// Robots, separated by commas; those that the policy was trained on by default.
     #[arg(long, visible_alias = "robot", value_delimiter = ',')]
     robots: Option<Vec<String>>,
-    /// Name, alias or path of the task; by default the Play variant of the policy's own.
+    /// Name, alias or path of the task; by default the policy's own. Its Play variant is taken: no noise, no pushes.
     #[arg(long)]
     task: Option<String>,
     /// Number of envs; 16 per robot by default.
@@ -55,6 +55,8 @@ struct Track {
     steps: usize,
     error_xy: f64,
     error_yaw: f64,
+    still_xy: f64,
+    still_yaw: f64,
     distance: f64,
     place: [f32; 2],
     fell: bool,
@@ -68,8 +70,12 @@ struct Played {
     envs: usize,
     /// m/s, between commanded and actual planar velocity.
     error_vel_xy: f64,
-    /// rad/s.
+    /// rad/s, between commanded and actual yaw rate.
     error_vel_yaw: f64,
+    /// m/s, the planar velocity error of a robot that stands still.
+    still_error_vel_xy: f64,
+    /// rad/s, the yaw rate error of a robot that stands still.
+    still_error_vel_yaw: f64,
     /// Episodes that ended in failure.
     falls: usize,
     /// Way of the base over the ground, m.
@@ -82,17 +88,18 @@ impl Play {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         let manifest = PolicyManifest::beside(&self.policy)?;
-        let task = match &self.task {
-            Some(task) => task.clone(),
-            None => play_task(&manifest.task)?,
-        };
+        let library = Library::new(Vec::new());
+        let task = library.play_task(self.task.as_ref().unwrap_or(&manifest.task))?;
+        // a training may have changed events; what is asked for here comes last
+        let disturbances = library.task(&task, &manifest.overrides)?.config.disturbances();
+        let quiet = disturbances.iter().map(|key| format!("{key}=false"));
         let robots = self.robots.clone().unwrap_or_else(|| manifest.robots.clone());
         let num_envs = self.num_envs.unwrap_or(16 * robots.len());
         let mut sim = Sim::new(&SimOptions {
             robots: Some(robots),
             seed: self.seed,
             threads: self.threads,
-            overrides: manifest.overrides.iter().chain(&self.overrides).cloned().collect(),
+            overrides: manifest.overrides.iter().cloned().chain(quiet).chain(self.overrides.iter().cloned()).collect(),
             autoreset: Autoreset::Disabled,
             slots: manifest.canonical_joint_names.clone(),
             ..SimOptions::new(task, num_envs)
@@ -152,27 +159,34 @@ impl Play {
         )?;
         writeln!(
             out,
-            "  {:<14} {:>6} {:>7} {:>15} {:>18} {:>13} {:>11}",
-            "robot", "envs", "falls", "error xy (m/s)", "error yaw (rad/s)", "distance (m)", "length (s)"
+            "  {:<14} {:>6} {:>7} {:>15} {:>7} {:>18} {:>7} {:>13} {:>11}",
+            "robot",
+            "envs",
+            "falls",
+            "error xy (m/s)",
+            "still",
+            "error yaw (rad/s)",
+            "still",
+            "distance (m)",
+            "length (s)"
         )?;
         for p in &played {
             writeln!(
                 out,
-                "  {:<14} {:>6} {:>7} {:>15.3} {:>18.3} {:>13.2} {:>11.2}",
-                p.robot, p.envs, p.falls, p.error_vel_xy, p.error_vel_yaw, p.distance, p.episode_length_s
+                "  {:<14} {:>6} {:>7} {:>15.3} {:>7.3} {:>18.3} {:>7.3} {:>13.2} {:>11.2}",
+                p.robot,
+                p.envs,
+                p.falls,
+                p.error_vel_xy,
+                p.still_error_vel_xy,
+                p.error_vel_yaw,
+                p.still_error_vel_yaw,
+                p.distance,
+                p.episode_length_s
             )?;
         }
         Ok(())
     }
-}
-
-/// The Play variant of a task, without noise, pushes and randomisation; the task itself where there is none.
-fn play_task(task: &str) -> Result<String, Error> {
-    let tasks = Library::new(Vec::new()).tasks()?;
-    let entry = tasks.iter().find(|entry| entry.name == task || entry.aliases.iter().any(|alias| alias == task));
-    let name = entry.map_or(task, |entry| &entry.name);
-    let variant = name.rsplit_once("-v").map(|(stem, version)| format!("{stem}-Play-v{version}"));
-    Ok(variant.filter(|variant| tasks.iter().any(|entry| entry.name == *variant)).unwrap_or_else(|| name.to_string()))
 }
 
 /// Where each env's robot is over the ground.
@@ -197,6 +211,8 @@ fn advance(sim: &mut Sim, tracks: &mut [Track]) {
             track.steps += 1;
             track.error_xy += x.hypot(y);
             track.error_yaw += f64::from((wanted[2] - imu.angular_velocity[2]).abs());
+            track.still_xy += f64::from(wanted[0]).hypot(f64::from(wanted[1]));
+            track.still_yaw += f64::from(wanted[2].abs());
         }
     }
     visit(sim, |env, place| {
@@ -220,6 +236,8 @@ fn summary(robot: &str, tracks: &[Track], step_dt: f64) -> Played {
         envs: tracks.len(),
         error_vel_xy: mean(&|t| t.error_xy / t.steps.max(1) as f64),
         error_vel_yaw: mean(&|t| t.error_yaw / t.steps.max(1) as f64),
+        still_error_vel_xy: mean(&|t| t.still_xy / t.steps.max(1) as f64),
+        still_error_vel_yaw: mean(&|t| t.still_yaw / t.steps.max(1) as f64),
         falls: tracks.iter().filter(|t| t.fell).count(),
         distance: mean(&|t| t.distance),
         episode_length_s: mean(&|t| t.steps as f64 * step_dt),

@@ -27,6 +27,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from polypod._core import ConfigError
 from polypod.accuracy.robot import Actuators, Array, Robot
 from polypod.extras import package
 
@@ -88,6 +89,17 @@ def mujoco() -> Any:
 def version() -> str:
     """MuJoCo's."""
     return str(mujoco().__version__)
+
+
+def states(model: Any, count: int, flag: str) -> list[Any]:
+    """Makes states of a model. Raises ConfigError, which names the flag to lower, where memory is short."""
+    mj = mujoco()
+    try:
+        return [mj.MjData(model) for _ in range(count)]
+    except (mj.FatalError, MemoryError) as error:
+        raise ConfigError(
+            f"MuJoCo has no memory for {count} states of this robot ({error}); choose a smaller {flag}"
+        ) from error
 
 
 class Reference:

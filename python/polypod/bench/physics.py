@@ -18,7 +18,7 @@ import numpy as np
 
 from polypod import _core
 from polypod.accuracy import robot as robots
-from polypod.accuracy.reference import Ground, Reference, mujoco
+from polypod.accuracy.reference import Ground, Reference, mujoco, states
 from polypod.bench.sampling import Sample
 from polypod.extras import package
 
@@ -70,7 +70,7 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
     mj_rollout = package("mujoco.rollout", "comparing with MuJoCo", "bench")
     mj, robot, reference, order = _mujoco(name, iterations)
     model = reference.model
-    data = [mj.MjData(model) for _ in range(threads)]
+    data = states(model, threads, "--threads")
     full = mj.mjtState.mjSTATE_FULLPHYSICS
     size = mj.mj_stateSize(model, full)
     start = np.zeros(size)

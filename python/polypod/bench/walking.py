@@ -11,14 +11,13 @@ from typing import Any
 from polypod.bench.learners import Options, heading, training
 from polypod.bench.report import Progress
 from polypod.drawing import pyplot_for, save
-from polypod.evaluation import evaluate_checkpoint
+from polypod.evaluation import evaluate_checkpoint, walks
+from polypod.evaluation.results import TURNS, WALKS
 from polypod.training import run_dir
 
 INTERVAL = 25
 """Iterations between evaluations."""
 ENVS_PER_ROBOT = 64
-WALKS = {"error_vel_xy": 0.20, "fall_rate": 0.05}
-"""A robot walks with a planar velocity error (m/s) and a share of falls of at most this."""
 
 
 def measure(options: Options, learner: str, seeds: Sequence[int], device: str, progress: Progress) -> dict[str, Any]:
@@ -35,7 +34,7 @@ def measure(options: Options, learner: str, seeds: Sequence[int], device: str, p
         **options.conditions(),
         "learner": learner,
         "device": device,
-        "walks": WALKS,
+        "walks": {**WALKS, "error_vel_yaw_of_still": TURNS[0], "error_vel_yaw": TURNS[1]},
         "runs": runs,
     }
 
@@ -52,14 +51,18 @@ def _walk(runner: Any, seed: int, threads: int | None, progress: Progress) -> di
         robots = runner.env.unwrapped.sim.robots
         result = evaluate_checkpoint(path, num_envs=ENVS_PER_ROBOT * len(robots), threads=threads)
         path.unlink()
-        worst = {key: max(getattr(robot, key) for robot in result.robots.values()) for key in WALKS}
+        found = list(result.robots.values())
+        worst = {key: max(getattr(robot, key) for robot in found) for key in WALKS}
+        slowest = max(found, key=lambda robot: robot.error_vel_yaw / max(robot.still_error_vel_yaw, 1e-9))
+        turning = {key: getattr(slowest, key) for key in ("error_vel_yaw", "still_error_vel_yaw")}
         samples = samples_per_iteration * runner.current_learning_iteration
-        curve.append({"samples": samples, "seconds": seconds, **worst})
+        curve.append({"samples": samples, "seconds": seconds, **worst, **turning})
         progress(
             f"seed {seed}: {samples / 1e6:.1f} million samples, {seconds:.0f} s, worst error "
-            f"{worst['error_vel_xy']:.2f} m/s, most falls {worst['fall_rate']:.1%}"
+            f"{worst['error_vel_xy']:.2f} m/s, most falls {worst['fall_rate']:.1%}, worst yaw error "
+            f"{turning['error_vel_yaw']:.2f} rad/s (standing still: {turning['still_error_vel_yaw']:.2f})"
         )
-        walked = all(worst[key] <= bound for key, bound in WALKS.items())
+        walked = all(walks(robot) for robot in found)
         if walked or runner.stopped_by is not None:
             break
     return {"seed": seed, "walked": walked, "samples": samples, "seconds": seconds, "curve": curve}
@@ -69,17 +72,19 @@ def table(result: Mapping[str, Any]) -> str:
     """The figures as Markdown."""
     lines = [
         *heading(result, f"learner {result['learner']} on {result['device']}"),
-        "| seed | all robots walk | million samples | s |",
-        "|---|---|---|---|",
+        "| seed | all robots walk | million samples | s | worst yaw error (rad/s) | still (rad/s) |",
+        "|---|---|---|---|---|---|",
     ]
     for run in result["runs"]:
         walked = "yes" if run["walked"] else "no"
-        lines.append(f"| {run['seed']} | {walked} | {run['samples'] / 1e6:.1f} | {run['seconds']:.0f} |")
+        last = run["curve"][-1]
+        yaw = f"{last['error_vel_yaw']:.3f} | {last['still_error_vel_yaw']:.3f}"
+        lines.append(f"| {run['seed']} | {walked} | {run['samples'] / 1e6:.1f} | {run['seconds']:.0f} | {yaw} |")
     done = [run for run in result["runs"] if run["walked"]]
     if len(done) > 1:
         both = [[run["samples"] / 1e6 for run in done], [run["seconds"] for run in done]]
         cells = [f"{mean(values):.1f} ± {stdev(values):.1f}" for values in both]
-        lines.append(f"| mean and deviation of {len(done)} | | {' | '.join(cells)} |")
+        lines.append(f"| mean and deviation of {len(done)} | | {' | '.join(cells)} | | |")
     return "\n".join(lines)
 
 

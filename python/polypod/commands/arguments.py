@@ -16,7 +16,7 @@ MAX_THREADS = 1024
 
 Name = Annotated[str | None, arg(metavar="NAME")]
 Count = Annotated[int | None, arg(metavar="N")]
-Robots = Annotated[str | None, arg(aliases=("--quadrupeds",), metavar="A,B,C")]
+Robots = Annotated[str | None, arg(metavar="A,B,C")]
 RobotNames = Annotated[str | None, arg(aliases=("--robot",), metavar="A,B,C")]
 Velocity = Annotated[tuple[float, float, float] | None, arg(metavar="VX VY WZ")]
 Overrides = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]

@@ -13,8 +13,8 @@ class Eval:
     """Measure a trained policy: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat, rough or legged. Of
-    several, the seeds of one training, the mean and its interval too."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
+    policy: flat, rough or legged. Of several, the seeds of one training, the mean and its interval too."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -26,8 +26,9 @@ class Eval:
     steps: Count = None
     """Control steps per episode. Default: a whole one."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
-    """Let each episode hold one command of so many forward and left velocities and yaw rates. Default: commands as the task draws them."""
-    randomized: Annotated[bool, arg(aliases=("--randomised",))] = False
+    """Let each episode hold one command of so many forward and left velocities and yaw rates. Default: commands as the
+    task draws them."""
+    randomized: bool = False
     """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
     """Names of the robots, with commas between; also robots that the policy was not trained on. Default: the run's."""

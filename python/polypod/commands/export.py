@@ -14,7 +14,8 @@ class Export:
     """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, or a bundled policy: flat, rough or legged."""
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
+    policy: flat, rough or legged."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where to. Default: exported/ beside the checkpoint."""
     robots: RobotNames = None

@@ -10,13 +10,13 @@ import tyro
 
 from polypod import _core, bundled
 
-Kind = Literal["all", "tasks", "robots", "policies"]
+Kind = Literal["all", "tasks", "robots", "policies", "train_configs"]
 Task = Mapping[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
 class List:
-    """List the tasks, the robots and the bundled policies."""
+    """List the tasks, the robots, the bundled policies and the train configs."""
 
     kind: Annotated[Kind, tyro.conf.Positional] = "all"
     """What to list. `tasks` also lists the tasks that are made for one robot."""
@@ -25,7 +25,12 @@ class List:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
-        kinds: dict[str, Any] = {"tasks": _core.tasks, "robots": _core.robots, "policies": _policies}
+        kinds: dict[str, Any] = {
+            "tasks": _core.tasks,
+            "robots": _core.robots,
+            "policies": _policies,
+            "train_configs": _core.train_configs,
+        }
         listed = {name: entries() for name, entries in kinds.items() if self.kind in ("all", name)}
         if self.json:
             print(json.dumps(listed, indent=2))
@@ -52,6 +57,10 @@ class List:
             print("policies")
             for policy in listed["policies"]:
                 print(f"  {policy['name']:<44} {policy['file']}")
+        if "train_configs" in listed:
+            print("train configs")
+            for config in listed["train_configs"]:
+                print(f"  {config['name']:<44} {config['title']}".rstrip())
 
 
 def _policies() -> list[dict[str, str]]:

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 from polypod import _core, bundled
 from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
 
+Learner = Literal["auto", "native", "rsl_rl"]
+
 
 @dataclasses.dataclass(frozen=True)
 class Train:
@@ -23,18 +25,20 @@ class Train:
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     train_config: Name = None
-    """Name of a file in configs/train (`polypod list`), or the path of a .toml. Default: flat."""
-    learner: Annotated[Literal["auto", "native", "rsl_rl"] | None, arg()] = None
-    """What learns: the native learner on the CPU, or rsl_rl. Default: the train config's; `auto` is native for
-    perceptrons on a CPU. A resumed run may go on with the other one."""
+    """Name of a train config (`polypod list train_configs`), or the path of a .toml. Default: flat."""
+    learner: Annotated[Learner | None, arg(metavar="{auto,native,rsl_rl}")] = None
+    """What learns: the native learner, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons, and rsl_rl for
+    all other networks and for --terms. Default: the train config's. A resumed run may go on with the other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
     """Where the curves go. wandb and neptune need their package and account; TensorBoard's files are written too."""
     log_project: str = "polypod"
     """Project of wandb or neptune."""
     resume: Annotated[str | None, arg(metavar="RUN")] = None
-    """Go on with a run: its name, its directory, a checkpoint, or `latest` (also when RUN is left out)."""
+    """Go on with a run: its name or the end of it, its directory, a checkpoint, or `latest` (also when RUN is left
+    out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Begin with the networks of this checkpoint, or bundled policy, of the same observation and sizes of networks."""
+    """Initialise the networks from this checkpoint, bundled policy, or run by its name or the end of it. Observation
+    and sizes of networks must be the same."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None
@@ -49,7 +53,7 @@ class Train:
     """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0, or with train. before the key the train
     config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
     headless: bool = False
-    """Accepted for scripts of other simulators: trainings open no window."""
+    """Ignored; accepted for compatibility. Trainings open no window."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
     started if there is none. Needs the extra ray."""
@@ -73,7 +77,7 @@ class Train:
             logger=self.logger,
             log_project=self.log_project,
             resume=self.resume,
-            init=self.init and bundled.resolve(self.init),
+            init=self.init and bundled.resolve(self.init, self.log_dir),
             terms=self.terms,
             run_name=self.run_name,
             log_dir=self.log_dir,

@@ -2,8 +2,8 @@
 
 from polypod.evaluation.checkpoints import command, evaluate_checkpoint, evaluate_checkpoints
 from polypod.evaluation.policies import Policy, load_network, load_policy
-from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult
-from polypod.evaluation.rollout import ENVS_PER_ROBOT, evaluate, play_task
+from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult, walks
+from polypod.evaluation.rollout import ENVS_PER_ROBOT, evaluate, play_task, undisturbed
 from polypod.evaluation.seeds import CONFIDENCE, Interval, Summary, summarize
 
 __all__ = [
@@ -25,4 +25,6 @@ __all__ = [
     "load_policy",
     "play_task",
     "summarize",
+    "undisturbed",
+    "walks",
 ]

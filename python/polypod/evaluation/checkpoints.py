@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from polypod import bundled
+from polypod import _core, bundled
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
@@ -24,7 +24,8 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         policy.runner(),
         task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
-        overrides=[*manifest["overrides"], *given],
+        overrides=given,
+        trained=manifest["overrides"],
         slots=manifest["canonical_joint_names"],
         **arguments,
     )
@@ -37,8 +38,9 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         "seed": manifest.get("seed"),
         "train_config": manifest.get("train_config"),
         "git": manifest.get("git"),
+        "in_own_task": task is None or play_task(task) == play_task(manifest["task"]),
     }
-    return dataclasses.replace(evaluation, checkpoint=origin, overrides=given, measured=measured())
+    return dataclasses.replace(evaluation, checkpoint=origin, measured=measured())
 
 
 def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[Evaluation]:
@@ -51,7 +53,7 @@ def command(evaluation: Evaluation) -> str:
     origin = evaluation.checkpoint or {}
     options: dict[str, str | None] = {
         "--checkpoint": origin.get("file", "FILE"),
-        "--task": None if play_task(origin.get("task", "")) == evaluation.task else evaluation.task,
+        "--task": None if _is_in_own_task(evaluation) else evaluation.task,
         "--robots": None if origin.get("robots") == list(evaluation.robots) else ",".join(evaluation.robots),
         "--num-envs": str(evaluation.num_envs),
         "--episodes": str(evaluation.episodes) if evaluation.episodes > 1 else None,
@@ -70,3 +72,13 @@ def command(evaluation: Evaluation) -> str:
     for change in evaluation.overrides:
         words += ["--set", change]
     return shlex.join(words)
+
+
+def _is_in_own_task(evaluation: Evaluation) -> bool:
+    origin = evaluation.checkpoint or {}
+    if "in_own_task" in origin:
+        return bool(origin["in_own_task"])
+    try:
+        return play_task(origin.get("task", "")) == evaluation.task
+    except _core.ConfigError:
+        return False

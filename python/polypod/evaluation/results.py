@@ -17,6 +17,12 @@ FOLLOWS = 0.5, 0.2
 share of a standing robot's, or this much (m/s)."""
 
 
+WALKS = {"error_vel_xy": 0.20, "fall_rate": 0.05}
+"""Largest planar velocity error, m/s, and share of falls of a robot that walks; it has to turn, too, see `TURNS`."""
+TURNS = 0.7, 0.1
+"""A robot turns if its yaw rate error is at most this share of a standing robot's, or this much (rad/s)."""
+
+
 @dataclasses.dataclass(frozen=True)
 class TileResult:
     """One robot's episodes that began on tiles of one type and level."""
@@ -54,7 +60,7 @@ class RobotResult:
     still_error_vel_xy: float
     """m/s, the same error for a robot that does not move."""
     still_error_vel_yaw: float
-    """rad/s, likewise."""
+    """rad/s, the yaw rate error for a robot that does not move."""
     fall_rate: float
     """Share of the episodes that terminated before the time limit."""
     success_rate: float
@@ -106,7 +112,7 @@ class Evaluation:
     """Changes to the task, on top of the training's own."""
     duration_s: float
     randomized: bool
-    """Whether noise, pushes and randomisation were those of the training; else there were none."""
+    """Whether there was any noise, push or randomisation."""
     grid: tuple[int, int, int] | None
     """Commands along each axis, where each episode held one; None: drawn as the task draws them."""
     robots: dict[str, RobotResult]
@@ -114,6 +120,8 @@ class Evaluation:
     """Where the policy came from: file, iteration, and the task, robots and seed of its training."""
     measured: Measured | None = None
     """Date, machine and commit; None in files of builds that did not write it."""
+    disturbances: list[str] = dataclasses.field(default_factory=list)
+    """Keys of the noise, the pushes and the randomisation that were on, see `polypod._core.disturbances`."""
 
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON: None stands for a number that is not finite."""
@@ -126,6 +134,13 @@ class Evaluation:
         robots = {name: _robot_from(robot) for name, robot in content["robots"].items()}
         grid = tuple(content["grid"]) if content["grid"] is not None else None
         return cls(**{**content, "grid": grid, "robots": robots})
+
+
+def walks(robot: RobotResult) -> bool:
+    """Whether a robot walks: it follows planar velocities, it turns, and it stays up."""
+    share, slack = TURNS
+    turns = robot.error_vel_yaw <= max(share * robot.still_error_vel_yaw, slack)
+    return turns and all(getattr(robot, key) <= bound for key, bound in WALKS.items())
 
 
 def _robot_from(content: Mapping[str, Any]) -> RobotResult:

@@ -1,7 +1,6 @@
 """Running a policy for the figures of an evaluation."""
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -26,10 +25,19 @@ Grid = tuple[int, int, int]
 
 
 def play_task(task: str) -> str:
-    """The Play variant of a task: without noise, pushes and randomisation; the task itself where there is none."""
-    full_name = _full_name(task)
-    variant = re.sub(r"-(v\d+)$", r"-Play-\1", full_name)
-    return variant if variant in _names() else full_name
+    """The Play variant of a task: without noise, pushes, randomisation and curriculum.
+
+    It is the task of that name, or one that the library makes. Raises UnknownNameError.
+    """
+    return _core.play_task(task)
+
+
+def undisturbed(task: str, overrides: Sequence[str]) -> list[str]:
+    """`key=value` pairs that switch off what disturbs the robots of a task once `overrides` have changed it.
+
+    A training may have changed the noise or an event; on top of a Play variant, such a change would switch it on.
+    """
+    return [f"{key}=false" for key in _core.disturbances(task, list(overrides))]
 
 
 def evaluate(
@@ -45,6 +53,7 @@ def evaluate(
     grid: Grid | None = None,
     randomized: bool = False,
     slots: Sequence[str] = (),
+    trained: Sequence[str] = (),
 ) -> Evaluation:
     """Runs a policy in a task's Play variant.
 
@@ -57,11 +66,13 @@ def evaluate(
         steps: control steps per episode, when a whole one is too long; an env that still stands then has not fallen.
         seed: of the first episode; each further one takes the next.
         threads: worker threads; None: one per core.
-        overrides: `key=value` pairs for the task's configuration.
+        overrides: `key=value` pairs for the task's configuration; they come last, and may switch on any noise or event.
         grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None:
             commands are drawn as the task draws them.
         randomized: with the noise, the pushes and the randomisation of the training.
         slots: names of the policy's actions, where it knows more robots than are here.
+        trained: `key=value` pairs that the policy was trained with; their noise and events are on with `randomized`
+            alone.
 
     Raises:
         ConfigError: for an unknown task or robot, for counts below one, and for more than `MAX_STEPS` control steps.
@@ -73,9 +84,10 @@ def evaluate(
         raise _core.ConfigError(f"grid = {grid} has more than {MAX_GRID:,} commands; choose fewer")
     name = play_task(task)
     named = list(robots) if robots is not None else None
+    switches = _disturbances(name, trained) if randomized else undisturbed(name, trained)
+    changes = [*trained, *switches, *overrides]
     if num_envs is None:
-        num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name))
-    changes = [*overrides, *(_disturbances(name, named, overrides) if randomized else ())]
+        num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name, changes))
     sim = _core.VecSim(
         name,
         num_envs,
@@ -104,6 +116,7 @@ def evaluate(
         levels, kinds = sim.terrain_tiles()
         sums = {**_episode(sim, policy, length), "level": levels.astype(np.float64)}
         runs.append(sums if commands is None else {**sums, "command": held.astype(np.float64)})
+    disturbances = _core.disturbances(name, changes)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
     masses = {robot: info["mass"] for robot, info in json.loads(sim.robot_info()).items()}
     gravity = float(np.linalg.norm(tomllib.loads(sim.resolved_config())["task"]["sim"]["gravity"]))
@@ -120,9 +133,10 @@ def evaluate(
         seed=seed,
         overrides=list(overrides),
         duration_s=length * sim.step_dt,
-        randomized=randomized,
+        randomized=bool(disturbances),
         grid=grid,
         robots=results,
+        disturbances=disturbances,
     )
 
 
@@ -167,23 +181,6 @@ def _held(sim: _core.VecSim, commands: Mapping[str, npt.NDArray[np.float32]], ep
     return held
 
 
-def _disturbances(play: str, robots: list[str] | None, overrides: Sequence[str]) -> list[str]:
+def _disturbances(play: str, trained: Sequence[str]) -> list[str]:
     """Overrides that give a Play variant the noise and the events of the task that it is a variant of."""
-    task = re.sub(r"-Play-(v\d+)$", r"-\1", play)
-    count = len(robots) if robots else num_robots(task)
-    sim = _core.VecSim(task, count, robots=robots, threads=1, overrides=list(overrides))
-    config = tomllib.loads(sim.resolved_config())["task"]
-    noise = config["observations"].get("enable_noise", True)
-    events = {name: event.get("enabled", True) for name, event in config.get("events", {}).items()}
-    return [
-        f"observations.enable_noise={str(noise).lower()}",
-        *(f"events.{name}.enabled={str(enabled).lower()}" for name, enabled in events.items()),
-    ]
-
-
-def _names() -> dict[str, str]:
-    return {name: entry["name"] for entry in _core.tasks() for name in (entry["name"], *entry["aliases"])}
-
-
-def _full_name(task: str) -> str:
-    return _names().get(task, task)
+    return [f"{key}=true" for key in _core.disturbances(_core.training_task(play), list(trained))]

@@ -1,5 +1,7 @@
 """Films of a run: GIF and WebP by Pillow, MP4 by PyAV."""
 
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,18 +19,21 @@ MAX_SIDE = 4096
 """Of a frame, pixels."""
 COLORS = 64
 """Of a GIF."""
+INTERVAL = 10.0
+"""Time between two lines of progress, s, where standard error is no terminal."""
 
 
 class Film:
     """Frames on their way into a file."""
 
-    def __init__(self, path: Path, fps: int, size: tuple[int, int]) -> None:
-        """Nothing is written before `close`.
+    def __init__(self, path: Path, fps: int, size: tuple[int, int], seconds: float | None = None) -> None:
+        """Nothing is written before `close`. Progress is told on standard error.
 
         Args:
             path: ends in `.gif`, `.webp` or `.mp4`.
             fps: frames per second, from 1 to 50.
             size: width and height, pixels; even numbers up to `MAX_SIDE`.
+            seconds: length of the film, for the progress; None: not known.
 
         Raises:
             ConfigError: for another kind of file, rate or size, and where a package is missing.
@@ -46,15 +51,30 @@ class Film:
             package("av", "writing MP4", "play")
         self.path, self.fps, self.size = path, fps, size
         self._frames: list[Image] = []
+        self._expected = None if seconds is None else max(1, round(seconds * fps))
+        self._told = time.monotonic()
 
     def add(self, image: "Image") -> None:
         """Takes the next frame."""
         self._frames.append(image)
+        self._tell()
+
+    def _tell(self) -> None:
+        """Says which frame was drawn: on a terminal each one in the same line, elsewhere one every `INTERVAL`."""
+        of_all = "" if self._expected is None else f" of {max(self._expected, len(self._frames))}"
+        text = f"{self.path.name}: frame {len(self._frames)}{of_all}"
+        if sys.stderr.isatty():
+            print(f"\r{text}", end="", file=sys.stderr, flush=True)
+        elif time.monotonic() - self._told >= INTERVAL:
+            self._told = time.monotonic()
+            print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Writes the file, whole or not at all. Raises ConfigError where that fails, and for a film without frames."""
         if not self._frames:
             raise _core.ConfigError(f"--video {self.path}: there are no frames; ask for more --seconds")
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
         write = {".gif": self._write_gif, ".webp": self._write_webp, ".mp4": self._write_mp4}[self.path.suffix]
         try:
             write_filled(self.path, write)

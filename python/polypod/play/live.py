@@ -1,9 +1,12 @@
 """The loop behind the page: a simulation that is watched and controlled while it runs."""
 
+import contextlib
 import dataclasses
-import queue
+import math
+import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +14,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.play.player import Player
 from polypod.play.plots import History
-from polypod.play.viewer import Viewer
+from polypod.play.viewer import GROUP, NOTHING, Viewer
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Simulated seconds per second."""
@@ -24,6 +27,8 @@ PICTURES = 30.0
 FROM_TASK, TOGETHER, OWN = "drawn by the task", "drawn, one for all robots", "my own"
 SOURCES = (FROM_TASK, TOGETHER, OWN)
 """Where commands come from."""
+MOST_WAITING = 256
+"""Actions that wait for the next control step; further ones are dropped."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Live:
     """A player, its page, and what a user of the page does with them.
 
     Everything that the page asks for is done by `run`, between two control steps: whoever is called by the page calls
-    `later`.
+    `later`. What fails is told on the page, and the simulation goes on.
     """
 
     def __init__(
@@ -85,11 +90,23 @@ class Live:
         self._draw = np.random.default_rng(seed)
         self._due = 0.0
         self._steps = 0
-        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._todo: dict[Hashable, Callable[[], None]] = {}
+        self._asked = threading.Condition()
 
-    def later(self, action: Callable[[], None]) -> None:
-        """Lets `run` do something before its next control step; of any thread."""
-        self._todo.put(action)
+    def later(self, action: Callable[[], None], control: Hashable = None) -> None:
+        """Lets `run` do something before its next control step; of any thread.
+
+        Args:
+            action: what to do.
+            control: what the page used; a newer action of the same control replaces one that still waits. None: the
+                action stands for itself.
+        """
+        with self._asked:
+            key = object() if control is None else control
+            if key in self._todo or len(self._todo) < MOST_WAITING:
+                self._todo.pop(key, None)
+                self._todo[key] = action
+                self._asked.notify()
 
     def run(self, seconds: float | None = None) -> None:
         """Steps and shows until so much time was simulated; None: until Ctrl-C."""
@@ -151,7 +168,12 @@ class Live:
         self.player.push((PUSH * np.cos(angle), PUSH * np.sin(angle), 0.0), env)
 
     def choose_env(self, env: int) -> None:
-        """Shows plots of an env, and follows its robot if a single one is followed."""
+        """Shows plots of an env, and follows its robot if a single one is followed.
+
+        Raises:
+            ConfigError: for an env that there is not.
+        """
+        self._check_env(env)
         self.env = env
         self.history = History(self.player, env)
         if isinstance(self.viewer.followed, int):
@@ -159,7 +181,11 @@ class Live:
         self.changed()
 
     def follow(self, what: int | str) -> None:
-        """Lets the view go with a robot, the group or nothing."""
+        """Lets the view go with a robot, the group or nothing. Raises ConfigError for anything else."""
+        if isinstance(what, int):
+            self._check_env(what)
+        elif what not in (GROUP, NOTHING):
+            raise _core.ConfigError(f"follow {str(what)[:80]!r}: choose a robot, {GROUP!r} or {NOTHING!r}")
         if isinstance(what, int) and what != self.env:
             self.env = what
             self.history = History(self.player, what)
@@ -167,16 +193,31 @@ class Live:
         self.changed()
 
     def command_by(self, source: str) -> None:
-        """Takes commands from one of `SOURCES`."""
+        """Takes commands from one of `SOURCES`. Raises ConfigError for anything else."""
+        if source not in SOURCES:
+            raise _core.ConfigError(f"commands from {str(source)[:80]!r}: choose one of {', '.join(SOURCES)}")
         self.source = source
         self._command()
         self.changed()
 
     def steer(self, command: npt.ArrayLike) -> None:
-        """The user's own command, within the task's ranges; commands are his from then on."""
+        """The user's own command, within the task's ranges; commands are the user's from then on.
+
+        Raises:
+            ConfigError: for a command that is not three finite numbers.
+        """
+        wanted = np.asarray(command, dtype=np.float64)
+        if wanted.shape != (3,) or not np.isfinite(wanted).all():
+            raise _core.ConfigError(f"command {wanted.tolist()}: steer with three finite numbers")
         low, high = self.player.ranges.T
-        self.own = np.clip(np.asarray(command, dtype=np.float64), low, high)
+        self.own = np.clip(wanted, low, high)
         self.command_by(OWN)
+
+    def run_at(self, speed: float) -> None:
+        """Simulated seconds per second from now on. Raises ConfigError for a speed that is not above 0."""
+        if not (math.isfinite(speed) and speed > 0.0):
+            raise _core.ConfigError(f"speed {speed}: choose a number above 0")
+        self.speed = speed
 
     def nudge(self, axis: int, share: float) -> None:
         """Changes one number of the user's command by a share of its largest value."""
@@ -208,15 +249,32 @@ class Live:
             self.player.command(None)
         self._due = 0.0
 
+    def _check_env(self, env: int) -> None:
+        if not 0 <= env < self.player.sim.num_envs:
+            raise _core.ConfigError(f"env {env}: the envs are 0 to {self.player.sim.num_envs - 1}")
+
     def _do(self, wait: bool) -> None:
-        """Does what was asked for; with `wait` at least one thing, or nothing for a short time."""
-        try:
-            action = self._todo.get(timeout=0.05) if wait else self._todo.get_nowait()
-            while True:
+        """Does what was asked for until now; with `wait` at least one thing, or nothing for a short time.
+
+        The one place where actions of the page run: none of them ends the program.
+        """
+        with self._asked:
+            if wait and not self._todo:
+                self._asked.wait(timeout=0.05)
+            actions, self._todo = list(self._todo.values()), {}
+        for action in actions:
+            try:
                 action()
-                action = self._todo.get_nowait()
-        except queue.Empty:
-            return
+            except _core.PolypodError as error:
+                self._tell(str(error))
+            except Exception as error:
+                print(f"polypod: a wish of the page failed: {error!r}"[:500], file=sys.stderr, flush=True)
+                self._tell(repr(error))
+
+    def _tell(self, problem: str) -> None:
+        """Shows on all pages what went wrong."""
+        with contextlib.suppress(Exception):  # a page that has just been closed
+            self.viewer.tell("This cannot be done", problem)
 
 
 def columns_of(player: Player) -> int | None:

@@ -14,6 +14,9 @@ from polypod.play.raster import Color
 
 BODY: dict[str, Color] = {
     "base": (206, 210, 216),
+    "torso": (206, 210, 216),
+    "arm": (96, 102, 114),
+    "head": (150, 156, 166),
     "hip": (70, 76, 86),
     "shank": (70, 76, 86),
     "foot": (34, 37, 42),

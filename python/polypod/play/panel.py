@@ -2,10 +2,11 @@
 
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 from polypod import _core
+from polypod.play.gate import offers
 from polypod.play.live import OWN, SOURCES, SPEEDS, Choice, Live
 from polypod.play.plots import AXES
 from polypod.play.viewer import GROUP, NOTHING
@@ -14,6 +15,8 @@ REFRESH = 0.2
 """Between two drawings of a plot, s."""
 ALL = "all"
 """Every robot of the policy."""
+OWN_TASK = "the policy's own"
+"""The task that the policy was trained in."""
 STEP = 0.1
 """A key changes a command by this share of its largest value."""
 COMMAND_COLOR, VELOCITY_COLOR = "#20a048", "#3a6ed6"
@@ -51,7 +54,8 @@ class Panel:
         self._drawn = 0.0
         self._show_choice: Callable[[], None] = lambda: None
         gui = live.viewer.gui
-        gui.configure_theme(control_width="medium", dark_mode=False)
+        # viser's button to share would open a tunnel from the internet
+        gui.configure_theme(control_width="medium", dark_mode=False, show_share_button=False)
         gui.set_panel_label("polypod")
         self._status = gui.add_markdown("")
         self._run(gui)
@@ -107,13 +111,11 @@ class Panel:
                 "reset": live.reset,
                 "push": live.push,
             }
+            live.viewer.gate.offer(buttons)
             buttons.on_click(lambda event: live.later(actions[event.target.value]))
-            speed = gui.add_dropdown("speed", [f"{speed:g} x" for speed in SPEEDS], initial_value="1 x")
-
-            def run_at(value: str) -> None:
-                live.speed = float(value.split()[0])
-
-            self._on_update(speed, run_at)
+            speeds = {f"{speed:g} x": speed for speed in SPEEDS}
+            speed = gui.add_dropdown("speed", list(speeds), initial_value="1 x")
+            self._on_update(speed, lambda value: live.run_at(speeds[value]))
 
     def _command(self, gui: Any) -> None:
         live = self.live
@@ -131,7 +133,7 @@ class Panel:
         live, viewer = self.live, self.live.viewer
         with gui.add_folder("View"):
             self._env = gui.add_dropdown("env", self._envs())
-            self._on_update(self._env, lambda value: live.choose_env(int(value.split(":")[0])))
+            self._on_update(self._env, lambda value: live.choose_env(self._envs().index(value)))
             self._follow = gui.add_dropdown("follow", [GROUP, NOTHING, *self._envs()], initial_value=self._followed())
             self._on_update(self._follow, self._follow_by_name)
             self._on_click(gui.add_button("Frame it (F)"), lambda: live.follow(viewer.followed))
@@ -157,35 +159,45 @@ class Panel:
         choice = live.choice or Choice(policies[0])
         with gui.add_folder("Policy, task and robots"):
             policy = gui.add_dropdown("policy", list(policies), initial_value=choice.policy)
-            task = gui.add_dropdown(
-                "task", ["the policy's own", *tasks], initial_value=choice.task or "the policy's own"
-            )
+            task = gui.add_dropdown("task", self._tasks(tasks), initial_value=choice.task or OWN_TASK)
             robot = gui.add_dropdown("robots", self._robots(), initial_value=choice.robot or ALL)
 
         def opened() -> None:
             now = live.choice or choice
             robot.options = self._robots()
-            policy.value, task.value, robot.value = now.policy, now.task or "the policy's own", now.robot or ALL
+            policy.value, task.value, robot.value = now.policy, now.task or OWN_TASK, now.robot or ALL
 
         def choose(_: Any) -> None:
             known = live.choice
+            # the list of robots may have changed since the page sent its choice
+            if not all(offers(handle, handle.value) for handle in (policy, task, robot)):
+                opened()
+                return
             # another policy begins with its own task and robots
             same = known is not None and known.policy == policy.value
             live.open(
                 Choice(
                     policy.value,
-                    task.value if same and task.value != "the policy's own" else None,
+                    task.value if same and task.value != OWN_TASK else None,
                     robot.value if same and robot.value != ALL else None,
                 )
             )
 
         self._show_choice = opened
         for handle in (policy, task, robot):
-            self._on_update(handle, choose)
+            self._on_update(handle, choose, "choice")
+
+    def _tasks(self, tasks: Sequence[str]) -> list[str]:
+        """The tasks to choose from, with the one that the command line named."""
+        given = self.live.choice.task if self.live.choice is not None else None
+        return [OWN_TASK, *([given] if given is not None and given not in tasks else []), *tasks]
 
     def _robots(self) -> list[str]:
         """Those of the policy first; others it may not know, which the page then tells."""
-        own = self.live.player.policy_robots
+        own = list(self.live.player.policy_robots)
+        choice = self.live.choice
+        if choice is not None and choice.robot is not None and choice.robot not in own:
+            own.append(choice.robot)
         return [ALL, *own, *(entry["name"] for entry in _core.robots() if entry["name"] not in own)]
 
     def _opened(self) -> None:
@@ -239,7 +251,9 @@ class Panel:
         ):
             actions[key] = functools.partial(live.nudge, axis, share)
         for key, label in KEYS:
-            gui.add_command(label, hotkey=key).on_trigger(lambda _, action=actions[key]: live.later(action))
+            command = gui.add_command(label, hotkey=key)
+            live.viewer.gate.offer_key(command)
+            command.on_trigger(lambda _, action=actions[key]: live.later(action))
 
     def _envs(self) -> list[str]:
         return [f"{index}: {robot.name}" for index, robot in enumerate(self.live.viewer.frame.robots)]
@@ -249,18 +263,33 @@ class Panel:
         return self._envs()[followed] if isinstance(followed, int) else followed
 
     def _follow_by_name(self, name: str) -> None:
-        self.live.follow(name if name in (GROUP, NOTHING) else int(name.split(":")[0]))
+        self.live.follow(name if name in (GROUP, NOTHING) else self._envs().index(name))
 
     def _on_click(self, button: Any, action: Callable[[], None]) -> None:
+        self.live.viewer.gate.offer(button)
         button.on_click(lambda _: self.live.later(action))
 
-    def _on_update(self, handle: Any, action: Callable[[Any], None]) -> None:
-        """Calls `action` with a value that a page has set, and not with one that `refresh` has."""
+    def _on_update(self, handle: Any, action: Callable[[Any], None], control: Hashable = None) -> None:
+        """Calls `action` with a value that a page has set, and not with one that `refresh` has.
+
+        The gate lets pages send values that the control offers. Between that and the call, another player may have been
+        opened: a value that is not offered any more is dropped.
+
+        Args:
+            handle: the control.
+            action: is called by `Live.run`.
+            control: controls of the same name replace each other's actions that still wait. None: the control itself.
+        """
+
+        def act() -> None:
+            if offers(handle, handle.value):
+                action(handle.value)
 
         def updated(event: Any) -> None:
             if event.client_id is not None:
-                self.live.later(lambda: action(handle.value))
+                self.live.later(act, id(handle) if control is None else control)
 
+        self.live.viewer.gate.offer(handle)
         handle.on_update(updated)
 
 

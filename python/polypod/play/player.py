@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.compat import tomllib
-from polypod.evaluation import play_task
+from polypod.evaluation import play_task, undisturbed
 from polypod.evaluation.policies import Policy, reset
 from polypod.play import mesh
 from polypod.play.mesh import Array
@@ -33,6 +33,10 @@ class Tally:
     """m/s, mean."""
     error_vel_yaw: float = 0.0
     """rad/s, mean."""
+    still_error_vel_xy: float = 0.0
+    """m/s, mean planar velocity error of a robot that stands still."""
+    still_error_vel_yaw: float = 0.0
+    """rad/s, mean yaw rate error of a robot that stands still."""
 
 
 class Player(Scene):
@@ -71,7 +75,7 @@ class Player(Scene):
         manifest = policy.manifest
         sources = list(manifest["robot_sources"] if robots is None else robots)
         name = play_task(task or manifest["task"])
-        changes = [*manifest["overrides"], *overrides]
+        changes = [*manifest["overrides"], *undisturbed(name, manifest["overrides"]), *overrides]
         arguments: dict[str, Any] = {"robots": sources, "seed": seed, "threads": threads}
         arguments["slots"] = manifest["canonical_joint_names"]
         sim = _core.VecSim(name, envs_per_robot * len(sources), overrides=changes, **arguments)
@@ -187,6 +191,9 @@ class Player(Scene):
             turn = np.abs(command[:, 2] - rate[rows, 2])
             tally.error_vel_xy += float((error - tally.error_vel_xy).sum()) / tally.steps
             tally.error_vel_yaw += float((turn - tally.error_vel_yaw).sum()) / tally.steps
+            still_xy, still_yaw = np.linalg.norm(command[:, :2], axis=1), np.abs(command[:, 2])
+            tally.still_error_vel_xy += float((still_xy - tally.still_error_vel_xy).sum()) / tally.steps
+            tally.still_error_vel_yaw += float((still_yaw - tally.still_error_vel_yaw).sum()) / tally.steps
 
     def _base_velocity(self, robot: str) -> tuple[Array, Array]:
         """Of the base's centre of mass and about it, base axes, [envs, 3]."""

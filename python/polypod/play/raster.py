@@ -32,9 +32,12 @@ COLORS: dict[str, Color] = {
     "thigh": (224, 148, 62),
     "shank": (92, 100, 112),
     "foot": (44, 48, 54),
+    "torso": (104, 132, 172),
+    "arm": (196, 128, 62),
+    "head": (142, 152, 166),
     "other": (120, 128, 140),
 }
-"""Of a robot's bodies, by group."""
+"""Of a robot's bodies, by group; `color_of` has those that are not here."""
 LIGHT = np.array([0.35, 0.45, 0.82])
 """Where light comes from; of unit length."""
 SUPERSAMPLING = 2
@@ -50,6 +53,11 @@ CLOSE_UP_FROM = (0.67, 0.74, 0.50)
 """Where it is seen from; 0.5 is the least rise over the distance."""
 FORCE_LENGTH = 0.35
 """Of an arrow for a force like the robot's weight, m."""
+
+
+def color_of(group: str) -> Color:
+    """Colour of a group of bodies. A robot may have groups that are drawn like `other`."""
+    return COLORS.get(group, COLORS["other"])
 
 
 def follow(scene: Scene, frame: Frame, size: tuple[int, int]) -> Camera:
@@ -151,7 +159,7 @@ def render(
     for robot in robots:
         for part in scene.parts[robot.name]:
             placed = part.mesh.moved(robot.position[part.link], robot.quaternion[part.link])
-            solids.append((placed, COLORS[part.group]))
+            solids.append((placed, color_of(part.group)))
     if scene.ground is None:
         _draw_ground(canvas, camera)
         for solid, _ in solids:

@@ -8,9 +8,13 @@ def show(player: Player) -> None:
     """Prints a line per robot."""
     console = console_of_output()
     console.print(
-        f"{player.sim.task_name}, {player.time:.4g} s (mean errors in m/s and rad/s)", markup=False, soft_wrap=True
+        f"{player.sim.task_name}, {player.time:.4g} s (mean errors in m/s and rad/s; "
+        "still: of a robot that stands still)",
+        markup=False,
+        soft_wrap=True,
     )
-    table = Rows("robot", "err xy", "err yaw", "falls")
+    table = Rows("robot", "err xy", "still", "err yaw", "still", "falls")
     for robot, tally in player.tallies.items():
-        table.add_row(robot, f"{tally.error_vel_xy:.3f}", f"{tally.error_vel_yaw:.3f}", str(tally.falls))
+        errors = (tally.error_vel_xy, tally.still_error_vel_xy, tally.error_vel_yaw, tally.still_error_vel_yaw)
+        table.add_row(robot, *(f"{error:.3f}" for error in errors), str(tally.falls))
     table.print(console)

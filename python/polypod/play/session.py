@@ -1,11 +1,10 @@
 """One `polypod play` from its options to its last line."""
 
-import contextlib
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from polypod import _core, bundled
+from polypod import _core, bundled, interrupts
 from polypod.play.film import Film
 from polypod.play.live import OWN, TOGETHER, Choice, Live, columns_of
 from polypod.play.panel import Panel
@@ -59,7 +58,8 @@ def play(options: Options) -> Player:
     for flag, seconds in (("--seconds", options.seconds), ("--warm-up", options.warm_up)):
         if seconds is not None and not 0.0 <= seconds < 1e6:
             raise _core.ConfigError(f"{flag} {seconds} is not a number of seconds")
-    film = Film(options.video, options.fps, options.size) if options.video is not None else None
+    length = 10.0 if options.seconds is None else options.seconds
+    film = Film(options.video, options.fps, options.size, length) if options.video is not None else None
     live = not options.headless and film is None and options.record is None
     player = _player(options, live)
     viewer = None
@@ -69,10 +69,10 @@ def play(options: Options) -> Player:
             print(warning, flush=True)
     for _ in range(round(options.warm_up / player.step_dt)):
         player.step()
-    seconds = options.seconds if options.seconds is not None or live else 10.0
+    seconds = options.seconds if live else length
     try:
         if live and viewer is not None:
-            print(f"{player.sim.task_name}: open {viewer.url} in a browser; Ctrl-C ends", flush=True)
+            print(_address(viewer, player.sim.task_name), flush=True)
             player = _watch(player, viewer, options, seconds)
         else:
             _record(player, viewer, film, seconds or 0.0)
@@ -117,7 +117,11 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
     robot = options.robots[0] if options.robots is not None and len(options.robots) == 1 else None
     first = Choice(given, options.task, robot)
 
+    tasks = [entry["name"] for entry in _core.tasks() if "-Play-" in entry["name"] and entry["num_robots"] != 1]
+
     def build(choice: Choice) -> Player:
+        robots_of_page = [*live.player.policy_robots, *(entry["name"] for entry in _core.robots())]
+        _check_offered(choice, first, list(policies), tasks, robots_of_page)
         robots: Sequence[str] | None = None if choice.robot is None else [choice.robot]
         if choice == first or (choice.policy == given and robots is None):
             robots = options.robots
@@ -132,7 +136,6 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
         return _player(changed, live=True)
 
     live = Live(player, viewer, build, first, seed=options.seed)
-    tasks = [entry["name"] for entry in _core.tasks() if "-Play-" in entry["name"] and entry["num_robots"] != 1]
     panel = Panel(live, list(policies), tasks)
     if options.command is not None:
         live.own[:] = options.command
@@ -140,9 +143,37 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
     elif player.alone and player.sim.num_envs > 1:
         live.command_by(TOGETHER)
     panel.refresh()
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         live.run(seconds)
+    except KeyboardInterrupt:
+        interrupts.watch()  # this one has done what it was for
     return live.player
+
+
+def _address(viewer: Viewer, task: str) -> str:
+    """Where the page is to be seen, and a warning where others see it too."""
+    if viewer.public_url is None:
+        return f"{task}: open {viewer.url} in a browser; Ctrl-C ends"
+    here = f" (on this machine {viewer.url})" if viewer.url != viewer.public_url else ""
+    return (
+        f"{task}: open {viewer.public_url}{here} in a browser; Ctrl-C ends\n"
+        "polypod: warning: everyone who reaches this address can steer, and choose among the policies, tasks and "
+        "robots of the page; leave --host out to serve this machine alone"
+    )
+
+
+def _check_offered(
+    choice: Choice, first: Choice, policies: Sequence[str], tasks: Sequence[str], robots: Sequence[str]
+) -> None:
+    """Raises ConfigError for what the page does not list: a name may be a path, and a page opens no files."""
+    offered = {
+        "policy": choice.policy in policies,
+        "task": choice.task in (None, first.task, *tasks),
+        "robots": choice.robot in (None, first.robot, *robots),
+    }
+    for name, is_offered in offered.items():
+        if not is_offered:
+            raise _core.ConfigError(f"{name}: choose from the list of the page")
 
 
 def _policies(checkpoint: Path) -> dict[str, Path]:

@@ -69,7 +69,8 @@ def tell(story: str, options: Options) -> None:
             raise _core.ConfigError(f"{flag} {seconds} is not a number of seconds")
     if not 1 <= options.parts <= MOST_PARTS:
         raise _core.ConfigError(f"--parts {options.parts} is not between 1 and {MOST_PARTS}")
-    film = Film(options.out, options.fps, options.size)
+    parts = options.parts if story == "training" else 1
+    film = Film(options.out, options.fps, options.size, parts * options.seconds)
     stories: dict[str, Callable[[Options], Iterator[Image]]] = {
         "walk": _walk,
         "training": _training,

@@ -14,6 +14,7 @@ from polypod.extras import package
 from polypod.files import write_bytes
 from polypod.play import descriptions, looks
 from polypod.play.avatar import Avatar
+from polypod.play.gate import Gate, open_server, wake_safely
 from polypod.play.ground import Ground
 from polypod.play.looks import Look, Model
 from polypod.play.player import Player
@@ -33,6 +34,10 @@ FIELD_OF_VIEW = 0.75
 """Of the opening shot, from its upper to its lower edge, rad."""
 DIMMED = 0.5
 """Share of the terrain's brightness in films that it has on the page."""
+LONGEST_NOTICE = 1000
+"""Letters of a notice."""
+_ANY = ("0.0.0.0", "::")
+"""All addresses of this machine."""
 _JUMP = 1.5
 """A robot that is farther from where it was than this, m, has begun a new episode."""
 _MESSAGES = 1 << 16
@@ -59,21 +64,25 @@ class Viewer:
         Raises:
             ConfigError: where a package is missing or the address cannot be opened.
         """
-        viser = package("viser", "the viewer", "play")
+        package("viser", "the viewer", "play")
         if meshes:
             descriptions.check()
         self._meshes = meshes
         _check_host(host)
         # a health check or a scanner is no error of the server's, and would get a traceback each
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+        self.gate = Gate(host)
         try:
-            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+            self._server = open_server(self.gate, host, port)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise _core.ConfigError(f"--host {host} --port {port} cannot be opened: {reason}; choose others") from error
-        # a frame is to reach a page as one piece; by default viser cuts it into pieces of 128 messages
         with contextlib.suppress(AttributeError):
-            self._server._websock_server.get_message_buffer().max_window_size = _MESSAGES
+            sockets = self._server._websock_server
+            wake_safely(sockets.get_message_buffer())
+            sockets.on_client_connect(lambda connection: wake_safely(connection.get_message_buffer()))
+            # a frame is to reach a page as one piece; by default viser cuts it into pieces of 128 messages
+            sockets.get_message_buffer().max_window_size = _MESSAGES
         self._recording: Any = None
         self._world: Any = None
         self._avatars: list[Avatar] = []
@@ -88,12 +97,21 @@ class Viewer:
         self._set_the_stage()
         self.open(player, columns)
         self._server.on_client_connect(self._welcome)
+        self.gate.open()
 
     @property
     def url(self) -> str:
-        """Where the page is to be seen."""
+        """Where this machine sees the page."""
         host = self._server.get_host()
-        return f"http://{'localhost' if host in ('0.0.0.0', '::') else host}:{self._server.get_port()}"
+        return _url("localhost" if host in _ANY else host, self._server.get_port())
+
+    @property
+    def public_url(self) -> str | None:
+        """Where other machines see the page; None: nowhere."""
+        if not self.gate.is_public:
+            return None
+        host = self._server.get_host()
+        return _url(_own_address(host) if host in _ANY else host, self._server.get_port())
 
     @property
     def gui(self) -> Any:
@@ -171,8 +189,8 @@ class Viewer:
 
     def tell(self, title: str, body: str) -> None:
         """Shows a notice on all pages."""
-        for client in self._server.get_clients().values():
-            client.add_notification(title, body, auto_close_seconds=8.0)
+        for client in list(self._server.get_clients().values()):
+            client.add_notification(title, body[:LONGEST_NOTICE], auto_close_seconds=8.0)
 
     def close(self) -> None:
         """Ends the server."""
@@ -285,6 +303,23 @@ class Viewer:
         """A new page begins with what is followed in its middle."""
         with contextlib.suppress(AssertionError):
             client.camera.position, client.camera.look_at = self._opening()
+
+
+def _url(host: str, port: int) -> str:
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def _own_address(host: str) -> str:
+    """An address at which other machines reach this one: that of its way to the internet, else its name."""
+    family, target = (socket.AF_INET6, "2001:db8::1") if host == "::" else (socket.AF_INET, "192.0.2.1")
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            # no packet is sent: the system chooses the address that one would be sent from
+            probe.connect((target, 9))
+            address: str = probe.getsockname()[0]
+            return address
+    except OSError:
+        return socket.gethostname()
 
 
 def _check_host(host: str) -> None:

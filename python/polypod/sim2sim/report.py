@@ -49,10 +49,11 @@ def show(comparison: Comparison) -> None:
     console.print(
         f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
         f"MuJoCo {comparison.mujoco_version}, {physics.integrator} at {1e3 * physics.dt:g} ms, "
-        f"friction {physics.friction:g}{', soft contact' if physics.soft_contact else ''} (errors in m/s and rad/s)",
+        f"friction {physics.friction:g}{', soft contact' if physics.soft_contact else ''} (errors in m/s and rad/s; "
+        "still: of a robot that stands still)",
         markup=False,
     )
-    columns = ("err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
+    columns = ("err xy", "MuJoCo", "still", "err yaw", "MuJoCo", "still", "falls", "MuJoCo", "transfers")
     table = Rows("robot", *columns)
     for name, robot in comparison.robots.items():
         ours, theirs = robot.polypod, robot.mujoco
@@ -60,8 +61,10 @@ def show(comparison: Comparison) -> None:
             name,
             f"{ours.error_vel_xy:.3f}",
             f"{theirs.error_vel_xy:.3f}",
+            f"{ours.still_error_vel_xy:.3f}",
             f"{ours.error_vel_yaw:.3f}",
             f"{theirs.error_vel_yaw:.3f}",
+            f"{ours.still_error_vel_yaw:.3f}",
             f"{ours.fall_rate:.1%}",
             f"{theirs.fall_rate:.1%}",
             "yes" if robot.transfers else "no",

@@ -16,7 +16,7 @@ from polypod import _core
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
-from polypod.evaluation import Policy, play_task
+from polypod.evaluation import Policy, play_task, undisturbed
 from polypod.evaluation.policies import reset
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
@@ -81,6 +81,10 @@ class Figures:
     fall_rate: float
     """Share of the episodes that failed: base or torso on the ground, and what else ends them in the task."""
     episode_length_s: float
+    still_error_vel_xy: float = math.nan
+    """m/s, of a robot that stands still; NaN in files of builds that did not write it."""
+    still_error_vel_yaw: float = math.nan
+    """rad/s, of a robot that stands still."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,12 +215,13 @@ class _Episode:
     """What both simulators are given."""
 
     def __init__(self, manifest: dict[str, Any], sources: list[str], options: Options) -> None:
+        name, trained = play_task(manifest["task"]), manifest["overrides"]
         self.sim = _core.VecSim(
-            play_task(manifest["task"]),
+            name,
             options.envs_per_robot * len(sources),
             robots=sources,
             seed=options.seed,
-            overrides=[*manifest["overrides"], *options.overrides],
+            overrides=[*trained, *undisturbed(name, trained), *options.overrides],
             autoreset="disabled",
             slots=manifest["canonical_joint_names"],
         )
@@ -296,12 +301,14 @@ class _Sums:
         self.step_dt = step_dt
         self.active = np.ones(num_envs, dtype=np.bool_)
         self.fell = np.zeros(num_envs, dtype=np.bool_)
-        self.steps, self.xy, self.yaw = (np.zeros(num_envs) for _ in range(3))
+        self.steps, self.xy, self.yaw, self.still_xy, self.still_yaw = (np.zeros(num_envs) for _ in range(5))
 
     def add(self, commands: npt.NDArray[np.float32], seen: Observed) -> None:
         self.steps += self.active
         self.xy += np.where(self.active, np.linalg.norm(commands[:, :2] - seen.velocity, axis=1), 0.0)
         self.yaw += np.where(self.active, np.abs(commands[:, 2] - seen.yaw_rate), 0.0)
+        self.still_xy += np.where(self.active, np.linalg.norm(commands[:, :2], axis=1), 0.0)
+        self.still_yaw += np.where(self.active, np.abs(commands[:, 2]), 0.0)
         self.fell |= self.active & seen.fell
         self.active &= ~seen.fell
 
@@ -312,6 +319,8 @@ class _Sums:
             error_vel_yaw=float(np.mean(self.yaw[envs] / steps)),
             fall_rate=float(self.fell[envs].mean()),
             episode_length_s=float(steps.mean() * self.step_dt),
+            still_error_vel_xy=float(np.mean(self.still_xy[envs] / steps)),
+            still_error_vel_yaw=float(np.mean(self.still_yaw[envs] / steps)),
         )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.accuracy.reference import Ground, Heights, Integrator, Reference, mujoco
+from polypod.accuracy.reference import Ground, Heights, Integrator, Reference, mujoco, states
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
 from polypod.export.runtime import OnnxPolicy
@@ -114,7 +114,7 @@ class Twin:
         model.actuator_forcelimited[:] = 1
         names = [model.body(body).name for body in model.geom_bodyid]
         self._is_base = np.array([name in base_bodies for name in names])
-        self._data = [self._mj.MjData(model) for _ in range(self.num_envs)]
+        self._data = states(model, self.num_envs, "--num-envs")
         self._wrench = np.zeros(6)
         ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / step_dt - 1e-9))
         self._targets = np.zeros((ages, self.num_envs, robot.num_joints))

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import timedelta
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -81,14 +81,16 @@ class Reporter:
 
     def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:
         """Prints one line per robot about the episodes that ended lately."""
-        table = Rows("robot", "reward/s", "falls", "err xy", "err yaw", "length", "episodes")
+        table = Rows("robot", "reward/s", "falls", "err xy", "still", "err yaw", "still", "length", "episodes")
         for robot, values in stats.items():
             table.add_row(
                 robot,
                 f"{values['reward_per_s']:.2f}",
                 f"{values['fall_rate']:.1%}",
                 f"{values['error_vel_xy']:.3f}",
+                f"{values['command_xy']:.3f}",
                 f"{values['error_vel_yaw']:.3f}",
+                f"{values['command_yaw']:.3f}",
                 f"{values['episode_length_s']:.1f} s",
                 f"{values['episodes']:.0f}",
             )
@@ -98,7 +100,7 @@ class Reporter:
         """Prints the figures of the deterministic policy per robot."""
         self.message(
             f"deterministic policy, {_conditions(evaluation)} "
-            "(errors in m/s and rad/s; still: of a robot that does not move; power in W, slip in m/s)"
+            "(errors in m/s and rad/s; still: the error of a robot that stands still; power in W, slip in m/s)"
         )
         table = Rows(
             "robot", *("reward/s", "err xy", "still", "err yaw", "still", "falls", "length", "power", "CoT", "slip")
@@ -146,7 +148,9 @@ class Reporter:
         self.message(f"{seeds} policies, {_conditions(first)}: mean and {CONFIDENCE:.0%} interval (Student's t)")
         columns = {
             "err xy": ("error_vel_xy", ".3f"),
+            "still": ("still_error_vel_xy", ".3f"),
             "err yaw": ("error_vel_yaw", ".3f"),
+            "still yaw": ("still_error_vel_yaw", ".3f"),
             "falls": ("fall_rate", ".1%"),
             "success": ("success_rate", ".1%"),
             "CoT": ("cost_of_transport", ".2f"),
@@ -166,6 +170,16 @@ def with_interval(interval: Interval, form: str) -> str:
 
 
 def _conditions(evaluation: Evaluation) -> str:
-    randomized = ", randomised and pushed" if evaluation.randomized else ""
+    randomized = f", {_named(evaluation.disturbances)}" if evaluation.randomized else ""
     grid = f", {'x'.join(map(str, evaluation.grid))} commands" if evaluation.grid is not None else ""
     return f"{evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s{randomized}{grid}"
+
+
+def _named(disturbances: Sequence[str]) -> str:
+    """What disturbs the robots, in words: `events.push_robot.enabled` is push_robot."""
+    names = [key.removeprefix("events.").removesuffix(".enabled") for key in disturbances]
+    noisy, pushed = "observations.enable_noise" in names, "push_robot" in names
+    others = [name for name in names if name not in ("observations.enable_noise", "push_robot")]
+    if not names or (noisy and pushed and others):
+        return "randomised and pushed"
+    return f"with {', '.join([*(['noise'] if noisy else []), *(['pushes'] if pushed else []), *others])}"

@@ -18,7 +18,7 @@ import pickle
 import platform
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -41,6 +41,7 @@ LOCK = ".lock"
 MAX_CHECKPOINT = 4 << 30
 """Bytes of a checkpoint, at most."""
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+_RUN = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(.+)")
 
 
 def create(log_dir: Path, experiment: str, run_name: str | None) -> Path:
@@ -60,9 +61,12 @@ def create(log_dir: Path, experiment: str, run_name: str | None) -> Path:
 
 
 def find_checkpoint(log_dir: Path, run: str) -> Path:
-    """The checkpoint that `run` names: "latest", a run's directory or its name, or a checkpoint file.
+    """The checkpoint that `run` names: "latest", a checkpoint file, a run's directory, or its name or the end of it.
 
-    Raises ConfigError when there is none.
+    The end of a name, such as the --run-name of the training, must be that of one run alone.
+
+    Raises:
+        ConfigError: where there is no such run, and where several end so.
     """
     path = Path(run)
     try:
@@ -74,21 +78,56 @@ def find_checkpoint(log_dir: Path, run: str) -> Path:
         raise _core.ConfigError(f"cannot read {run}: {error.strerror}; ask its owner for a copy") from error
     except OSError:  # a name that is none, such as one of 5000 letters
         pass
-    runs = sorted(
-        (found.parent for found in log_dir.glob(f"rsl_rl/*/*/{MANIFEST}") if _checkpoints(found.parent)),
-        key=lambda directory: (directory.name, directory.stat().st_mtime),
-    )
+    runs = _runs(log_dir)
     if run == "latest":
         if not runs:
             raise _core.ConfigError(f"no run with a checkpoint under {log_dir / 'rsl_rl'}; train one, or set --log-dir")
         return latest_checkpoint(runs[-1])
-    matching = [directory for directory in runs if directory.name == run]
+    matching = _matching(runs, run)
     if not matching:
         raise _core.ConfigError(
             f"{run[:80]!r} is neither a checkpoint nor a run under {log_dir / 'rsl_rl'}; "
-            'pass a path, the name of a run, or "latest"'
+            'pass a path, the name of a run or the end of it, or "latest"'
         )
-    return latest_checkpoint(matching[-1])
+    if len(matching) > 1:
+        names = ", ".join(str(directory) for directory in matching)
+        raise _core.ConfigError(f"{run[:80]!r} is the end of several runs: {names}; pass one of these")
+    return latest_checkpoint(matching[0])
+
+
+def has_run(log_dir: Path, run: str) -> bool:
+    """Whether any run with a checkpoint has this name, or a name that ends so."""
+    return bool(_matching(_runs(log_dir), run))
+
+
+def _runs(log_dir: Path) -> list[Path]:
+    """All runs with a checkpoint, the newest last."""
+    found = (manifest.parent for manifest in log_dir.glob(f"rsl_rl/*/*/{MANIFEST}"))
+    return sorted(
+        (run for run in found if _checkpoints(run)),
+        key=lambda directory: (directory.name, directory.stat().st_mtime),
+    )
+
+
+def _matching(runs: Sequence[Path], run: str) -> list[Path]:
+    """The run of this name; where there is none, those with this --run-name; else those whose names end so."""
+    ways: tuple[Callable[[Path], bool], ...] = (
+        lambda directory: directory.name == run,
+        lambda directory: _run_name(directory) == run,
+        lambda directory: bool(run) and directory.name.endswith(f"_{run}"),
+    )
+    for place, way in enumerate(ways):
+        found = [directory for directory in runs if way(directory)]
+        if found:
+            # one name in several experiments: the newest run
+            return found[-1:] if place == 0 else found
+    return []
+
+
+def _run_name(run: Path) -> str | None:
+    """What `--run-name` added to the name of a run's directory."""
+    match = _RUN.fullmatch(run.name)
+    return match[1] if match is not None else None
 
 
 def latest_checkpoint(run: Path) -> Path:
