@@ -13,7 +13,7 @@ pub(super) const ALIGNED: f64 = 0.7;
 const TORSO_JOINTS: usize = 3;
 
 /// Share of the body's width that lies about its middle.
-const MIDDLE: f64 = 0.02;
+pub(super) const MIDDLE: f64 = 0.02;
 
 /// Limbs that reach down to this share of the height above the lowest point stand on the ground.
 const GROUND: f64 = 0.3;
