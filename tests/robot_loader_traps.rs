@@ -89,18 +89,15 @@ fn leftover_xacro_is_named_in_any_attribute() {
     let origin = |inside: &str| pair("fixed", &format!("<origin {inside}/>"));
     let mesh = "<visual><geometry><mesh filename='$(find my_pkg)/foot.stl'/></geometry></visual>";
     for (text, words) in [
-        (origin("rpy='0 ${pi/2} 0'"), ["<origin> on line 1", "rpy=\"0 ${pi/2} 0\""]),
-        (robot(&link("a").replace("value=\"1\"", "value=\"${m}\"")), ["<mass> on line 1", "value=\"${m}\""]),
-        (with_part(mesh), ["<mesh> on line 1", "$(find my_pkg)"]),
-        (robot(&link("${prefix}box")), ["<link> on line 1", "${prefix}box"]),
-        (robot(&link("a")).replace("trap", "$(arg name)"), ["<robot> on line 1", "name=\"$(arg name)\""]),
+        (origin("rpy='0 ${pi/2} 0'"), ["<origin> on line ", "rpy=\"0 ${pi/2} 0\""]),
+        (robot(&link("a").replace("value=\"1\"", "value=\"${m}\"")), ["<mass> on line ", "value=\"${m}\""]),
+        (with_part(mesh), ["<mesh> on line ", "$(find my_pkg)"]),
+        (robot(&link("${prefix}box")), ["<link> on line ", "${prefix}box"]),
+        (robot(&link("a")).replace("trap", "$(arg name)"), ["<robot> on line ", "name=\"$(arg name)\""]),
         // of elements that say nothing of the body, and in names of joints' ends and materials
-        (robot(&(link("a") + "<gazebo reference='${side}_foot'/>")), ["<gazebo> on line 1", "${side}_foot"]),
-        (
-            robot(&(link("a") + &link("b") + &joint("j", "fixed", "${base}", "b", ""))),
-            ["<parent> on line 1", "${base}"],
-        ),
-        (robot(&(link("a") + "<material name='xacro:grey'/>")), ["<material> on line 1", "xacro:grey"]),
+        (robot(&(link("a") + "<gazebo reference='${side}_foot'/>")), ["<gazebo> on line ", "${side}_foot"]),
+        (robot(&(link("a") + &link("b") + &joint("j", "fixed", "${base}", "b", ""))), ["<parent> on line ", "${base}"]),
+        (robot(&(link("a") + "<material name='xacro:grey'/>")), ["<material> on line ", "xacro:grey"]),
     ] {
         let error = refused(&text, &words);
         assert_words(

@@ -71,11 +71,14 @@ fn masses_in_grams() {
 fn inertias_in_other_units() {
     let all = ["ixx", "ixy", "ixz", "iyy", "iyz", "izz"];
     for robot in ROBOTS {
-        for (factor, unit) in [(1e6, "kg mm^2"), (1e9, "g mm^2")] {
-            let text = scaled(&urdf(robot), "inertia ", &all, factor);
-            assert_warned(&text, &["<inertia>", &format!("looks like {unit};"), "write the inertia in kg m^2"]);
-        }
+        let text = scaled(&urdf(robot), "inertia ", &all, 1e6);
+        assert_warned(&text, &["<inertia>", "looks like kg mm^2;", "write the inertia in kg m^2"]);
     }
+    // of one link alone
+    let text = urdf(ROBOTS[0]);
+    let at = text.find("<link name=\"FR_calf\"").unwrap();
+    let text = text[..at].to_string() + &scaled(&text[at..], "inertia ", &all, 1e6);
+    assert_warned(&text, &["link \"FR_calf\", <inertia>", "kg mm^2"]);
 }
 
 #[test]
@@ -105,7 +108,8 @@ fn with_mesh(size: f64, scale: &str) -> String {
     std::fs::write(&file, vertices + &faces).unwrap();
     let mesh = format!("<mesh filename=\"{}\" {scale}/>", file.display());
     let text = urdf(ROBOTS[0]);
-    let at = text.find("<sphere").unwrap();
+    let before = "<collision><geometry>";
+    let at = text.find(&format!("{before}<sphere")).unwrap() + before.len();
     let end = at + text[at..].find("/>").unwrap() + 2;
     format!("{}{mesh}{}", &text[..at], &text[end..])
 }

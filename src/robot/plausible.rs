@@ -35,8 +35,10 @@ const GYRATION: f64 = 10.0;
 const GYRATION_OF_SHAPES: f64 = 30.0;
 /// Links lighter than this are empty, kg.
 const EMPTY: f64 = 1e-3;
-/// Effort over weight times size that no joint has: known ones have 0.1 to 1, placeholders up to 90.
-const STRONGEST: f64 = 100.0;
+/// Effort over weight times size that no joint has: known ones have 0.1 to 1.
+const STRONGEST: f64 = 50.0;
+/// Efforts up to this are placeholders that makers of small robots write, N m.
+const LARGEST_PLACEHOLDER: f64 = 1500.0;
 
 /// Warnings for numbers that are plausible in another unit only. `places` are where the links of the URDF are in `model`.
 pub(super) fn implausible(
@@ -360,7 +362,11 @@ fn efforts(robot: &urdf_rs::Robot, model: &Model, sizes: &Sizes, found: &mut Fou
         .joints
         .iter()
         .filter(|joint| joint.joint_type == JointType::Revolute || joint.joint_type == JointType::Continuous)
-        .filter(|joint| joint.limit.effort.is_finite() && load > 0.0 && joint.limit.effort > STRONGEST * load)
+        .filter(|joint| {
+            joint.limit.effort.is_finite()
+                && load > 0.0
+                && joint.limit.effort > LARGEST_PLACEHOLDER.max(STRONGEST * load)
+        })
         .map(|joint| {
             let times = joint.limit.effort / load;
             let value = format!("{} N m are {times:.0} times the robot's weight times its size", joint.limit.effort);

@@ -84,17 +84,20 @@ fn feet(model: &Model, left: &Limb, right: &Limb, found: &mut Vec<String>) {
         found.push(format!("the feet \"{a}\" and \"{b}\" are moved by joints of other roles"));
         return;
     }
-    let [reach_a, reach_b] = [a, b].map(|foot| foot.point.length());
-    let [size_a, size_b] = [of_a.link, of_b.link].map(|link| foot_size(model, link));
+    let [(size_a, reach_a), (size_b, reach_b)] = [of_a.link, of_b.link].map(|link| foot_size(model, link));
     let lengths = [(reach_a, reach_b), (size_a.x, size_b.x), (size_a.y, size_b.y), (size_a.z, size_b.z)];
     if lengths.iter().any(|(a, b)| differ(*a, *b, SHARE, LEAST_LENGTH)) {
-        let show = |size: DVec3| format!("{:.3} x {:.3} x {:.3} m", size.x, size.y, size.z);
-        found.push(format!("foot \"{}\" is {} and \"{}\" {}", of_a.name, show(size_a), of_b.name, show(size_b)));
+        let show = |size: DVec3, reach: f64| {
+            format!("{:.3} x {:.3} x {:.3} m, {reach:.3} m from its joint", size.x, size.y, size.z)
+        };
+        let (a, b) = (show(size_a, reach_a), show(size_b, reach_b));
+        found.push(format!("foot \"{}\" is {a}, and \"{}\" {b}", of_a.name, of_b.name));
     }
 }
 
-/// Sides of the box about the shapes of a link, joints at zero and along the axes of the base, m.
-fn foot_size(model: &Model, link: usize) -> DVec3 {
+/// Sides of the box about the shapes of a link, joints at zero and along the axes of the base, and distance of its middle from
+/// the link's joint, m.
+fn foot_size(model: &Model, link: usize) -> (DVec3, f64) {
     let pose = model.forward_kinematics(&[])[link];
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for shape in model.bodies.iter().filter(|body| body.link == link).flat_map(|body| &body.shapes) {
@@ -113,7 +116,7 @@ fn foot_size(model: &Model, link: usize) -> DVec3 {
             high = high.max(point + round);
         }
     }
-    (high - low).max(DVec3::ZERO)
+    ((high - low).max(DVec3::ZERO), (0.5 * (high + low)).distance(pose.translation))
 }
 
 fn corners(size: DVec3) -> Vec<DVec3> {
