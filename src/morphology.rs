@@ -141,7 +141,7 @@ impl MorphologyModel {
     pub fn new(loaded: &LoadedRobot) -> Result<Self, Error> {
         let config = loaded.config.clone();
         let ConfiguredRobot { model, roles, articulation, networks, default_position } =
-            ConfiguredRobot::new(loaded, &BTreeMap::new(), true, None)?;
+            ConfiguredRobot::new(loaded, &robot::LoadOptions::default(), true, None)?;
         let body_groups = body_groups(&config, &model, &roles)?;
         let Articulation { mut topology, parameters, align, shape_pairs } = articulation;
         let actuators = config.actuators_by_slot(&roles.slots)?;
@@ -254,26 +254,30 @@ pub(crate) struct ConfiguredRobot {
 }
 
 impl ConfiguredRobot {
-    /// Reads the URDF, finds the joints' roles and applies the config. `package_dirs` come on top of the config's; `floating`, or with the
-    /// base fixed to the world. Without `self_collision` the config says whether links collide.
+    /// Reads the URDF, finds the joints' roles and applies the config. `more` comes on top of the config's package folders and locked joints;
+    /// `floating`, or with the base fixed to the world. Without `self_collision` the config says whether links collide.
     ///
     /// # Errors
     /// What is wrong with the URDF or the config, with file, element and remedy.
     pub(crate) fn new(
         loaded: &LoadedRobot,
-        package_dirs: &BTreeMap<String, PathBuf>,
+        more: &robot::LoadOptions,
         floating: bool,
         self_collision: Option<bool>,
     ) -> Result<Self, Error> {
         let config = &loaded.config;
-        let mut options = robot::LoadOptions {
-            package_dirs: config.package_dirs.clone(),
-            locked_joints: config.locked_joints.clone(),
-        };
-        options.package_dirs.extend(package_dirs.clone());
-        let model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
+        let mut options = more.clone();
+        for (package, folder) in &config.package_dirs {
+            options.package_dirs.entry(package.clone()).or_insert_with(|| folder.clone());
+        }
+        for (joint, position) in &config.locked_joints {
+            options.locked_joints.entry(joint.clone()).or_insert(*position);
+        }
+        let mut model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
         let roles = robot::detect(&model, &config.joint_roles, &config.feet)
-            .map_err(|error| robot::naming_missing_meshes(error, &model))?;
+            .map_err(|error| robot::naming_causes(error, &model))?;
+        let unequal = robot::unequal_sides(&model, &roles);
+        model.warnings.extend(unequal);
         let default_pose = config.default_pose_by_slot(&roles.slots)?;
         let actuators = config.actuators_by_slot(&roles.slots)?;
         let mut default_position = vec![0.0; model.joints.len()];

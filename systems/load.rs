@@ -14,7 +14,7 @@ use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
-use crate::robot::Slot;
+use crate::robot::{Slot, summed_up};
 use crate::rows::NumEnvs;
 use crate::workers::{Workers, packs_of};
 
@@ -89,7 +89,7 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     }
     let Loaded { task, robots } = world.resource::<Loaded>();
     let morphologies = robots.iter().map(MorphologyModel::new).collect::<Result<Vec<_>, Error>>()?;
-    for warning in morphologies.iter().flat_map(|m| &m.model.warnings) {
+    for warning in morphologies.iter().flat_map(|m| summed_up(&m.model.warnings)) {
         tracing::warn!("{warning}");
     }
     let mut morphologies = Morphologies::in_batch(morphologies, &slots(&options.slots)?);

@@ -198,3 +198,99 @@ fn a_config_may_name_every_joint() {
     let error = detect(&model, &one, &BTreeMap::new()).unwrap_err().to_string();
     assert!(error.contains("are both L_HIP_YAW"), "{error}");
 }
+
+/// Links in a row: for each, its axis, its place from the one before (m) and its mass (kg).
+fn row(name: &str, joints: &[(&str, [f64; 3], f64)], shape: &str) -> String {
+    let mut text = String::new();
+    let mut parent = "base".to_string();
+    for (at, (axis, [x, y, z], mass)) in joints.iter().enumerate() {
+        let own = format!("{name}_{at}");
+        let shape = if at + 1 == joints.len() { shape } else { "" };
+        let _ = write!(
+            text,
+            "<link name='{own}'><inertial><mass value='{mass}'/><inertia ixx='0.01' ixy='0' ixz='0' iyy='0.01' iyz='0' izz='0.01'/>\
+             </inertial>{shape}</link><joint name='{own}_joint' type='revolute'><parent link='{parent}'/><child link='{own}'/>\
+             <origin xyz='{x} {y} {z}'/><axis xyz='{axis}'/><limit lower='-1' upper='1' effort='9' velocity='9'/></joint>"
+        );
+        parent = own;
+    }
+    text
+}
+
+/// Two legs, arms whose joints are as heavy as given, and these limbs.
+fn humanoid(left_arm: f64, right_arm: f64, others: &str) -> Roles {
+    let sole = "<collision><origin xyz='0 0 -0.03'/><geometry><box size='0.2 0.08 0.02'/></geometry></collision>";
+    let leg = |name: &str, y: f64| {
+        let down = [0.0, 0.0, -0.35];
+        let joints = [
+            ("1 0 0", [0.0, y, -0.1], 1.0),
+            ("0 1 0", [0.0, 0.0, -0.05], 2.0),
+            ("0 1 0", down, 1.5),
+            ("0 1 0", down, 0.5),
+        ];
+        row(name, &joints, sole)
+    };
+    let arm = |name: &str, y: f64, mass: f64| {
+        let joints =
+            [("0 1 0", [0.0, y, 0.4], mass), ("1 0 0", [0.0, 0.3 * y, 0.0], mass), ("0 1 0", [0.0, 0.0, -0.25], mass)];
+        if mass > 0.0 { row(name, &joints, "") } else { String::new() }
+    };
+    let text = format!(
+        "<robot name='r'><link name='base'><inertial><mass value='9'/><inertia ixx='0.1' ixy='0' ixz='0' iyy='0.1' iyz='0' izz='0.1'/>\
+         </inertial></link>{}{}{others}{}{}</robot>",
+        leg("left_leg", 0.1),
+        leg("right_leg", -0.1),
+        arm("left_arm", 0.15, left_arm),
+        arm("right_arm", -0.15, right_arm)
+    );
+    let model = load_str(&text, Path::new("r.urdf"), &LoadOptions::default()).unwrap();
+    let mut roles = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap();
+    roles.limbs.retain(|limb| limb.kind != LimbKind::Leg);
+    roles
+}
+
+/// Places of the limbs that are no legs, with the name of the first joint's slot.
+fn places(roles: &Roles) -> Vec<(Place, LimbKind, String)> {
+    roles.limbs.iter().map(|limb| (limb.place, limb.kind, limb.joints[0].slot.to_string())).collect()
+}
+
+#[test]
+fn a_neck_beside_the_middle_plane_is_a_head() {
+    let arms = [
+        (Place::Left, LimbKind::Arm, "L_SHOULDER_PITCH".to_string()),
+        (Place::Right, LimbKind::Arm, "R_SHOULDER_PITCH".to_string()),
+    ];
+    assert_eq!(places(&humanoid(1.0, 1.0, "")), arms);
+    // 3 cm to either side, and back with the next joint; with three joints; with as many as an arm and as heavy
+    let head = |y: f64, joints: usize, mass: f64| {
+        let all = [("0 1 0", [0.0, y, 0.5], mass), ("0 0 1", [0.0, -y, 0.05], mass), ("1 0 0", [0.0, 0.0, 0.05], mass)];
+        row("head", &all[..joints], "")
+    };
+    for (y, joints, mass) in [(0.032, 2, 0.4), (-0.032, 2, 0.4), (0.04, 3, 0.3), (0.0, 3, 1.0), (-0.04, 1, 1.0)] {
+        let roles = humanoid(1.0, 1.0, &head(y, joints, mass));
+        let [left, right] = arms.clone();
+        let expected = [left, right, (Place::Head, LimbKind::Head, "HEAD_PITCH".to_string())];
+        assert_eq!(places(&roles), expected, "{y} {joints} {mass}");
+    }
+    // nor does it become an arm where only one side has one
+    let roles = humanoid(0.0, 1.0, &head(0.032, 2, 0.4));
+    assert_eq!(places(&roles)[1..], [(Place::Head, LimbKind::Head, "HEAD_PITCH".to_string())]);
+}
+
+#[test]
+fn arms_that_differ_or_are_alone_stay_at_their_sides() {
+    let kinds =
+        |roles: &Roles| -> Vec<(Place, LimbKind)> { roles.limbs.iter().map(|limb| (limb.place, limb.kind)).collect() };
+    let (left, right) = ((Place::Left, LimbKind::Arm), (Place::Right, LimbKind::Arm));
+    assert_eq!(kinds(&humanoid(1.0, 3.0, "")), [left, right]);
+    assert_eq!(kinds(&humanoid(1.0, 0.0, "")), [left]);
+    // two arms a side: each is the mirror image of the one that is like it, whatever their order in the file
+    let small = |name: &str, y: f64| row(name, &[("0 1 0", [0.1, y, 0.3], 0.2), ("0 1 0", [0.0, 0.0, -0.1], 0.1)], "");
+    let roles = humanoid(1.0, 1.0, &(small("b", -0.15) + &small("a", 0.15)));
+    assert_eq!(kinds(&roles), [left, left, right, right]);
+    for limb in &roles.limbs[..2] {
+        let mirror =
+            roles.limbs[2..].iter().find(|other| other.joints[0].slot == limb.joints[0].slot.mirrored()).unwrap();
+        assert_eq!(limb.joints.len(), mirror.joints.len());
+    }
+}

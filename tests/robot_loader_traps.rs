@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use polypod::dynamics::MAX_DEPTH;
-use polypod::robot::{Geometry, JointKind, LoadOptions, Model, RobotError, detect, load, load_str};
+use polypod::robot::{Coupled, Geometry, JointKind, LoadOptions, Model, RobotError, Topic, detect, load, load_str};
 
 const MASS: &str = r#"<inertial><mass value="1"/>
     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>"#;
@@ -80,7 +80,89 @@ fn the_text_must_be_a_urdf() {
            <xacro:property name="x" value="1"/></robot>"#,
         &["<property> on line 2", "xacro", "expand"],
     );
+    refused("<robot>\n<xacro:include filename='a'/></robot>", &["line 2", "expand xacro first: `xacro "]);
     refused("<robot name='r'/>", &["has no links", "add a <link>"]);
+}
+
+#[test]
+fn leftover_xacro_is_named_in_any_attribute() {
+    let origin = |inside: &str| pair("fixed", &format!("<origin {inside}/>"));
+    let mesh = "<visual><geometry><mesh filename='$(find my_pkg)/foot.stl'/></geometry></visual>";
+    for (text, words) in [
+        (origin("rpy='0 ${pi/2} 0'"), ["<origin> on line ", "rpy=\"0 ${pi/2} 0\""]),
+        (robot(&link("a").replace("value=\"1\"", "value=\"${m}\"")), ["<mass> on line ", "value=\"${m}\""]),
+        (with_part(mesh), ["<mesh> on line ", "$(find my_pkg)"]),
+        (robot(&link("${prefix}box")), ["<link> on line ", "${prefix}box"]),
+        (robot(&link("a")).replace("trap", "$(arg name)"), ["<robot> on line ", "name=\"$(arg name)\""]),
+        // of elements that say nothing of the body, and in names of joints' ends and materials
+        (robot(&(link("a") + "<gazebo reference='${side}_foot'/>")), ["<gazebo> on line ", "${side}_foot"]),
+        (robot(&(link("a") + &link("b") + &joint("j", "fixed", "${base}", "b", ""))), ["<parent> on line ", "${base}"]),
+        (robot(&(link("a") + "<material name='xacro:grey'/>")), ["<material> on line ", "xacro:grey"]),
+    ] {
+        let error = refused(&text, &words);
+        assert_words(
+            &error.to_string(),
+            &["not expanded", "expand xacro first: `xacro robot.urdf.xacro > robot.urdf`"],
+        );
+    }
+    // the prefix that xacro leaves on the root is none
+    loaded(&robot(&link("a")).replace("<robot", "<robot xmlns:xacro='http://www.ros.org/wiki/xacro'"));
+}
+
+#[test]
+fn other_formats_are_named() {
+    let folder = std::env::temp_dir().join(format!("polypod-formats-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let cases: [(&[u8], &str, &str); 9] = [
+        (b"PXR-USDC\0\0\xff", "binary USD", "export the robot as URDF"),
+        (b"#usda 1.0\n(\n)\n", "USD file", "export the robot as URDF"),
+        (b"PK\x03\x04\x14\0robot.usdc\xff", "USD archive", "export the robot as URDF"),
+        (b"PK\x03\x04\x14\0robot.urdf\xff", "zip archive", "unpack it"),
+        (b"%PDF-1.7\n\xff", "PDF document", "name the robot's URDF file"),
+        (b"\x1f\x8b\x08\0", "gzip archive", "unpack it"),
+        (b"glTF\x02\0\0\0", "glTF mesh", "name the URDF"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS", "git lfs pull"),
+        (b"<sdf version='1.7'/>", "<sdf>", "this is an SDF"),
+    ];
+    for (bytes, words, remedy) in cases {
+        let file = folder.join("robot.usd");
+        std::fs::write(&file, bytes).unwrap();
+        let error = load(&file, &LoadOptions::default()).unwrap_err().to_string();
+        assert!(error.contains(words) && error.contains(remedy) && error.contains("robot.usd"), "{error}");
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+    // what has neither magic nor XML is told by the parser
+    refused("robot: {name: dog}", &["not well-formed XML"]);
+    refused("<COLLADA/>", &["COLLADA mesh"]);
+}
+
+#[test]
+fn what_costs_more_than_its_length_is_refused() {
+    let attributes: String = (0..300_000).map(|i| format!(" a{i}=''")).collect();
+    refused(
+        &robot(&format!("<link name='a'{attributes}/>")),
+        &["line 1, column 20", "300001 attributes of one element"],
+    );
+    refused(&robot(&(0..5000).map(|i| link(&format!("l{i}"))).collect::<String>()), &["more than 4096 links"]);
+    let shape = "<collision><geometry><sphere radius='1'/></geometry></collision>";
+    refused(&with_part(&shape.repeat(4097)), &["link \"part\", <collision>", "more than 4096 collision shapes"]);
+    // names are compared with all others where one is unknown
+    let long = "x".repeat(1 << 20);
+    refused(&robot(&link(&long)), &["<link> on line 1", "1048576 bytes"]);
+    let error =
+        refused(&robot(&(link("a") + &joint("j", "fixed", "a", &long, ""))), &["does not exist", "known are: a"]);
+    assert!(matches!(error, RobotError::Structure(_)));
+    // links that come before what they hang on, in the order of the file where that can be
+    let count = 4000;
+    let links: String = (0..count).map(|i| link(&format!("l{i}"))).collect();
+    let joints: String = (1..count)
+        .rev()
+        .map(|i| joint(&format!("j{i}"), "revolute", &format!("l{}", (i - 1) / 2), &format!("l{i}"), LIMIT))
+        .collect();
+    let model = loaded(&robot(&(links + &joints)));
+    assert_eq!(model.joints.len(), count - 1);
+    let names: Vec<&str> = model.joints[..4].iter().map(|joint| joint.name.as_str()).collect();
+    assert_eq!(names, ["j2", "j6", "j14", "j30"]);
 }
 
 #[test]
@@ -137,7 +219,6 @@ fn numbers_are_numbers() {
         ("0 0 nan", "not a number"),
         ("0 0 1e999", "overflow"),
         ("", "nothing"),
-        ("${a} 0 0", "a macro"),
     ] {
         let text = pair("fixed", &format!("<origin xyz=\"{xyz}\"/>"));
         let error = refused(&text, &["joint \"j\", <origin xyz>", "3 finite number(s)"]);
@@ -244,6 +325,53 @@ fn joints_that_are_not_modelled_are_refused() {
     let locked = LoadOptions { locked_joints: BTreeMap::from([("k".to_string(), 0.0)]), ..LoadOptions::default() };
     let model = load_str(&robot(&mimic), Path::new("trap.urdf"), &locked).unwrap();
     assert_eq!(model.joints.len(), 1);
+}
+
+#[test]
+fn joints_that_mimic_others_are_held_where_the_caller_asks_for_it() {
+    let held = |follower: &str, kind: &str, locked: &[(&str, f64)]| {
+        let limit = "<limit lower='0.2' upper='0.9' effort='1' velocity='1'/>";
+        let text = robot(
+            &(link("a")
+                + &link("b")
+                + &link("c")
+                + &link("d")
+                + &joint("j", "prismatic", "a", "b", limit)
+                + &joint(
+                    "k",
+                    kind,
+                    "a",
+                    "c",
+                    &format!("<limit lower='-1' upper='1' effort='1' velocity='1'/>{follower}"),
+                )
+                + &joint(
+                    "l",
+                    "prismatic",
+                    "a",
+                    "d",
+                    "<limit lower='-1' upper='1'/><mimic joint='k' multiplier='-1'/>",
+                )),
+        );
+        let locked_joints = locked.iter().map(|(joint, position)| (joint.to_string(), *position)).collect();
+        let options = LoadOptions { locked_joints, coupled: Coupled::Held, ..LoadOptions::default() };
+        load_str(&text, Path::new("trap.urdf"), &options).unwrap()
+    };
+    // the leader rests at 0.2, its limit next to zero
+    let model = held("<mimic joint='j' multiplier='2' offset='0.1'/>", "prismatic", &[]);
+    assert_eq!(model.joints.len(), 1);
+    let of = |model: &Model, joint: &str| -> String {
+        let element = format!("joint \"{joint}\"");
+        model.warnings.iter().find(|w| w.element == element && w.topic == Topic::Coupled).unwrap().to_string()
+    };
+    assert_words(&of(&model, "k"), &["mimics \"j\"", "held at 0.5", "remove <mimic>"]);
+    assert_words(&of(&model, "l"), &["mimics \"k\"", "held at -0.5"]);
+    // fixed at 0.5 along x and, for the other, 0.5 against it: equal masses at 0, 0.5 and -0.5
+    assert!(model.links[0].com.length() < 1e-15);
+    // as the leader is held, within the joint's own limits, and where there is no such leader
+    assert_words(&of(&held("<mimic joint='j'/>", "prismatic", &[("j", 0.7)]), "k"), &["held at 0.7"]);
+    assert_words(&of(&held("<mimic joint='j' multiplier='9'/>", "revolute", &[]), "k"), &["held at 1;"]);
+    assert_words(&of(&held("<mimic joint='nothing'/>", "revolute", &[]), "k"), &["held at 0;"]);
+    assert_words(&of(&held("<mimic joint='l'/>", "revolute", &[]), "k"), &["mimics \"l\"", "held at 0;"]);
 }
 
 #[test]

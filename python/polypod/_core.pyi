@@ -637,6 +637,7 @@ class Simulation:
         engine: str = "articulated",
         fixed_base: bool = False,
         package_dirs: Mapping[str, str | os.PathLike[str]] = {},
+        locked_joints: Mapping[str, float] = {},
         friction: npt.ArrayLike = 1.0,
         restitution: float = 0.0,
         armature: npt.ArrayLike | None = None,
@@ -662,6 +663,8 @@ class Simulation:
                 revolute joints).
             fixed_base: fix the base to the world, its frame upon the world's; it then feels no ground.
             package_dirs: folder of each package in `package://<package>/...` mesh names.
+            locked_joints: position (rad or m) of each joint that is held: it becomes part of its parent link. Joints of
+                a URDF that mimic others are held in any case, with a warning.
             friction: coefficient of robot and ground combined, or (static, dynamic).
             restitution: coefficient of robot and ground combined, from 0 to 1.
             armature: reflected rotor inertia, kg m^2, one number or [num_joints]. None: the robot's, 0 for a URDF.
@@ -983,10 +986,15 @@ def with_overrides(config: str, overrides: Sequence[str]) -> str:
 def robot_urdf(name: str) -> str:
     """The text of a robot's URDF. Raises UnknownNameError."""
 
-def check(path: str | os.PathLike[str], package_dirs: Mapping[str, str | os.PathLike[str]]) -> str:
+def check(
+    path: str | os.PathLike[str],
+    package_dirs: Mapping[str, str | os.PathLike[str]] = ...,
+    locked_joints: Mapping[str, float] = ...,
+) -> str:
     """What the URDF file at `path` is read as: links, joints, contact bodies, legs, and every warning.
 
-    `package_dirs` names the folder of each ROS package in `package://` names. Raises RobotError.
+    `package_dirs` names the folder of each ROS package in `package://` names, `locked_joints` the position (rad or m)
+    of each joint that is held. Raises RobotError.
     """
 
 def draft_robot(
@@ -996,13 +1004,16 @@ def draft_robot(
     urdf: str | None = ...,
     package_dirs: Mapping[str, str | os.PathLike[str]] = ...,
     feet: Mapping[str, str] = ...,
+    joint_roles: Mapping[str, str] = ...,
+    locked_joints: Mapping[str, float] = ...,
     gain_factor: float = ...,
 ) -> RobotDraft:
     """A first config for the robot of the URDF file at `path`: roles, standing pose, gains, ranges.
 
     `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
     of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`,
-    `R`) where geometry alone does not tell; `gain_factor` multiplies the gains. Raises RobotError.
+    `R`) and `joint_roles` the joint of a slot where geometry alone does not tell, `locked_joints` the position (rad or
+    m) of each joint that is held; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

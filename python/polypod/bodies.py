@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from polypod import _core
-from polypod.files import write_text
+from polypod.files import new_folder, write_text
 
 KINDS = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
 """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
@@ -147,22 +147,22 @@ def generate(
         kind = kinds[index % len(kinds)]
         bodies.append(draw(kind, f"{prefix}_{kind}_{index:0{digits}}", np.random.default_rng([seed, index])))
     try:
-        for body in bodies:
-            folder = out / "assets" / "robots" / body.name
-            folder.mkdir(parents=True, exist_ok=True)
-            write_text(folder / "robot.urdf", urdf(body))
-            configs = out / "configs" / "robots"
-            configs.mkdir(parents=True, exist_ok=True)
-            write_text(configs / f"{body.name}.toml", toml(body, seed))
-        tasks = out / "configs" / "tasks"
-        tasks.mkdir(parents=True, exist_ok=True)
-        for name, text in _tasks([body.name for body in bodies]).items():
-            write_text(tasks / f"{name}.toml", text)
-        facts = {"count": count, "seed": seed, "kinds": list(kinds), "prefix": prefix}
-        write_text(out / "bodies.json", json.dumps(facts) + "\n")
+        with new_folder(out) as folder:
+            _write(folder, bodies, seed)
+            facts = {"count": count, "seed": seed, "kinds": list(kinds), "prefix": prefix}
+            write_text(folder / "bodies.json", json.dumps(facts) + "\n")
     except OSError as error:
         raise _core.ConfigError(f"cannot write {out}: {error.strerror}; choose another folder") from error
     return bodies
+
+
+def _write(out: Path, bodies: Sequence[Body], seed: int) -> None:
+    """Writes the URDFs, the configs and the tasks of bodies."""
+    for body in bodies:
+        write_text(out / "assets" / "robots" / body.name / "robot.urdf", urdf(body))
+        write_text(out / "configs" / "robots" / f"{body.name}.toml", toml(body, seed))
+    for name, text in _tasks([body.name for body in bodies]).items():
+        write_text(out / "configs" / "tasks" / f"{name}.toml", text)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

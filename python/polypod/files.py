@@ -8,9 +8,10 @@ import errno
 import io
 import os
 import re
+import shutil
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -41,6 +42,11 @@ def read_bytes(path: Path, limit: int) -> bytes:
             f"{path} has more than {limit >> 20} MiB, too many for what it should be; choose another file"
         )
     return data
+
+
+def real_path(path: str | os.PathLike[str]) -> Path:
+    """The absolute path without symbolic links; unlike `Path.resolve` it raises nothing at links in a circle."""
+    return Path(os.path.realpath(path))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -81,6 +87,37 @@ def write_bytes(path: Path, data: "bytes | memoryview") -> None:
         Path(name).replace(target)
     finally:
         Path(name).unlink(missing_ok=True)
+    _sync_folder(target.parent)
+
+
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder to write into, which takes the place of `path` at the end of the block, whole or not at all.
+
+    Files go over those of a folder that is there and not empty, each whole or not at all.
+
+    Raises:
+        OSError: where it cannot be written.
+    """
+    target = real_path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:100]}.", suffix=".tmp"))
+    try:
+        yield folder
+        if target.is_dir() and any(target.iterdir()):
+            for file in sorted(found for found in folder.rglob("*") if found.is_file()):
+                place = target / file.relative_to(folder)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(place)
+        else:
+            mask = os.umask(0)
+            os.umask(mask)
+            folder.chmod(0o777 & ~mask)
+            if target.is_dir():
+                target.rmdir()
+            folder.replace(target)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
     _sync_folder(target.parent)
 
 

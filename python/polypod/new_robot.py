@@ -1,6 +1,7 @@
 """A config for a robot of which only the URDF is known: drafted, written, and tried out."""
 
 import dataclasses
+import functools
 import json
 import os
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.compat import tomllib
-from polypod.files import write_text
+from polypod.files import real_path, write_text
 from polypod.vector_env import make
 
 TASK = "velocity_flat_play"
@@ -78,6 +79,9 @@ def new_robot(
     package_dirs: Mapping[str, str | os.PathLike[str]] | None = None,
     feet: Mapping[str, str] | None = None,
     force: bool = False,
+    *,
+    joint_roles: Mapping[str, str] | None = None,
+    locked_joints: Mapping[str, float] | None = None,
 ) -> NewRobot:
     """Drafts a config for the robot of a URDF file and lets it stand; stiffer where it gives way.
 
@@ -89,6 +93,8 @@ def new_robot(
         feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where geometry alone does
             not tell.
         force: write over a file that is there.
+        joint_roles: slot -> joint of the URDF, where geometry alone does not tell.
+        locked_joints: joint of the URDF -> position at which it is held, rad or m.
 
     Raises:
         RobotError: where the URDF cannot be read or is no legged robot's.
@@ -96,13 +102,19 @@ def new_robot(
     """
     if name is None and out is not None:
         name = out.stem
-    folders = {package: Path(folder).resolve() for package, folder in (package_dirs or {}).items()}
-    place = _relative(urdf, (urdf if out is None else out).parent)
+    drafted = functools.partial(
+        _core.draft_robot,
+        urdf,
+        name=name,
+        urdf=_relative(urdf, (urdf if out is None else out).parent),
+        package_dirs={package: real_path(folder) for package, folder in (package_dirs or {}).items()},
+        feet=feet or {},
+        joint_roles=joint_roles or {},
+        locked_joints=locked_joints or {},
+    )
     for attempt in range(TRIES):
         factor = STIFFER**attempt
-        draft = _core.draft_robot(
-            urdf, name=name, urdf=place, package_dirs=folders, feet=feet or {}, gain_factor=factor
-        )
+        draft = drafted(gain_factor=factor)
         path = urdf.with_name(f"{draft['name']}.toml") if out is None else out
         if attempt == 0:
             _check_place(path, draft["name"], force)
@@ -121,7 +133,7 @@ def new_robot(
     elif needs is not None and attempt > 0:
         # softer gains move the better: stiffer ones did not help
         factor = 1.0
-        draft = _core.draft_robot(urdf, name=name, urdf=place, package_dirs=folders, feet=feet or {}, gain_factor=1.0)
+        draft = drafted(gain_factor=1.0)
         write_text(path, draft["toml"])
     return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["kind"], _task_of(path) == TASK, needs)
 
@@ -165,7 +177,8 @@ def _task_of(robot: Path) -> str:
 
 
 def _relative(file: Path, folder: Path) -> str:
+    file = real_path(file)
     try:
-        return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+        return Path(os.path.relpath(file, real_path(folder))).as_posix()
     except ValueError:  # another drive
-        return file.resolve().as_posix()
+        return file.as_posix()

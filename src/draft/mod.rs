@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::robot::{self, CANONICAL_JOINT_NAMES, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES};
-use crate::robot::{Role, Roles, Slot, Warning, load, load_str};
+use crate::robot::{self, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES};
+use crate::robot::{Role, Roles, Slot, Warning, load, load_holding, load_str};
 use body::Standing;
 use quadruped::Legs;
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
@@ -61,6 +61,10 @@ pub struct DraftOptions {
     pub package_dirs: BTreeMap<String, PathBuf>,
     /// Leg -> link of the URDF that is its foot, where geometry alone does not tell.
     pub feet: BTreeMap<String, String>,
+    /// Slot -> joint of the URDF, where geometry alone does not tell.
+    pub joint_roles: BTreeMap<String, String>,
+    /// Joint of the URDF -> position at which it is held, rad or m.
+    pub locked_joints: BTreeMap<String, f64>,
     /// Multiplies the gains that follow from mass and leg length. Default: 1.
     pub gain_factor: Option<f64>,
 }
@@ -91,6 +95,10 @@ struct Findings<'a> {
     /// Whether the event body_variation knows its legs.
     has_variation: bool,
     locked: BTreeMap<String, f64>,
+    /// Those of `locked` that mimic others.
+    coupled: BTreeMap<String, f64>,
+    /// Limbs that are no mirror images of each other.
+    unequal: Vec<Warning>,
     needs_policy: Option<String>,
 }
 
@@ -133,12 +141,17 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         let remedy = "pass a name such as `my_robot`, or none: the URDF's is taken then";
         return Err(ConfigError::invalid(file.display().to_string(), "name", problem, remedy).into());
     }
-    let mut load_options = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
-    let detect = |model: &Model| -> Result<Roles, Error> {
-        let found = robot::detect(model, &BTreeMap::new(), &options.feet);
-        Ok(found.map_err(|error| robot::naming_missing_meshes(error, model))?)
+    let mut load_options = LoadOptions {
+        package_dirs: options.package_dirs.clone(),
+        locked_joints: options.locked_joints.clone(),
+        coupled: Coupled::Held,
+        ..LoadOptions::default()
     };
-    let whole = load(file, &load_options)?;
+    let detect = |model: &Model| -> Result<Roles, Error> {
+        let found = robot::detect(model, &options.joint_roles, &options.feet);
+        Ok(found.map_err(|error| robot::naming_causes(error, model))?)
+    };
+    let (whole, coupled) = load_holding(file, &load_options)?;
     let roles = detect(&whole)?;
     let is_driven = |slot: &Slot| match Legs::of(&roles) {
         Some(_) => CANONICAL_JOINT_NAMES.contains(&slot.to_string().as_str()),
@@ -152,8 +165,11 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         .map(|(_, joint)| *joint)
         .collect();
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !driven.contains(joint));
-    load_options.locked_joints = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
-    let (model, roles) = if load_options.locked_joints.is_empty() {
+    let others: BTreeMap<String, f64> = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
+    let is_whole = others.is_empty() && coupled.is_empty();
+    load_options.locked_joints.extend(coupled.clone());
+    load_options.locked_joints.extend(others);
+    let (model, roles) = if is_whole {
         (whole, roles)
     } else {
         let model = load(file, &load_options)?;
@@ -181,6 +197,8 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         action_scale: ACTION_SCALES[usize::from(roles.legs.len() == 2)],
         has_variation: Legs::of(&roles).is_some(),
         locked: load_options.locked_joints,
+        coupled,
+        unequal: robot::unequal_sides(&model, &roles),
         needs_policy: needs_policy(&roles),
     };
     let q = findings.stand(&roles);
@@ -277,7 +295,8 @@ impl Findings<'_> {
     }
 
     fn notes(&self) -> Vec<String> {
-        let mut notes: Vec<String> = self.model.warnings.iter().map(Warning::finding).collect();
+        let warnings = robot::summed_up(&self.model.warnings);
+        let mut notes: Vec<String> = warnings.iter().chain(&self.unequal).map(Warning::finding).collect();
         for (leg, miss) in &self.misses {
             if *miss >= REACHED {
                 notes.push(format!(
@@ -287,8 +306,14 @@ impl Findings<'_> {
                 ));
             }
         }
-        for (joint, position) in &self.locked {
-            let what = if self.has_variation { "no leg's" } else { "a finger, toe, wheel or slide" };
+        for (joint, position) in
+            self.locked.iter().filter(|(joint, _)| !self.options.locked_joints.contains_key(*joint))
+        {
+            let what = match (self.coupled.contains_key(joint), self.has_variation) {
+                (true, _) => "coupled to another by <mimic>, which is not modelled,",
+                (false, true) => "no leg's",
+                (false, false) => "a finger, toe, wheel or slide",
+            };
             notes.push(format!("[locked_joints]: {joint} is {what} and is held at {position}"));
         }
         for own in self.joints.iter().filter(|own| own.has_no_effort) {

@@ -166,14 +166,21 @@ fn robot_urdf(py: Python<'_>, name: &str) -> PyResult<String> {
 
 #[doc = docstring!("check")]
 #[pyfunction]
-fn check(py: Python<'_>, path: PathBuf, package_dirs: BTreeMap<String, PathBuf>) -> PyResult<String> {
-    let options = LoadOptions { package_dirs, ..LoadOptions::default() };
+#[pyo3(signature = (path, package_dirs=BTreeMap::new(), locked_joints=BTreeMap::new()))]
+fn check(
+    py: Python<'_>,
+    path: PathBuf,
+    package_dirs: BTreeMap<String, PathBuf>,
+    locked_joints: BTreeMap<String, f64>,
+) -> PyResult<String> {
+    let options = LoadOptions { package_dirs, locked_joints, ..LoadOptions::default() };
     guarded(py, || robot::check(&path, &options))?.map_err(|error| to_python(py, error.into()))
 }
 
 #[doc = docstring!("draft_robot")]
 #[pyfunction]
-#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), feet=BTreeMap::new(), gain_factor=1.0))]
+#[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), feet=BTreeMap::new(),
+    joint_roles=BTreeMap::new(), locked_joints=BTreeMap::new(), gain_factor=1.0))]
 fn draft_robot(
     py: Python<'_>,
     path: PathBuf,
@@ -181,9 +188,12 @@ fn draft_robot(
     urdf: Option<PathBuf>,
     package_dirs: BTreeMap<String, PathBuf>,
     feet: BTreeMap<String, String>,
+    joint_roles: BTreeMap<String, String>,
+    locked_joints: BTreeMap<String, f64>,
     gain_factor: f64,
 ) -> PyResult<Bound<'_, PyDict>> {
-    let options = DraftOptions { name, urdf, package_dirs, feet, gain_factor: Some(gain_factor) };
+    let gain_factor = Some(gain_factor);
+    let options = DraftOptions { name, urdf, package_dirs, feet, joint_roles, locked_joints, gain_factor };
     let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;

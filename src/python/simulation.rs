@@ -15,6 +15,7 @@ use polypod::AVIAN_SUBSTEPS;
 use polypod::Error;
 use polypod::dynamics::SWEEPS;
 use polypod::dynamics::lanes::Simd;
+use polypod::robot::summed_up;
 use polypod::simulation::{Control, LinkId, Precision, Simulation as Inner, SimulationOptions};
 
 #[doc = docstring!("Simulation")]
@@ -171,7 +172,8 @@ const _: () = assert!(SWEEPS == 4 && AVIAN_SUBSTEPS == 8);
 impl Simulation {
     #[new]
     #[pyo3(signature = (robot, num_envs=1, *, dt=0.005, ground=Some("plane"), gravity=[0.0, 0.0, -9.81],
-        engine="articulated".to_string(), fixed_base=false, package_dirs=BTreeMap::new(), friction=None, restitution=0.0,
+        engine="articulated".to_string(), fixed_base=false, package_dirs=BTreeMap::new(),
+        locked_joints=BTreeMap::new(), friction=None, restitution=0.0,
         armature=None, self_collision=None, ground_normal=[0.0, 0.0, 1.0], solver_iterations=4, avian_substeps=8, threads=None,
         simd=None, dtype=None))]
     fn new(
@@ -184,6 +186,7 @@ impl Simulation {
         engine: String,
         fixed_base: bool,
         package_dirs: BTreeMap<String, PathBuf>,
+        locked_joints: BTreeMap<String, f64>,
         friction: Option<Bound<'_, PyAny>>,
         restitution: f64,
         armature: Option<Bound<'_, PyAny>>,
@@ -205,6 +208,7 @@ impl Simulation {
             engine,
             fixed_base,
             package_dirs,
+            locked_joints,
             restitution,
             self_collision,
             solver_iterations: unsigned(py, "solver_iterations", solver_iterations)?,
@@ -214,7 +218,7 @@ impl Simulation {
         };
         let sim = Guarded::new(py, || Inner::new(&options), to_python)?;
         if options.is_urdf_path() {
-            for warning in sim.warnings() {
+            for warning in summed_up(sim.warnings()) {
                 let message = CString::new(warning.to_string().replace('\0', " "))?;
                 PyErr::warn(py, &py.get_type::<PyUserWarning>(), &message, 1)?;
             }

@@ -12,7 +12,9 @@ use std::path::Path;
 use roxmltree::{Document, Node};
 
 use super::error::{Diagnosis, RobotError, Warning, nearest_name};
+use super::formats;
 use super::reader::{Reader, line};
+use super::xml;
 
 /// Children of `<robot>` that say nothing about the body and are passed over in silence.
 const OTHER_ROOT_TAGS: [&str; 6] = ["material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"];
@@ -21,6 +23,16 @@ const JOINT_TAGS: [&str; 9] =
     ["origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"];
 const JOINT_TYPES: [&str; 7] = ["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical"];
 const SHAPES: [&str; 5] = ["sphere", "box", "cylinder", "capsule", "mesh"];
+
+/// Links of a file. What is looked for in a robot's tree takes time that grows with their square.
+const MAX_LINKS: usize = 4096;
+/// Collision shapes of a file.
+const MAX_SHAPES: usize = 4096;
+/// What unexpanded xacro begins with, in any attribute.
+const MACROS: [&str; 3] = ["${", "$(", "xacro:"];
+const EXPAND: &str = "expand xacro first: `xacro robot.urdf.xacro > robot.urdf`";
+/// Characters of an attribute that an error shows.
+const SHOWN: usize = 80;
 
 /// What the first pass hands on.
 pub(super) struct Canonical {
@@ -39,20 +51,18 @@ pub(super) struct Canonical {
 /// [`RobotError::Syntax`] when it is not XML, not a URDF or still xacro; [`RobotError::Value`] for
 /// missing, repeated or meaningless elements and numbers.
 pub(super) fn canonical(text: &str, file: &Path) -> Result<Canonical, RobotError> {
-    let document = Document::parse(text).map_err(|error| {
-        let at = error.pos();
-        RobotError::Syntax(Diagnosis::new(
-            file,
-            format!("line {}, column {}", at.row, at.col),
-            format!("not well-formed XML ({error})"),
-            "correct the XML there",
-        ))
+    let document = xml::parse(text).map_err(|fault| {
+        let element = format!("line {}, column {}", fault.line, fault.column);
+        // a prefix that is not declared
+        let remedy = if text.contains("<xacro:") { EXPAND } else { fault.remedy };
+        RobotError::Syntax(Diagnosis::new(file, element, fault.problem, remedy))
     })?;
     let root = document.root_element();
     let mut writer = Writer {
         read: Reader { file, namespace: root.tag_name().namespace() },
         quaternions: false,
         out: String::with_capacity(text.len() / 2),
+        shapes: 0,
         unread: BTreeMap::new(),
         warnings: Vec::new(),
     };
@@ -64,6 +74,8 @@ struct Writer<'a> {
     /// Whether `quat_xyzw` has a meaning (URDF 1.1 and later).
     quaternions: bool,
     out: String,
+    /// Collision shapes so far.
+    shapes: usize,
     /// Elements not read, by parent tag and tag: where first, how often.
     unread: BTreeMap<(&'static str, String), (String, usize)>,
     warnings: Vec<Warning>,
@@ -85,6 +97,13 @@ impl Writer<'_> {
                 continue;
             }
             match tag {
+                "link" if links.len() == MAX_LINKS => {
+                    return Err(self.read.value_error(
+                        "<robot>",
+                        format!("it has more than {MAX_LINKS} links"),
+                        "join links that do not move against each other",
+                    ));
+                }
                 "link" => links.push(self.link(node)?),
                 "joint" => joints.push(self.joint(node)?),
                 _ if OTHER_ROOT_TAGS.contains(&tag) => {}
@@ -116,22 +135,27 @@ impl Writer<'_> {
                 self.read.file,
                 format!("<{tag}>"),
                 "the root element of a URDF is <robot>",
-                match tag {
-                    "mujoco" | "sdf" => format!("this is a {tag} file: export the robot as URDF"),
-                    _ => "name a URDF file".to_string(),
-                },
+                formats::of_root(tag),
             )));
         }
-        let macros = root.descendants().find(|n| n.is_element() && n.tag_name().namespace().is_some_and(is_xacro));
-        match macros {
-            Some(node) => Err(RobotError::Syntax(Diagnosis::new(
-                self.read.file,
-                format!("<{}> on line {}", node.tag_name().name(), line(node)),
-                "the file holds xacro macros",
-                "expand them first: `xacro robot.xacro > robot.urdf`",
-            ))),
-            None => Ok(()),
+        let refused = |element: String, problem: String| {
+            Err(RobotError::Syntax(Diagnosis::new(self.read.file, element, problem, EXPAND)))
+        };
+        for node in root.descendants().filter(Node::is_element) {
+            let element = || format!("<{}> on line {}", node.tag_name().name(), line(node));
+            if node.tag_name().namespace().is_some_and(is_xacro) {
+                return refused(element(), "the file holds xacro macros".to_string());
+            }
+            for attribute in node.attributes() {
+                let (name, value) = (attribute.name(), attribute.value());
+                let is_xacros = attribute.namespace().is_some_and(is_xacro);
+                if is_xacros || MACROS.iter().any(|begin| value.contains(begin)) {
+                    let shown: String = value.chars().take(SHOWN).collect();
+                    return refused(element(), format!("{name}=\"{shown}\" is xacro that is not expanded"));
+                }
+            }
         }
+        Ok(())
     }
 
     /// Major and minor of `<robot version>`; 1.0 when there is none.
@@ -194,6 +218,14 @@ impl Writer<'_> {
 
     fn collision(&mut self, node: Node<'_, '_>, owner: &str) -> Result<(), RobotError> {
         let owner = &format!("{owner}, <collision>");
+        self.shapes += 1;
+        if self.shapes > MAX_SHAPES {
+            return Err(self.read.value_error(
+                owner,
+                format!("the file has more than {MAX_SHAPES} collision shapes"),
+                "replace small shapes by a few that hold them",
+            ));
+        }
         self.open("collision", &[], false);
         self.origin(node, owner)?;
         let geometry = self.read.required_child(node, "geometry", owner)?;
@@ -312,7 +344,10 @@ impl Writer<'_> {
         }
         if let Some(mimic) = self.read.only_child(node, "mimic", owner)? {
             let joint = self.read.required_text(mimic, "joint", owner)?;
-            self.open("mimic", &[("joint", joint)], true);
+            let [multiplier] = self.read.optional_numbers(mimic, "multiplier", owner)?.unwrap_or([1.0]);
+            let [offset] = self.read.optional_numbers(mimic, "offset", owner)?.unwrap_or([0.0]);
+            let attributes = [("joint", joint), ("multiplier", &number(multiplier)), ("offset", &number(offset))];
+            self.open("mimic", &attributes, true);
         }
         Ok(())
     }

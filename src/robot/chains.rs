@@ -13,7 +13,10 @@ pub(super) const ALIGNED: f64 = 0.7;
 const TORSO_JOINTS: usize = 3;
 
 /// Share of the body's width that lies about its middle.
-const MIDDLE: f64 = 0.02;
+pub(super) const MIDDLE: f64 = 0.02;
+
+/// A torso carries limbs that reach farther to both sides than this share of the body's width.
+const ASIDE: f64 = 0.1;
 
 /// Limbs that reach down to this share of the height above the lowest point stand on the ground.
 const GROUND: f64 = 0.3;
@@ -97,11 +100,11 @@ impl<'a> ZeroPose<'a> {
     pub fn limb_chains(&self) -> LimbChains {
         let farthest = (0..self.model.joints.len()).map(|joint| self.position(joint).y.abs()).fold(0.0, f64::max);
         let mut found = LimbChains::default();
-        self.collect_limbs(0, MIDDLE * farthest, &mut found);
+        self.collect_limbs(0, farthest, &mut found);
         found
     }
 
-    fn collect_limbs(&self, link: usize, middle: f64, found: &mut LimbChains) {
+    fn collect_limbs(&self, link: usize, width: f64, found: &mut LimbChains) {
         for child in self.model.children(link).collect::<Vec<_>>() {
             let mut path = vec![child - 1];
             let mut end = child;
@@ -116,13 +119,13 @@ impl<'a> ZeroPose<'a> {
             let side = |sign: f64| {
                 branches.iter().any(|branch| {
                     let own = self.joints_below(*branch).into_iter().chain([branch - 1]);
-                    own.map(|joint| sign * self.position(joint).y).fold(0.0, f64::max) > middle
+                    own.map(|joint| sign * self.position(joint).y).fold(0.0, f64::max) > ASIDE * width
                 })
             };
-            let is_in_the_middle = path.iter().all(|joint| self.position(*joint).y.abs() <= middle);
+            let is_in_the_middle = path.iter().all(|joint| self.position(*joint).y.abs() <= MIDDLE * width);
             if path.len() <= TORSO_JOINTS && is_in_the_middle && side(1.0) && side(-1.0) {
                 found.torso.extend(path);
-                self.collect_limbs(end, middle, found);
+                self.collect_limbs(end, width, found);
                 continue;
             }
             // where a limb parts, the longest part goes on, and the others hang on it

@@ -9,15 +9,16 @@ use super::error::RobotError;
 use super::limbs::{LimbKind, Roles};
 use super::model::{Geometry, JointKind, Model, Shape};
 use super::roles::detect;
-use super::urdf::{LoadOptions, load};
+use super::symmetry::unequal_sides;
+use super::urdf::{Coupled, LoadOptions, load};
 
 /// Reads the URDF file at `path` and describes what it is read as: links, joints, contact bodies, which limbs it
-/// has, and every warning. A robot without legs is none the worse for it.
+/// has, and every warning. A robot without legs is none the worse for it. Joints that mimic others are held, with a warning.
 ///
 /// # Errors
 /// Those of [`load`].
 pub fn check(path: &Path, options: &LoadOptions) -> Result<String, RobotError> {
-    let model = load(path, options)?;
+    let model = load(path, &LoadOptions { coupled: Coupled::Held, ..options.clone() })?;
     let mut out = String::new();
     // A string takes all that is written to it.
     let _ = describe(&model, &mut out);
@@ -40,12 +41,16 @@ fn describe(model: &Model, out: &mut String) -> fmt::Result {
     links(model, out)?;
     joints(model, out)?;
     bodies(model, out)?;
+    let mut warnings = model.warnings.clone();
     match detect(model, &BTreeMap::new(), &BTreeMap::new()) {
-        Ok(roles) => limbs(model, &roles, out)?,
+        Ok(roles) => {
+            limbs(model, &roles, out)?;
+            warnings.extend(unequal_sides(model, &roles));
+        }
         Err(error) => writeln!(out, "\nno legged robot: {}", error.diagnosis().problem)?,
     }
-    writeln!(out, "\nwarnings: {}", model.warnings.len())?;
-    for warning in &model.warnings {
+    writeln!(out, "\nwarnings: {}", warnings.len())?;
+    for warning in &warnings {
         writeln!(out, "  {}", warning.finding())?;
     }
     Ok(())

@@ -16,6 +16,25 @@ pub struct Diagnosis {
     pub problem: String,
     /// What the reader can do about it.
     pub remedy: String,
+    /// What it is about.
+    pub topic: Topic,
+}
+
+/// What a finding is about, as far as a caller treats it in a way of its own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Topic {
+    /// Anything else.
+    #[default]
+    Other,
+    /// A mesh is taken as a convex hull.
+    Hull {
+        /// How far the mesh reaches beyond the hull, um.
+        outside: u64,
+    },
+    /// A collision mesh is left out.
+    MissingMesh,
+    /// A joint that mimics another is held.
+    Coupled,
 }
 
 impl Diagnosis {
@@ -25,7 +44,17 @@ impl Diagnosis {
         problem: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self { file: file.to_path_buf(), element: element.into(), problem: problem.into(), remedy: remedy.into() }
+        Self {
+            file: file.to_path_buf(),
+            element: element.into(),
+            problem: problem.into(),
+            remedy: remedy.into(),
+            topic: Topic::Other,
+        }
+    }
+
+    pub(super) fn about(self, topic: Topic) -> Self {
+        Self { topic, ..self }
     }
 
     /// All but the file: `{element}: {problem}; {remedy}`.
@@ -92,19 +121,75 @@ impl RobotError {
     }
 }
 
+/// The warnings with one in the place of all meshes that are taken as hulls, and one in that of all that are left out:
+/// [`check`](super::check) lists them.
+pub fn summed_up(warnings: &[Warning]) -> Vec<Warning> {
+    let is_missing = |warning: &Warning| warning.topic == Topic::MissingMesh;
+    let outside = |warning: &Warning| match warning.topic {
+        Topic::Hull { outside } => Some(outside),
+        _ => None,
+    };
+    let hulls = warnings.iter().filter_map(outside).count();
+    let missing = warnings.iter().filter(|warning| is_missing(warning)).count();
+    let worst = warnings.iter().filter_map(outside).max().unwrap_or(0);
+    let (mut has_hulls, mut has_missing) = (hulls < 2, missing < 2);
+    let mut shown = Vec::new();
+    for warning in warnings {
+        let list = format!("`polypod check {}` lists them", warning.file.display());
+        if hulls > 1 && outside(warning).is_some() {
+            if !std::mem::replace(&mut has_hulls, true) {
+                let problem = format!(
+                    "{hulls} meshes are taken as convex hulls, which they leave by up to {:.1} mm",
+                    1e-3 * worst as f64
+                );
+                shown.push(Warning::new(&warning.file, "collision meshes", problem, list));
+            }
+        } else if missing > 1 && is_missing(warning) {
+            if !std::mem::replace(&mut has_missing, true) {
+                let problem =
+                    format!("{missing} meshes are left out; the first: {}: {}", warning.element, warning.problem);
+                let remedy = format!("{}; {list}", warning.remedy);
+                shown.push(Warning::new(&warning.file, "collision meshes", problem, remedy).about(Topic::MissingMesh));
+            }
+        } else {
+            shown.push(warning.clone());
+        }
+    }
+    shown
+}
+
+/// How a joint is locked in each way to load a robot.
+pub(super) const LOCK: &str = "lock the joint in locked_joints (--lock JOINT=POSITION of check and robot new)";
+
+/// Longest name that is compared with others, bytes: the comparison takes time that grows with its square.
+const COMPARED: usize = 256;
+/// Names that an error lists.
+const LISTED: usize = 24;
+
 /// `did you mean "x"`, or the known names when none is close.
 pub(super) fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str> + Clone) -> String {
     let closest = known
         .clone()
         .into_iter()
+        .filter(|name| wanted.len().max(name.len()) <= COMPARED)
         .map(|name| (strsim::jaro_winkler(wanted, name), name))
         .max_by(|a, b| a.0.total_cmp(&b.0));
     match closest {
         Some((similarity, name)) if similarity > 0.8 => format!("did you mean \"{name}\"?"),
-        Some(_) => {
-            let names: Vec<&str> = known.into_iter().collect();
-            format!("known are: {}", names.join(", "))
-        }
-        None => "there are none to name".to_string(),
+        _ => match listed(known) {
+            names if names.is_empty() => "there are none to name".to_string(),
+            names => format!("known are: {names}"),
+        },
     }
+}
+
+/// The first names, and how many more there are.
+pub(super) fn listed<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
+    let mut names = names.into_iter();
+    let mut shown: Vec<String> = names.by_ref().take(LISTED).map(str::to_owned).collect();
+    match names.count() {
+        0 => {}
+        more => shown.push(format!("and {more} more")),
+    }
+    shown.join(", ")
 }

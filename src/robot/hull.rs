@@ -62,16 +62,13 @@ fn reduced(frame: &Frame, all: &[DVec3], extreme: &[DVec3]) -> Option<Hull> {
         // What sticks out most comes first; then, one after another, what the hull so far leaves out most.
         points = frame.extreme(&corners, lattice_directions());
         while points.len() < MAX_POINTS {
-            let facets = frame.facets(&points)?;
-            let beyond = corners.iter().map(|corner| (facets.distance(*corner), *corner));
-            match beyond.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            match frame.facets(&points)?.farthest(&corners) {
                 Some((distance, corner)) if distance > tolerance => points.push(corner),
                 _ => break,
             }
         }
     }
-    let facets = frame.facets(&points)?;
-    let deviation = all.iter().map(|point| facets.distance(*point)).fold(0.0, f64::max);
+    let deviation = frame.facets(&points)?.farthest(all).map_or(0.0, |(distance, _)| distance);
     let failed = whole && deviation > FAILURE * frame.size.length();
     (!failed).then_some(Hull { points, deviation, boxed: false })
 }
@@ -100,14 +97,11 @@ impl Frame {
         points.iter().copied().filter(|point| seen.insert(key(self.stretched(*point)))).collect()
     }
 
-    /// The points that reach farthest along each direction, without repetitions.
+    /// The points that reach farthest along each direction, without repetitions; of points that reach equally far the last.
     fn extreme(&self, points: &[DVec3], directions: impl Iterator<Item = DVec3>) -> Vec<DVec3> {
         let stretched: Vec<DVec3> = points.iter().map(|point| self.stretched(*point).as_dvec3()).collect();
-        let mut chosen = Vec::new();
-        for direction in directions {
-            let reach = |index: &usize| stretched[*index].dot(direction);
-            chosen.extend((0..points.len()).max_by(|a, b| reach(a).total_cmp(&reach(b))));
-        }
+        let cells = Cells::new(&stretched);
+        let mut chosen: Vec<usize> = directions.filter_map(|direction| cells.farthest(&stretched, direction)).collect();
         chosen.sort_unstable();
         chosen.dedup();
         chosen.into_iter().map(|index| points[index]).collect()
@@ -127,8 +121,8 @@ impl Frame {
                 let corner = |index: u32| points.get(index as usize).copied();
                 Some([corner(a)?, corner(b)?, corner(c)?])
             })
-            .collect::<Option<_>>()?;
-        Some(Facets { points, triangles, origin: self.least, tolerance: TOLERANCE * self.size.length() })
+            .collect::<Option<Vec<[DVec3; 3]>>>()?;
+        Some(Facets::new(points, triangles, self))
     }
 
     fn bounding_box(&self) -> Hull {
@@ -142,27 +136,128 @@ impl Frame {
     }
 }
 
+/// Points in the cells of a grid over the unit cube, so that a search along a direction skips most of them.
+struct Cells {
+    /// Corners of the box about the points of each cell that holds any, and where its points are in `order`.
+    boxes: Vec<(DVec3, DVec3, std::ops::Range<usize>)>,
+    /// Indices of the points, cell by cell.
+    order: Vec<u32>,
+}
+
+impl Cells {
+    /// Cells along each axis.
+    const SIDE: usize = 16;
+    /// What rounding may add to a reach, of points in the unit cube along directions of length two at most.
+    const ROUNDING: f64 = 1e-12;
+
+    fn new(points: &[DVec3]) -> Self {
+        let side = Self::SIDE as f64;
+        let cell = |point: &DVec3| {
+            let [x, y, z] = point.to_array().map(|x| ((x * side) as usize).min(Self::SIDE - 1));
+            (x * Self::SIDE + y) * Self::SIDE + z
+        };
+        let mut ends = vec![0; Self::SIDE.pow(3) + 1];
+        points.iter().for_each(|point| ends[cell(point) + 1] += 1);
+        for at in 1..ends.len() {
+            ends[at] += ends[at - 1];
+        }
+        let starts = ends.clone();
+        let mut order = vec![0; points.len()];
+        for (index, point) in points.iter().enumerate() {
+            let end = &mut ends[cell(point)];
+            order[*end] = index as u32;
+            *end += 1;
+        }
+        let mut boxes = Vec::new();
+        for range in starts.windows(2).map(|window| window[0]..window[1]).filter(|range| !range.is_empty()) {
+            let own = || order[range.clone()].iter().map(|index| points[*index as usize]);
+            let low = own().reduce(DVec3::min).unwrap_or_default();
+            let high = own().reduce(DVec3::max).unwrap_or_default();
+            boxes.push((low, high, range));
+        }
+        Self { boxes, order }
+    }
+
+    /// Index of the point that reaches farthest along a direction; of several the last.
+    fn farthest(&self, points: &[DVec3], direction: DVec3) -> Option<usize> {
+        let bounds: Vec<f64> =
+            self.boxes.iter().map(|(low, high, _)| (direction * *low).max(direction * *high).element_sum()).collect();
+        let first = (0..bounds.len()).max_by(|a, b| bounds[*a].total_cmp(&bounds[*b]))?;
+        let mut best: Option<(f64, usize)> = None;
+        let mut search = |cell: usize, best: &mut Option<(f64, usize)>| {
+            for &index in &self.order[self.boxes[cell].2.clone()] {
+                let own = (points[index as usize].dot(direction), index as usize);
+                if best.is_none_or(|best| own.0.total_cmp(&best.0).then(own.1.cmp(&best.1)).is_gt()) {
+                    *best = Some(own);
+                }
+            }
+        };
+        search(first, &mut best);
+        for (cell, bound) in bounds.iter().enumerate() {
+            if cell != first && best.is_none_or(|(reach, _)| *bound + Self::ROUNDING >= reach) {
+                search(cell, &mut best);
+            }
+        }
+        best.map(|(_, index)| index)
+    }
+}
+
 /// Outward triangles of a hull.
 struct Facets {
     points: Vec<DVec3>,
     triangles: Vec<[DVec3; 3]>,
+    /// Outward unit normal of each triangle.
+    normals: Vec<DVec3>,
+    /// The triangles from `origin`, as precise as distances are measured.
+    near: Vec<Triangle>,
     origin: DVec3,
     tolerance: f64,
 }
 
 impl Facets {
-    /// How far `point` lies outside, m.
-    fn distance(&self, point: DVec3) -> f64 {
-        let height = |[a, b, c]: &[DVec3; 3]| (b - a).cross(c - a).normalize_or_zero().dot(point - a);
-        // deep inside a hull, not on a flat one
-        if self.triangles.iter().all(|triangle| height(triangle) < -self.tolerance) {
-            return 0.0;
+    fn new(points: Vec<DVec3>, triangles: Vec<[DVec3; 3]>, frame: &Frame) -> Self {
+        let origin = frame.least;
+        let near = |p: DVec3| (p - origin).as_vec3();
+        Self {
+            normals: triangles.iter().map(|[a, b, c]| (*b - *a).cross(*c - *a).normalize_or_zero()).collect(),
+            near: triangles.iter().map(|[a, b, c]| Triangle::new(near(*a), near(*b), near(*c))).collect(),
+            points,
+            triangles,
+            origin,
+            tolerance: TOLERANCE * frame.size.length(),
         }
-        let near = |p: DVec3| (p - self.origin).as_vec3();
-        let distance = |[a, b, c]: &[DVec3; 3]| {
-            Triangle::new(near(*a), near(*b), near(*c)).distance_to_local_point(near(point), false)
-        };
-        f64::from(self.triangles.iter().map(distance).fold(f32::INFINITY, f32::min))
+    }
+
+    /// The last of the points that lie farthest outside, and how far, m.
+    fn farthest(&self, points: &[DVec3]) -> Option<(f64, DVec3)> {
+        let mut best: Option<(f64, DVec3)> = None;
+        for &point in points {
+            let least = best.map_or(0.0, |(distance, _)| distance);
+            if let Some(distance) = self.distance(point, least) {
+                best = Some((distance, point));
+            }
+        }
+        best
+    }
+
+    /// How far `point` lies outside, m; `None` where that is less than `least`.
+    fn distance(&self, point: DVec3, least: f64) -> Option<f64> {
+        let heights = self.triangles.iter().zip(&self.normals).map(|([a, ..], normal)| normal.dot(point - *a));
+        // deep inside a hull, not on a flat one
+        if heights.clone().all(|height| height < -self.tolerance) {
+            return (least == 0.0).then_some(0.0);
+        }
+        let near = (point - self.origin).as_vec3();
+        let mut nearest = f32::INFINITY;
+        // what faces the point is probably the nearest, and soon shows that others lie farther outside
+        let facing = heights.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index);
+        for triangle in facing.into_iter().chain(0..self.near.len()) {
+            nearest = nearest.min(self.near[triangle].distance_to_local_point(near, false));
+            if f64::from(nearest) < least {
+                return None;
+            }
+        }
+        Some(f64::from(nearest))
     }
 }
 

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::chains::{ALIGNED, ZeroPose};
-use super::limbs::Role;
+use super::limbs::{Limb, LimbJoint, Role};
 use super::model::JointKind;
 
 /// Components of an axis that differ by less are equal.
@@ -194,8 +194,18 @@ impl ZeroPose<'_> {
     /// joints of the limb, `lift` the axis about which a leg that points away from the body lifts.
     pub(super) fn sign(&self, joint: usize, role: Role, chain: &[usize], lift: Option<DVec3>) -> f64 {
         let axis = self.axis(joint);
+        let along_stated = axis.dot(self.stated(joint, role, chain, lift));
+        // an axis that lies across the role's counts by its largest component
+        let largest = [axis.x, axis.y, axis.z].into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
+        let told = if along_stated.abs() > TOLD { along_stated } else { largest };
+        if told < 0.0 { -1.0 } else { 1.0 }
+    }
+
+    /// The axis that a role states for a joint; zero where it states none.
+    fn stated(&self, joint: usize, role: Role, chain: &[usize], lift: Option<DVec3>) -> DVec3 {
+        let axis = self.axis(joint);
         let along = self.upper_arm(chain);
-        let stated = match role {
+        match role {
             Role::Haa | Role::HipRoll | Role::AnkleRoll | Role::Roll | Role::ShoulderRoll | Role::WristRoll => DVec3::X,
             Role::HipYaw | Role::AnkleYaw | Role::Yaw | Role::WristYaw => DVec3::Z,
             Role::HipLift | Role::Knee | Role::Tarsus => lift.unwrap_or(DVec3::Y),
@@ -204,11 +214,26 @@ impl ZeroPose<'_> {
             Role::Elbow if axis.y.abs() < 0.5 => DQuat::from_rotation_arc(-DVec3::Z, along) * DVec3::Y,
             Role::Slide => DVec3::ZERO,
             _ => DVec3::Y,
+        }
+    }
+
+    /// For each joint of a limb, the cosine between its axis and the one that its role states, without its sign.
+    pub(super) fn cosines(&self, limb: &Limb) -> Vec<f64> {
+        let chain: Vec<usize> = limb.joints.iter().map(|joint| joint.joint).collect();
+        let lift = self.lift_of(limb);
+        let cosine = |own: &LimbJoint| {
+            let stated = self.stated(own.joint, own.slot.role, &chain, lift);
+            self.axis(own.joint).dot(stated).abs()
         };
-        let along_stated = axis.dot(stated);
-        // an axis that lies across the role's counts by its largest component
-        let largest = [axis.x, axis.y, axis.z].into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
-        let told = if along_stated.abs() > TOLD { along_stated } else { largest };
-        if told < 0.0 { -1.0 } else { 1.0 }
+        limb.joints.iter().map(cosine).collect()
+    }
+
+    /// The axis about which a leg lifts that points away from the body, if it does.
+    pub(super) fn lift_of(&self, limb: &Limb) -> Option<DVec3> {
+        let lifts = limb.joints.iter().any(|joint| joint.slot.role == Role::HipLift);
+        let foot = limb.foot.filter(|_| lifts)?;
+        let chain: Vec<usize> = limb.joints.iter().map(|joint| joint.joint).collect();
+        let link = &self.links[self.model.bodies[foot.body].link];
+        self.lift_axis(&chain, link.transform_point(foot.point))
     }
 }

@@ -1,23 +1,30 @@
 //! Fixed and locked joints disappear: what they carry becomes part of the link that moves it.
 
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, HashMap};
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use urdf_rs::JointType;
 
-use super::error::{Diagnosis, RobotError, Warning, nearest_name};
+use super::base::{Base, Bases, is_better};
+use super::error::{Diagnosis, LOCK, RobotError, Topic, Warning, nearest_name};
 use super::inertia::{InertiaFault, MassProperties};
 use super::model::{Joint, JointKind, Link, Model};
+use super::plausible::implausible;
 use super::pose::Pose;
 use super::shapes::bodies;
 use super::tree::Tree;
-use super::urdf::LoadOptions;
+use super::urdf::{Coupled, LoadOptions};
 use crate::dynamics::MAX_DEPTH;
 
 /// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
 pub(super) const LARGEST: f64 = 1e9;
 
-/// Makes the model of a robot whose joints form `tree`.
+/// Joints that mimic one another in a row.
+const MAX_COUPLED: usize = 64;
+
+/// Makes the model of a robot whose joints form `tree`, and says where joints are held because they mimic others (rad or m).
 ///
 /// # Errors
 /// [`RobotError::Options`] for joints that cannot be locked, [`RobotError::Unsupported`] for kinds
@@ -29,29 +36,33 @@ pub(super) fn merge(
     file: &Path,
     options: &LoadOptions,
     warnings: Vec<Warning>,
-) -> Result<Model, RobotError> {
+) -> Result<(Model, BTreeMap<String, f64>), RobotError> {
     let mut merger = Merger {
         robot,
         tree,
         file,
         options,
-        places: vec![None; robot.links.len()],
+        held: vec![None; robot.joints.len()],
+        places: Vec::new(),
         parts: Vec::new(),
         joints: Vec::new(),
         warnings,
     };
     merger.check_locks()?;
-    merger.place_all()?;
-    let links = merger.links()?;
-    let bodies = bodies(robot, &merger.places, file, options, &mut merger.warnings);
-    Ok(Model {
-        name: robot.name.clone(),
-        source: file.to_path_buf(),
-        links,
-        joints: merger.joints,
-        bodies,
-        warnings: merger.warnings,
-    })
+    let coupled = merger.hold_coupled();
+    let motions = merger.motions()?;
+    let bases = Bases::new(robot, tree, &motions, options.keeps_root);
+    let warnings = std::mem::take(&mut merger.warnings);
+    let mut base = &bases.candidates[0];
+    let mut found = merger.model(base, &motions, warnings.clone())?;
+    for other in &bases.candidates[1..] {
+        let model = merger.model(other, &motions, warnings.clone())?;
+        if is_better(&found, &model) {
+            (found, base) = (model, other);
+        }
+    }
+    found.warnings.extend(bases.notice(robot, tree, base, file));
+    Ok((found, coupled))
 }
 
 struct Merger<'a> {
@@ -59,6 +70,8 @@ struct Merger<'a> {
     tree: &'a Tree,
     file: &'a Path,
     options: &'a LoadOptions,
+    /// For each joint, where it is held, rad or m.
+    held: Vec<Option<f64>>,
     /// For each URDF link, the merged link that carries it and its frame there.
     places: Vec<Option<(usize, Pose)>>,
     /// For each merged link, the URDF links it consists of, the one that names it first.
@@ -75,10 +88,11 @@ impl Merger<'_> {
                 let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
                 Err(RobotError::Options(diagnosis))
             };
-            let Some(joint) = self.robot.joints.iter().find(|joint| joint.name == *name) else {
+            let Some(index) = self.robot.joints.iter().position(|joint| joint.name == *name) else {
                 let known = self.robot.joints.iter().map(|joint| joint.name.as_str());
                 return error("does not exist".into(), nearest_name(name, known));
             };
+            let joint = &self.robot.joints[index];
             let Some(kind) = moving_kind(&joint.joint_type) else {
                 let problem = format!("a {:?} joint cannot be locked", joint.joint_type);
                 return error(problem.to_lowercase(), "lock revolute, continuous or prismatic joints".into());
@@ -95,31 +109,94 @@ impl Merger<'_> {
                     "check the unit: rad or m",
                 ));
             }
+            self.held[index] = Some(position);
         }
         Ok(())
     }
 
-    /// Places every URDF link, and makes the joints in an order that puts parents first.
-    fn place_all(&mut self) -> Result<(), RobotError> {
-        self.place_with_attached(self.tree.root)?;
-        let mut pending = Vec::new();
-        for (index, joint) in self.robot.joints.iter().enumerate() {
-            if Some(index) != self.tree.dropped_joint
-                && let Motion::Free(kind) = self.motion(joint)?
-            {
-                pending.push((index, kind));
-            }
+    /// Holds the joints that mimic others, if the options say so, and returns where.
+    fn hold_coupled(&mut self) -> BTreeMap<String, f64> {
+        let mut coupled = BTreeMap::new();
+        if self.options.coupled == Coupled::Refused {
+            return coupled;
         }
-        // The earliest joint of the file whose parent is there already; as the joints form a
-        // tree there always is one.
-        while let Some(next) = pending.iter().position(|(joint, _)| self.places[self.tree.ends[*joint].0].is_some()) {
-            let (index, kind) = pending.remove(next);
+        let named: HashMap<&str, usize> =
+            self.robot.joints.iter().enumerate().map(|(index, joint)| (joint.name.as_str(), index)).collect();
+        for (index, joint) in self.robot.joints.iter().enumerate() {
+            let Some(mimic) = joint.mimic.as_ref().filter(|_| moving_kind(&joint.joint_type).is_some()) else {
+                continue;
+            };
+            if self.held[index].is_some() {
+                continue;
+            }
+            let position = self.coupled_position(index, &named);
+            coupled.insert(joint.name.clone(), position);
+            let problem =
+                format!("it mimics \"{}\"; coupled joints are not modelled, so it is held at {position}", mimic.joint);
+            let remedy = "remove <mimic> to let it move by itself";
+            let warning = Warning::new(self.file, format!("joint \"{}\"", joint.name), problem, remedy);
+            self.warnings.push(warning.about(Topic::Coupled));
+        }
+        for (name, position) in &coupled {
+            self.held[named[name.as_str()]] = Some(*position);
+        }
+        coupled
+    }
+
+    /// Where a joint is that mimics others, while the first of these is held or at rest, rad or m.
+    fn coupled_position(&self, joint: usize, named: &HashMap<&str, usize>) -> f64 {
+        // q = scale * (position of `leader`) + shift
+        let (mut leader, mut scale, mut shift) = (joint, 1.0, 0.0);
+        for _ in 0..MAX_COUPLED {
+            let Some(mimic) = self.robot.joints[leader].mimic.as_ref().filter(|_| self.held[leader].is_none()) else {
+                break;
+            };
+            let Some(&next) = named.get(mimic.joint.as_str()) else {
+                break;
+            };
+            shift += scale * mimic.offset.unwrap_or(0.0);
+            scale *= mimic.multiplier.unwrap_or(1.0);
+            leader = next;
+        }
+        let at_rest = self.held[leader].unwrap_or_else(|| within_limits(&self.robot.joints[leader], 0.0));
+        let position = within_limits(&self.robot.joints[joint], scale * at_rest + shift);
+        // without a negative zero
+        if position.is_finite() { position + 0.0 } else { 0.0 }
+    }
+
+    /// Reads the robot with this base.
+    fn model(&mut self, base: &Base, motions: &[Motion], warnings: Vec<Warning>) -> Result<Model, RobotError> {
+        self.places = vec![None; self.robot.links.len()];
+        self.parts.clear();
+        self.joints.clear();
+        self.warnings = warnings;
+        self.place_all(base, motions)?;
+        let links = self.links(base)?;
+        let bodies = bodies(self.robot, &self.places, self.file, self.options, &mut self.warnings);
+        let mut model = Model {
+            name: self.robot.name.clone(),
+            source: self.file.to_path_buf(),
+            links,
+            joints: std::mem::take(&mut self.joints),
+            bodies,
+            warnings: std::mem::take(&mut self.warnings),
+        };
+        model.warnings.extend(implausible(self.robot, &model, &self.places, self.file));
+        Ok(model)
+    }
+
+    /// Places every URDF link, and makes the joints in an order that puts parents first: of the joints whose parent is there
+    /// already, the earliest of the file comes next.
+    fn place_all(&mut self, base: &Base, motions: &[Motion]) -> Result<(), RobotError> {
+        let mut ready = BinaryHeap::new();
+        self.place_with_attached(base, motions, &mut ready);
+        while let Some(Reverse(index)) = ready.pop() {
             let (parent, child) = self.tree.ends[index];
-            if let Some(place) = self.places[parent] {
-                let joint = self.moving_joint(&self.robot.joints[index], kind, place)?;
+            if let (Motion::Free(kind), Some(place)) = (&motions[index], self.places[parent]) {
+                let joint = self.moving_joint(&self.robot.joints[index], *kind, place)?;
                 self.joints.push(joint);
                 self.check_depth()?;
-                self.place_with_attached(child)?;
+                self.place_with_attached(&Base::of(child), motions, &mut ready);
             }
         }
         Ok(())
@@ -134,31 +211,52 @@ impl Merger<'_> {
                 self.file,
                 format!("joint \"{}\"", joint.name),
                 format!("it is number {depth} in a chain of moving joints, of which {MAX_DEPTH} are modelled"),
-                "make joints of the chain fixed, or lock them in locked_joints",
+                "make joints of the chain fixed, or lock them in locked_joints (--lock JOINT=POSITION)",
             ))),
             _ => Ok(()),
         }
     }
 
-    /// Starts a merged link at URDF link `first` and collects all that is fixed to it.
-    fn place_with_attached(&mut self, first: usize) -> Result<(), RobotError> {
+    /// Starts a merged link with the frame of `base`, collects all that is fixed to it, and the moving joints on it.
+    fn place_with_attached(&mut self, base: &Base, motions: &[Motion], ready: &mut BinaryHeap<Reverse<usize>>) {
         let merged = self.parts.len();
         let mut parts = Vec::new();
-        let mut stack = vec![(first, Pose::IDENTITY)];
+        // what is above the base comes last
+        let mut above = Pose::IDENTITY;
+        let mut tops: Vec<(usize, Pose)> = Vec::new();
+        for &joint in &base.above {
+            if let Motion::Attached(origin) = &motions[joint] {
+                above = above * origin.inverse();
+            }
+            tops.push((self.tree.ends[joint].0, above));
+        }
+        tops.reverse();
+        let mut stack = tops;
+        stack.push((base.link, Pose::IDENTITY));
         while let Some((link, pose)) = stack.pop() {
             self.places[link] = Some((merged, pose));
             parts.push(link);
-            for &joint in self.tree.joints_below[link].iter().rev() {
-                if let Motion::Attached(origin) = self.motion(&self.robot.joints[joint])? {
-                    stack.push((self.tree.ends[joint].1, pose * origin));
+            for &joint in self.tree.joints_below[link].iter().rev().filter(|joint| !base.above.contains(joint)) {
+                match &motions[joint] {
+                    Motion::Attached(origin) => stack.push((self.tree.ends[joint].1, pose * *origin)),
+                    Motion::Free(_) => ready.push(Reverse(joint)),
+                    Motion::Dropped => {}
                 }
             }
         }
         self.parts.push(parts);
-        Ok(())
     }
 
-    fn motion(&self, joint: &urdf_rs::Joint) -> Result<Motion, RobotError> {
+    /// What each joint lets its child do.
+    fn motions(&self) -> Result<Vec<Motion>, RobotError> {
+        let motion = |(index, joint)| match self.tree.dropped_joint {
+            Some(dropped) if dropped == index => Ok(Motion::Dropped),
+            _ => self.motion(index, joint),
+        };
+        self.robot.joints.iter().enumerate().map(motion).collect()
+    }
+
+    fn motion(&self, index: usize, joint: &urdf_rs::Joint) -> Result<Motion, RobotError> {
         let origin = Pose::from_urdf(&joint.origin);
         if joint.joint_type == JointType::Fixed {
             return Ok(Motion::Attached(origin));
@@ -172,9 +270,9 @@ impl Merger<'_> {
                 "make it fixed, or a chain of revolute and prismatic joints",
             )));
         };
-        match self.options.locked_joints.get(&joint.name) {
+        match self.held[index] {
             Some(position) => {
-                let locked = kind.motion(self.axis(joint)?, *position);
+                let locked = kind.motion(self.axis(joint)?, position);
                 Ok(Motion::Attached(origin * locked))
             }
             None => Ok(Motion::Free(kind)),
@@ -206,7 +304,7 @@ impl Merger<'_> {
                 self.file,
                 element,
                 format!("it mimics \"{}\"; coupled joints are not modelled", mimic.joint),
-                "remove <mimic>, or lock the joint",
+                format!("remove <mimic>, or {LOCK}"),
             )));
         }
         let axis = self.axis(joint)?;
@@ -275,8 +373,9 @@ impl Merger<'_> {
         })
     }
 
-    fn links(&mut self) -> Result<Vec<Link>, RobotError> {
+    fn links(&mut self, base: &Base) -> Result<Vec<Link>, RobotError> {
         let mut links = Vec::with_capacity(self.parts.len());
+        let tops: Vec<usize> = base.above.iter().map(|joint| self.tree.ends[*joint].0).collect();
         for parts in std::mem::take(&mut self.parts) {
             let with_mass = parts.iter().filter(|part| self.robot.links[**part].inertial.mass.value > 0.0).count();
             let mut whole = MassProperties::ZERO;
@@ -285,7 +384,9 @@ impl Merger<'_> {
                 if with_mass > 1 || own.mass == 0.0 {
                     self.warn_of_inertia(part, &own);
                 }
-                if let Some((_, place)) = self.places[part] {
+                // an empty link above the base leaves its bits as they are
+                let is_nothing = own.mass == 0.0 && own.inertia == DMat3::ZERO && tops.contains(&part);
+                if let Some((_, place)) = self.places[part].filter(|_| !is_nothing) {
                     whole = whole.joined(&own.transformed(&place));
                 }
             }
@@ -356,11 +457,14 @@ impl Merger<'_> {
 }
 
 /// What a joint lets its child do.
-enum Motion {
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Motion {
     /// Nothing: it stays at this pose in the parent.
     Attached(Pose),
     /// Move in this way.
     Free(JointKind),
+    /// Nothing: the joint stands for the free base.
+    Dropped,
 }
 
 /// The kind of a joint with one degree of freedom.
@@ -373,7 +477,15 @@ fn moving_kind(joint_type: &JointType) -> Option<JointKind> {
     }
 }
 
-fn mass_properties(inertial: &urdf_rs::Inertial) -> MassProperties {
+/// The position within a joint's limits that is nearest to this one, rad or m.
+fn within_limits(joint: &urdf_rs::Joint, position: f64) -> f64 {
+    match joint.joint_type {
+        JointType::Continuous => position,
+        _ => position.max(joint.limit.lower).min(joint.limit.upper),
+    }
+}
+
+pub(super) fn mass_properties(inertial: &urdf_rs::Inertial) -> MassProperties {
     let i = &inertial.inertia;
     let about_com = MassProperties {
         mass: inertial.mass.value,

@@ -4,16 +4,20 @@ use std::collections::HashMap;
 use std::io::{BufReader, Cursor};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::rc::Rc;
 
 use glam::{DMat4, DVec3, DVec4};
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, NodeId};
 
+use super::xml;
 use crate::files;
 
 /// Larger files are no collision meshes, bytes.
 const MAX_BYTES: u64 = 256 << 20;
-/// Nodes of a COLLADA scene, instances of instances included; only a scene that contains itself has more.
-const MAX_NODES: usize = 100_000;
+/// Vertices of a mesh, instances included. A file of [`MAX_BYTES`] would hold more, and a scene of instances any number.
+const MAX_POINTS: usize = 4 << 20;
+/// Elements of a COLLADA scene, instances of instances included; only a scene that contains itself has more.
+const MAX_ELEMENTS: usize = 1 << 20;
 /// Header and triangle count of a binary STL, and each of its triangles, bytes.
 const STL_HEADER: usize = 84;
 const STL_TRIANGLE: usize = 50;
@@ -31,14 +35,13 @@ impl From<Vec<DVec3>> for Vertices {
     }
 }
 
-/// Reads the file at `path`, whose ending says what it is.
+/// Reads the vertices of a mesh file with these bytes; `ending` says what it is.
 ///
 /// # Errors
 /// What keeps it from being read, as a clause.
-pub(super) fn read(path: &Path) -> Result<Vertices, String> {
-    let (bytes, ending) = contents(path)?;
+pub(super) fn read(bytes: Vec<u8>, ending: &str) -> Result<Vertices, String> {
     // The readers are other people's: none of them may take the simulator down.
-    let vertices = catch_unwind(AssertUnwindSafe(|| match ending.as_str() {
+    let vertices = catch_unwind(AssertUnwindSafe(|| match ending {
         "stl" => stl(bytes).map(Vertices::from),
         "obj" => obj(&bytes).map(Vertices::from),
         "dae" => String::from_utf8(bytes).map_err(|error| error.to_string()).and_then(|text| collada(&text)),
@@ -89,8 +92,11 @@ pub(crate) fn read_surface(path: &Path) -> Result<Surface, String> {
     if surface.triangles.is_empty() { Err("it has no triangles".to_string()) } else { Ok(surface) }
 }
 
-/// What is in a file, and its ending.
-fn contents(path: &Path) -> Result<(Vec<u8>, String), String> {
+/// What is in a file, and its ending in small letters.
+///
+/// # Errors
+/// What keeps it from being read, as a clause.
+pub(super) fn contents(path: &Path) -> Result<(Vec<u8>, String), String> {
     let bytes = files::read_up_to(path, MAX_BYTES).map_err(|error| error.to_string())?;
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
     Ok((bytes, ending))
@@ -110,6 +116,7 @@ fn stl(mut bytes: Vec<u8>) -> Result<Vec<DVec3>, String> {
     };
     let binary = triangles > 0 && bytes.len() >= STL_HEADER + STL_TRIANGLE * triangles;
     if binary {
+        check_count(3 * triangles)?;
         // The free text of a binary header may begin like an ASCII file.
         bytes[..5].fill(0);
         return stl_triangles(&bytes);
@@ -124,6 +131,7 @@ fn stl(mut bytes: Vec<u8>) -> Result<Vec<DVec3>, String> {
         solid.push('\n');
         if line.starts_with("endsolid") {
             points.extend(stl_triangles(std::mem::take(&mut solid).as_bytes())?);
+            check_count(points.len())?;
         }
     }
     if solid.trim().is_empty() { Ok(points) } else { Err("it is cut short, or no STL file".to_string()) }
@@ -138,7 +146,33 @@ fn stl_triangles(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
     Ok(points)
 }
 
+/// Refuses a mesh of this many vertices if it has too many.
+fn check_count(points: usize) -> Result<(), String> {
+    if points <= MAX_POINTS {
+        return Ok(());
+    }
+    Err(format!("it has more than {MAX_POINTS} vertices, faces and instances counted with theirs"))
+}
+
+/// Refuses a file before its reader takes memory: a corner of a face takes two bytes in the file and a hundred when read.
+fn check_obj(bytes: &[u8]) -> Result<(), String> {
+    let (mut vertices, mut corners) = (0, 0);
+    for line in bytes.split(|byte| *byte == b'\n') {
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        match words.next() {
+            Some(b"v") => vertices += 1,
+            // a fan of triangles
+            Some(b"f" | b"l" | b"p") => corners += 3 * words.count().saturating_sub(2).max(1),
+            _ => {}
+        }
+        check_count(vertices)?;
+        check_count(corners)?;
+    }
+    Ok(())
+}
+
 fn obj_models(bytes: &[u8], options: &tobj::LoadOptions) -> Result<Vec<tobj::Model>, String> {
+    check_obj(bytes)?;
     let no_materials = |_: &Path| Ok(Default::default());
     let (models, _) =
         tobj::load_obj_buf(&mut BufReader::new(bytes), options, no_materials).map_err(|error| error.to_string())?;
@@ -169,7 +203,7 @@ fn obj(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
 }
 
 fn collada(text: &str) -> Result<Vertices, String> {
-    let document = Document::parse(text).map_err(|error| format!("not well-formed XML ({error})"))?;
+    let document = xml::parse(text).map_err(|fault| format!("line {}: {}", fault.line, fault.problem))?;
     let root = document.root_element();
     if root.tag_name().name() != "COLLADA" {
         return Err("its root element is not <COLLADA>".to_string());
@@ -183,8 +217,8 @@ fn collada(text: &str) -> Result<Vertices, String> {
         },
     };
     let up = asset.and_then(|asset| child(asset, "up_axis")?.text()).map(str::trim);
-    let scene =
-        Scene { by_id: document.descendants().filter_map(|node| Some((node.attribute("id")?, node))).collect() };
+    let by_id = document.descendants().filter_map(|node| Some((node.attribute("id")?, node))).collect();
+    let mut scene = Scene { by_id, geometries: HashMap::new(), sources: HashMap::new(), count: 0 };
     let mut points = scene.points(&document)?;
     points.iter_mut().for_each(|point| *point *= unit);
     Ok(Vertices {
@@ -197,19 +231,31 @@ fn child<'a, 'd>(node: Node<'a, 'd>, tag: &str) -> Option<Node<'a, 'd>> {
     node.children().find(|child| child.tag_name().name() == tag)
 }
 
-fn numbers(node: Node<'_, '_>) -> Result<Vec<f64>, String> {
-    let text = node.text().unwrap_or_default();
-    let parsed: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
-    parsed.map_err(|_| format!("<{}> holds something that is no number", node.tag_name().name()))
+/// The numbers in an element, of which there may be `most`.
+fn numbers(node: Node<'_, '_>, most: usize) -> Result<Vec<f64>, String> {
+    let name = || node.tag_name().name();
+    let mut numbers = Vec::new();
+    for word in node.text().unwrap_or_default().split_whitespace() {
+        if numbers.len() == most {
+            return Err(format!("<{}> holds more than {most} numbers", name()));
+        }
+        numbers.push(word.parse().map_err(|_| format!("<{}> holds something that is no number", name()))?);
+    }
+    Ok(numbers)
 }
 
 struct Scene<'a, 'd> {
     by_id: HashMap<&'a str, Node<'a, 'd>>,
+    /// Vertices of the geometries and controllers that were read, and of their sources.
+    geometries: HashMap<NodeId, Rc<Vec<DVec3>>>,
+    sources: HashMap<NodeId, Rc<Vec<DVec3>>>,
+    /// Number of vertices in `sources`.
+    count: usize,
 }
 
 impl<'a, 'd> Scene<'a, 'd> {
     /// All vertices where the scene puts them; where it is empty, those of all geometries.
-    fn points(&self, document: &'a Document<'d>) -> Result<Vec<DVec3>, String> {
+    fn points(&mut self, document: &'a Document<'d>) -> Result<Vec<DVec3>, String> {
         let scene = document
             .descendants()
             .find(|node| node.tag_name().name() == "instance_visual_scene")
@@ -219,18 +265,20 @@ impl<'a, 'd> Scene<'a, 'd> {
         let mut stack: Vec<(Node<'a, 'd>, DMat4)> = scene.map(|scene| (scene, DMat4::IDENTITY)).into_iter().collect();
         let mut visited = 0;
         while let Some((node, mut pose)) = stack.pop() {
-            visited += 1;
-            if visited > MAX_NODES {
-                return Err("its scene has too many nodes, or contains itself".to_string());
-            }
-            for element in node.children().filter(Node::is_element) {
+            for element in node.children() {
+                visited += 1;
+                if visited > MAX_ELEMENTS {
+                    return Err("its scene has too many nodes, or contains itself".to_string());
+                }
                 match element.tag_name().name() {
                     "matrix" | "translate" | "rotate" | "scale" | "lookat" | "skew" => pose *= transform(element)?,
                     "node" => stack.push((element, pose)),
                     "instance_node" => stack.push((self.target(element)?, pose)),
                     "instance_geometry" | "instance_controller" => {
                         let local = self.positions(self.target(element)?)?;
-                        points.extend(local.into_iter().map(|point| pose.transform_point3(point)));
+                        // before memory is taken for them
+                        check_count(points.len() + local.len())?;
+                        points.extend(local.iter().map(|point| pose.transform_point3(*point)));
                     }
                     _ => {}
                 }
@@ -238,7 +286,9 @@ impl<'a, 'd> Scene<'a, 'd> {
         }
         if points.is_empty() {
             for geometry in document.descendants().filter(|node| node.tag_name().name() == "geometry") {
-                points.extend(self.positions(geometry)?);
+                let local = self.positions(geometry)?;
+                check_count(points.len() + local.len())?;
+                points.extend(local.iter());
             }
         }
         Ok(points)
@@ -251,18 +301,37 @@ impl<'a, 'd> Scene<'a, 'd> {
         target.copied().ok_or_else(|| format!("<{}> names \"{name}\", which is not there", node.tag_name().name()))
     }
 
-    /// The vertex positions of a `<geometry>`, or of the one that a `<controller>` deforms.
-    fn positions(&self, mut geometry: Node<'a, 'd>) -> Result<Vec<DVec3>, String> {
-        if let Some(skin) = child(geometry, "skin") {
-            geometry = self.target(skin)?;
+    /// The vertex positions of a `<geometry>`, or of the one that a `<controller>` deforms; read once, however many
+    /// instances there are.
+    fn positions(&mut self, instantiated: Node<'a, 'd>) -> Result<Rc<Vec<DVec3>>, String> {
+        if let Some(known) = self.geometries.get(&instantiated.id()) {
+            return Ok(known.clone());
         }
+        let geometry = match child(instantiated, "skin") {
+            Some(skin) => self.target(skin)?,
+            None => instantiated,
+        };
+        let read = match self.geometries.get(&geometry.id()) {
+            Some(known) => known.clone(),
+            None => self.of_geometry(geometry)?,
+        };
+        for node in [geometry, instantiated] {
+            self.geometries.insert(node.id(), read.clone());
+        }
+        Ok(read)
+    }
+
+    fn of_geometry(&mut self, geometry: Node<'a, 'd>) -> Result<Rc<Vec<DVec3>>, String> {
         let vertices = child(geometry, "mesh").and_then(|mesh| child(mesh, "vertices"));
         let input = vertices.and_then(|v| v.children().find(|n| n.attribute("semantic") == Some("POSITION")));
         // splines and the like
         let Some(input) = input else {
-            return Ok(Vec::new());
+            return Ok(Rc::default());
         };
         let source = self.target(input)?;
+        if let Some(known) = self.sources.get(&source.id()) {
+            return Ok(known.clone());
+        }
         let array = child(source, "float_array").ok_or("a <source> of positions lacks <float_array>")?;
         let accessor = child(source, "technique_common").and_then(|technique| child(technique, "accessor"));
         let count = |name: &str, default: usize| match accessor.and_then(|accessor| accessor.attribute(name)) {
@@ -273,15 +342,21 @@ impl<'a, 'd> Scene<'a, 'd> {
         if stride < 3 {
             return Err(format!("<accessor stride=\"{stride}\"> leaves no three coordinates"));
         }
-        let numbers = numbers(array)?;
+        let numbers = numbers(array, 3 * MAX_POINTS)?;
         let of_vertices = numbers.get(offset..).unwrap_or_default();
-        Ok(of_vertices.chunks(stride).filter_map(|c| Some(DVec3::from_slice(c.get(..3)?))).collect())
+        let read: Vec<DVec3> =
+            of_vertices.chunks(stride).filter_map(|c| Some(DVec3::from_slice(c.get(..3)?))).collect();
+        self.count += read.len();
+        check_count(self.count)?;
+        let read = Rc::new(read);
+        self.sources.insert(source.id(), read.clone());
+        Ok(read)
     }
 }
 
 /// The matrix of a transformation element.
 fn transform(element: Node<'_, '_>) -> Result<DMat4, String> {
-    let values = numbers(element)?;
+    let values = numbers(element, 16)?;
     match (element.tag_name().name(), &values[..]) {
         // written row by row
         ("matrix", values) if values.len() == 16 => {

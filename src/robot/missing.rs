@@ -1,18 +1,30 @@
-//! Meshes that are not there, as the cause of other errors.
+//! What a reading left out or held, as the cause of other errors.
 
-use super::error::{Diagnosis, RobotError};
+use super::error::{Diagnosis, RobotError, Topic};
 use super::model::Model;
 use super::shapes::LEFT_OUT;
 
-/// An error of [`detect`](super::detect) on `model`; where collision meshes were left out, it names the first of them and
-/// what to do about it: without its shapes a leg has no foot.
+/// An error of [`detect`](super::detect) on `model`; where collision meshes were left out or joints held that mimic others, it
+/// names the first of them and what to do about it: without its shapes a leg has no foot, without its joints it is no leg.
 #[must_use]
-pub fn naming_missing_meshes(error: RobotError, model: &Model) -> RobotError {
-    let RobotError::Roles(diagnosis) = error else {
+pub fn naming_causes(error: RobotError, model: &Model) -> RobotError {
+    let RobotError::Roles(mut diagnosis) = error else {
         return error;
     };
-    let is_missing = |warning: &&Diagnosis| warning.problem.starts_with("mesh ") && warning.problem.ends_with(LEFT_OUT);
-    let mut missing = model.warnings.iter().filter(is_missing);
+    let warnings_about = |topic: Topic| model.warnings.iter().filter(move |warning| warning.topic == topic);
+    let mut coupled = warnings_about(Topic::Coupled);
+    if let Some(first) = coupled.next() {
+        let those = match coupled.count() {
+            0 => String::new(),
+            more => format!(" (as are {more} more)"),
+        };
+        diagnosis = Diagnosis {
+            problem: format!("{}; {}: {}{those}", diagnosis.problem, first.element, first.problem),
+            remedy: format!("{}; or {}", first.remedy, diagnosis.remedy),
+            ..diagnosis
+        };
+    }
+    let mut missing = warnings_about(Topic::MissingMesh);
     let Some(first) = missing.next() else {
         return RobotError::Roles(diagnosis);
     };

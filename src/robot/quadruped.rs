@@ -46,7 +46,8 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
             pose,
             "<robot>",
             format!("{legs} legs were found instead of 2, 4 or 6: {}", list(pose, &chains)),
-            "name all joints of the legs in joint_roles, or lock the joints that are no legs'",
+            "name all joints of the legs in joint_roles (--role SLOT=JOINT of robot new), or lock the joints that are no legs' \
+             in locked_joints (--lock JOINT=POSITION)",
         ));
     }
 
@@ -63,7 +64,7 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
             pose,
             "<robot>",
             format!("the legs are not one at each corner of the base: {}", list(pose, &found)),
-            "let the base frame have x forward and y left, or name the joints in joint_roles",
+            "let the base frame have x forward and y left, or name the joints in joint_roles (--role SLOT=JOINT of robot new)",
         ));
     };
     for (leg, corner) in found.iter().zip(corners) {

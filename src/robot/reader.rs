@@ -7,6 +7,9 @@ use roxmltree::Node;
 use super::error::{Diagnosis, RobotError};
 use super::merge::LARGEST;
 
+/// Longest name, bytes.
+const MAX_NAME: usize = 256;
+
 /// Reads from one document; `owner` in its methods is the element that errors name.
 #[derive(Clone, Copy)]
 pub(super) struct Reader<'a> {
@@ -23,6 +26,13 @@ impl Reader<'_> {
                 format!("<{}> on line {}", node.tag_name().name(), line(node)),
                 "has no name",
                 "give it a name of its own",
+            ));
+        }
+        if name.len() > MAX_NAME {
+            return Err(self.value_error(
+                format!("<{}> on line {}", node.tag_name().name(), line(node)),
+                format!("its name has {} bytes, of which {MAX_NAME} are read", name.len()),
+                "give it a shorter name",
             ));
         }
         Ok(name)

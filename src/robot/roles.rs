@@ -11,6 +11,7 @@ use super::feet;
 use super::limbs::{Foot, Limb, LimbJoint, LimbKind, Place, Role, Roles, Side, Slot};
 use super::model::Model;
 use super::quadruped::{self, CANONICAL_JOINT_NAMES, CORNERS, LEG_ROLES};
+use super::upper::{UpperChain, upper_chains};
 
 /// Chains that an error lists.
 const LISTED: usize = 12;
@@ -257,7 +258,7 @@ fn sides(pose: &ZeroPose<'_>, chains: &[LimbChain], legs: &[usize], feet: &[DVec
                 pose,
                 "<robot>",
                 format!("there are not as many legs on the left as on the right: {}", list(pose, &found)),
-                "let the base frame have x forward and y left, or name all joints in joint_roles",
+                "let the base frame have x forward and y left, or name all joints in joint_roles (--role SLOT=JOINT of robot new)",
             ));
         }
         for (at, place) in own.into_iter().zip(names) {
@@ -279,32 +280,14 @@ fn add_upper_limbs(
         let joints = torso.iter().copied().zip(pose.middle_limb(torso)).collect();
         limbs.push(RawLimb { place: Place::Torso, kind: LimbKind::Torso, joints });
     }
-    let farthest = (0..pose.model.joints.len()).map(|joint| pose.position(joint).y.abs()).fold(0.0, f64::max);
-    for chain in chains {
-        let joints: Vec<usize> = chain.joints.iter().copied().filter(|joint| !taken.contains(joint)).collect();
-        let twigs = chain.twigs.iter().copied().filter(|joint| !taken.contains(joint));
-        let Some(&first) = joints.first() else {
-            continue;
-        };
-        let at = pose.position(first);
-        let (place, kind) = if at.y > 0.02 * farthest {
-            (Place::Left, LimbKind::Arm)
-        } else if at.y < -0.02 * farthest {
-            (Place::Right, LimbKind::Arm)
-        } else if joints.len() >= 3 {
-            (Place::Arm, LimbKind::Arm)
-        } else if at.x < 0.0 && at.z <= 0.1 {
-            (Place::Tail, LimbKind::Tail)
-        } else {
-            (Place::Head, LimbKind::Head)
-        };
+    for UpperChain { joints, twigs, place, kind } in upper_chains(pose, chains, taken) {
         let roles = if place.side() == Side::Middle { pose.middle_limb(&joints) } else { pose.arm(&joints) };
         let mut joints: Vec<(usize, Role)> = joints.into_iter().zip(roles).collect();
         let of_twig = |joint: usize| match kind {
             LimbKind::Arm => (joint, Role::Finger),
             _ => (joint, pose.middle_limb(&[joint])[0]),
         };
-        joints.extend(twigs.map(of_twig));
+        joints.extend(twigs.into_iter().map(of_twig));
         limbs.push(RawLimb { place, kind, joints });
     }
 }
@@ -337,7 +320,7 @@ fn with_named(pose: &ZeroPose<'_>, mut limbs: Vec<Limb>, named: &Overrides) -> R
                 pose,
                 format!("joint \"{}\"", pose.model.joints[joint].name),
                 format!("and {} are both {slot}", pose.model.joints[other.joint].name),
-                "give each of them its own canonical joint in joint_roles, or lock one",
+                "give each of them its own canonical joint in joint_roles, or lock one in locked_joints",
             ));
         }
         let joint = LimbJoint { joint, slot, sign: 1.0 };
@@ -381,11 +364,7 @@ fn finish(pose: &ZeroPose<'_>, mut limb: Limb, named: &Overrides) -> Result<Limb
     if limb.kind == LimbKind::Leg {
         limb.foot = Some(foot(pose, &limb, named.feet.get(&limb.place).copied())?);
     }
-    let lifts = limb.joints.iter().any(|joint| joint.slot.role == Role::HipLift);
-    let lift = limb.foot.filter(|_| lifts).and_then(|foot| {
-        let link = &pose.links[pose.model.bodies[foot.body].link];
-        pose.lift_axis(&chain, link.transform_point(foot.point))
-    });
+    let lift = pose.lift_of(&limb);
     for joint in &mut limb.joints {
         joint.sign = pose.sign(joint.joint, joint.slot.role, &chain, lift);
     }
@@ -414,7 +393,7 @@ fn foot(pose: &ZeroPose<'_>, limb: &Limb, named: Option<usize>) -> Result<Foot, 
             pose,
             format!("link \"{shank}\""),
             format!("leg {place} has no collision shape for a foot there"),
-            "add a <collision> with a <sphere>, or name the foot's link in feet",
+            "add a <collision> with a <sphere>, or name the foot's link in feet (--foot LEG=LINK of robot new)",
         ));
     };
     // a sole is more than the point that is farthest from the knee

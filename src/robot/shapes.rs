@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::error::Warning;
+use super::error::{Topic, Warning};
+use super::hull_cache::{self, Taken};
 use super::merge::LARGEST;
+use super::mesh;
 use super::model::{Body, Geometry, Shape};
 use super::pose::Pose;
 use super::urdf::LoadOptions;
-use super::{hull, mesh};
 
 /// Meshes beyond this are in another unit, m.
 const MAX_EXTENT: f64 = 1e3;
@@ -32,18 +33,20 @@ pub(super) fn bodies(
         };
         let mut shapes = Vec::with_capacity(link.collision.len());
         for collision in &link.collision {
-            let mut warn = |(problem, remedy): Remark| {
+            let mut warn = |(problem, remedy): Remark, topic: Topic| {
                 let remedy = format!("{remedy}, or use a sphere, box, cylinder or capsule");
-                warnings.push(Warning::new(file, format!("link \"{}\", <collision>", link.name), problem, remedy));
+                let element = format!("link \"{}\", <collision>", link.name);
+                warnings.push(Warning::new(file, element, problem, remedy).about(topic));
             };
             let origin = place * Pose::from_urdf(&collision.origin);
             if !origin.is_within(LARGEST) {
-                warn(("its origin overflows; the shape is left out".to_string(), "write metres".to_string()));
+                let problem = "its origin overflows; the shape is left out".to_string();
+                warn((problem, "write metres".to_string()), Topic::Other);
                 continue;
             }
             match geometry(&collision.geometry, file, options, &mut warn) {
                 Ok(geometry) => shapes.push(Shape { geometry, origin }),
-                Err((problem, remedy)) => warn((format!("{problem}{LEFT_OUT}"), remedy)),
+                Err((problem, remedy)) => warn((format!("{problem}{LEFT_OUT}"), remedy), Topic::MissingMesh),
             }
         }
         if !shapes.is_empty() {
@@ -63,7 +66,7 @@ fn geometry(
     geometry: &urdf_rs::Geometry,
     file: &Path,
     options: &LoadOptions,
-    warn: &mut impl FnMut(Remark),
+    warn: &mut impl FnMut(Remark, Topic),
 ) -> Result<Geometry, Remark> {
     Ok(match geometry {
         urdf_rs::Geometry::Sphere { radius } => Geometry::Sphere { radius: *radius },
@@ -73,7 +76,9 @@ fn geometry(
         urdf_rs::Geometry::Mesh { filename, scale } => {
             let path = resolve(filename, file, options).ok_or_else(|| {
                 let remedy = match package_of(filename) {
-                    Some((package, _)) => format!("name the directory of \"{package}\" in package_dirs"),
+                    Some((package, _)) => {
+                        format!("name the directory of \"{package}\" in package_dirs (--package-dir {package}=FOLDER)")
+                    }
                     None => "put the file there".to_string(),
                 };
                 (format!("mesh \"{filename}\" is not found"), remedy)
@@ -85,32 +90,28 @@ fn geometry(
 }
 
 /// The convex hull of the mesh file at `path`; warns of what that assumes.
-fn convex(filename: &str, path: &Path, scale: DVec3, warn: &mut impl FnMut(Remark)) -> Result<Geometry, Remark> {
+fn convex(filename: &str, path: &Path, scale: DVec3, warn: &mut impl FnMut(Remark, Topic)) -> Result<Geometry, Remark> {
     let unreadable = |problem: String| {
         let remedy = format!("write {} anew as STL, OBJ or COLLADA, in m", path.display());
         (format!("mesh \"{filename}\" is not read: {problem}"), remedy)
     };
-    let mut vertices = mesh::read(path).map_err(unreadable)?;
-    vertices.points.iter_mut().for_each(|point| *point *= scale);
-    let farthest = vertices.points.iter().map(|point| point.abs().max_element()).fold(0.0, f64::max);
-    if farthest.is_nan() || farthest > MAX_EXTENT {
-        return Err(unreadable(format!("it reaches {farthest:.0} m from its origin")));
-    }
-    let hull = hull::hull(&vertices.points);
-    let (count, points) = (vertices.points.len(), hull.points.len());
-    let mut problem = if hull.boxed {
+    let (bytes, ending) = mesh::contents(path).map_err(unreadable)?;
+    let Taken { points, count, deviation, boxed, assumed } =
+        hull_cache::hull_of(bytes, &ending, scale, MAX_EXTENT).map_err(unreadable)?;
+    let mut problem = if boxed {
         format!("mesh \"{filename}\" is taken as its bounding box, as the hull of its {count} vertices is not found")
     } else {
-        format!("mesh \"{filename}\" is taken as the convex hull of {points} of its {count} vertices")
+        format!("mesh \"{filename}\" is taken as the convex hull of {} of its {count} vertices", points.len())
     };
-    if hull.deviation >= MIN_DEVIATION {
-        problem += &format!(", which lies up to {:.2} mm inside the hull of all", 1e3 * hull.deviation);
+    if deviation >= MIN_DEVIATION {
+        problem += &format!(", which lies up to {:.2} mm inside the hull of all", 1e3 * deviation);
     }
-    if let Some(assumed) = vertices.assumed {
+    if let Some(assumed) = assumed {
         problem += &format!("; {assumed}");
     }
-    warn((problem, "check that it is convex enough".to_string()));
-    Ok(Geometry::Hull { points: hull.points })
+    let topic = Topic::Hull { outside: (1e6 * deviation) as u64 };
+    warn((problem, "check that it is convex enough".to_string()), topic);
+    Ok(Geometry::Hull { points })
 }
 
 /// The existing file a mesh `filename` of the URDF at `source` means, if there is one.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use urdf_rs::JointType;
 
-use super::error::{Diagnosis, RobotError, Warning, nearest_name};
+use super::error::{Diagnosis, RobotError, Warning, listed, nearest_name};
 
 /// The tree that the joints of a URDF span over its links; indices are positions in the file.
 #[derive(Debug)]
@@ -84,10 +84,10 @@ impl Tree {
                 );
             }
             _ => {
-                let names: Vec<&str> = roots.iter().map(|r| robot.links[*r].name.as_str()).collect();
+                let names = listed(roots.iter().map(|root| robot.links[*root].name.as_str()));
                 return error(
                     "<robot>".into(),
-                    format!("has {} root links: {}", roots.len(), names.join(", ")),
+                    format!("has {} root links: {names}", roots.len()),
                     "connect them by joints to one root, or remove what is not part of the robot",
                 );
             }

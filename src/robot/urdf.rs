@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::canonical::{Canonical, canonical};
 use super::error::{Diagnosis, RobotError};
+use super::formats::recognised;
 use super::merge::merge;
 use super::model::Model;
 use super::tree::Tree;
@@ -18,6 +19,21 @@ pub struct LoadOptions {
     pub package_dirs: BTreeMap<String, PathBuf>,
     /// Joints to hold at a position (rad or m): they become part of their parent link.
     pub locked_joints: BTreeMap<String, f64>,
+    /// What becomes of joints that mimic others.
+    pub coupled: Coupled,
+    /// Keeps the root of the file as the base, also where it is an empty link: for a base that is fixed to the world, whose
+    /// root says where it stands.
+    pub keeps_root: bool,
+}
+
+/// What becomes of joints that mimic others, since coupled joints are not modelled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Coupled {
+    /// They are refused unless they are locked.
+    #[default]
+    Refused,
+    /// They are held where they are while the joints that they mimic are at rest, with a warning each.
+    Held,
 }
 
 /// Reads the URDF file at `path`.
@@ -25,16 +41,25 @@ pub struct LoadOptions {
 /// # Errors
 /// A [`RobotError`] that names file, element and remedy; see the module documentation.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
-    let text = files::read_text(path).map_err(|error| {
+    Ok(load_holding(path, options)?.0)
+}
+
+/// As [`load`], with the positions of the joints that are held because they mimic others ([`Coupled::Held`]), rad or m.
+pub(crate) fn load_holding(path: &Path, options: &LoadOptions) -> Result<(Model, BTreeMap<String, f64>), RobotError> {
+    let read_error = |problem: String, remedy: &str| RobotError::Read(Diagnosis::new(path, "file", problem, remedy));
+    let bytes = files::read(path).map_err(|error| {
         let remedy = match error.kind() {
             std::io::ErrorKind::NotFound => "check the path",
-            std::io::ErrorKind::InvalidData => "save it as UTF-8",
             std::io::ErrorKind::FileTooLarge => "name a URDF file",
             _ => "make it a readable URDF file",
         };
-        RobotError::Read(Diagnosis::new(path, "file", error.to_string(), remedy))
+        read_error(error.to_string(), remedy)
     })?;
-    load_str(&text, path, options)
+    if let Some((format, remedy)) = recognised(&bytes) {
+        return Err(read_error(format!("this is {format}, not a URDF"), remedy));
+    }
+    let text = String::from_utf8(bytes).map_err(|_| read_error("it is not UTF-8".to_string(), "save it as UTF-8"))?;
+    read_text(&text, path, options)
 }
 
 /// Reads a URDF from `text`; `source` names it in errors and is where meshes are looked up.
@@ -42,6 +67,10 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
 /// # Errors
 /// A [`RobotError`] that names file, element and remedy; see the module documentation.
 pub fn load_str(text: &str, source: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
+    Ok(read_text(text, source, options)?.0)
+}
+
+fn read_text(text: &str, source: &Path, options: &LoadOptions) -> Result<(Model, BTreeMap<String, f64>), RobotError> {
     let mut canonical = canonical(text, source)?;
     let robot = parse(&canonical, source)?;
     let tree = Tree::build(&robot, source, &mut canonical.warnings)?;
@@ -131,7 +160,7 @@ mod tests {
                     prop::sample::select(vec![
                         "", " ", "\"", "<", ">", "/>", "&", "&#0;", "-", "1e999", "nan", "e308", "0", "é",
                         "<link name=\"leg\"/>", "<!--", "-->", "base", "leg", "xmlns=\"u\" ", "type=\"floating\"",
-                        "<mimic joint=\"hip\"/>", "]]>", "\u{0}", "<?pi?>", "xacro:", "capsule",
+                        "<mimic joint=\"hip\"/>", "${x}", "$(arg x)", "]]>", "\u{0}", "<?pi?>", "xacro:", "capsule",
                     ]),
                 ),
                 1..6,

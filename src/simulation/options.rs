@@ -40,6 +40,9 @@ pub struct SimulationOptions {
     pub fixed_base: bool,
     /// Folder of each package in `package://<package>/...` mesh names.
     pub package_dirs: BTreeMap<String, PathBuf>,
+    /// Joints to hold at a position (rad or m): they become part of their parent link. Joints of a URDF that mimic others are
+    /// held in any case, with a warning. Default: those of the robot's config.
+    pub locked_joints: BTreeMap<String, f64>,
     /// Static and dynamic friction coefficient, robot and ground combined. Default: 1.
     pub friction: [f64; 2],
     /// Restitution coefficient, robot and ground combined. Default: 0.
@@ -73,6 +76,7 @@ impl SimulationOptions {
             engine: "articulated".into(),
             fixed_base: false,
             package_dirs: BTreeMap::new(),
+            locked_joints: BTreeMap::new(),
             friction: [1.0, 1.0],
             restitution: 0.0,
             armature: None,

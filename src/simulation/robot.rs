@@ -13,7 +13,17 @@ use crate::dynamics::{ActuatorNetwork, ContactKind, MAX_DEPTH, Parameters, Scala
 use crate::engine::Kind;
 use crate::error::Error;
 use crate::morphology::ConfiguredRobot;
-use crate::robot::{self, Articulation, LoadOptions, Model};
+use crate::robot::{self, Articulation, Coupled, LoadOptions, Model};
+
+/// How the options read a URDF.
+fn load_options(options: &SimulationOptions) -> LoadOptions {
+    LoadOptions {
+        package_dirs: options.package_dirs.clone(),
+        locked_joints: options.locked_joints.clone(),
+        coupled: Coupled::Held,
+        keeps_root: options.fixed_base,
+    }
+}
 
 /// One kind of robot, in double precision.
 pub(super) struct Robot {
@@ -55,7 +65,7 @@ impl Robot {
     }
 
     fn of_urdf(options: &SimulationOptions) -> Result<Self, Error> {
-        let load = LoadOptions { package_dirs: options.package_dirs.clone(), ..LoadOptions::default() };
+        let load = load_options(options);
         let model = robot::load(Path::new(&options.robot), &load)?;
         let position: Vec<f64> = model.joints.iter().map(|joint| 0.0_f64.max(joint.lower).min(joint.upper)).collect();
         let reference = options.self_collision.unwrap_or(false).then_some(&position[..]);
@@ -65,7 +75,12 @@ impl Robot {
 
     fn of_library(options: &SimulationOptions) -> Result<Self, Error> {
         let loaded = Library::new(Vec::new()).robot(&options.robot)?;
-        let robot = ConfiguredRobot::new(&loaded, &options.package_dirs, !options.fixed_base, options.self_collision)?;
+        let robot = ConfiguredRobot::new(
+            &loaded,
+            &LoadOptions { keeps_root: false, coupled: Coupled::Refused, ..load_options(options) },
+            !options.fixed_base,
+            options.self_collision,
+        )?;
         Ok(Self::assemble(robot.model, robot.articulation, robot.default_position, robot.networks))
     }
 

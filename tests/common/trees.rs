@@ -285,6 +285,7 @@ pub fn robot(name: &str) -> Model {
     let options = robot::LoadOptions {
         package_dirs: loaded.config.package_dirs.clone(),
         locked_joints: loaded.config.locked_joints.clone(),
+        ..robot::LoadOptions::default()
     };
     robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options).unwrap()
 }

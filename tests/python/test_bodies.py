@@ -10,6 +10,7 @@ import tomllib
 import polypod
 from common import size
 from polypod import _core, bodies
+from polypod import files as files_of_polypod
 from polypod.accuracy import reference
 from polypod.accuracy.statics import relative_error
 
@@ -119,3 +120,42 @@ def test_the_command(cli, tmp_path):
         done = cli("bodies", "generate", "other", *line)
         assert done.returncode == 2, line
         assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_an_interrupted_library_leaves_nothing(tmp_path, monkeypatch, error):
+    written = []
+
+    def write(path, text):
+        written.append(path)
+        if len(written) == 7:
+            raise error
+        files_of_polypod.write_text(path, text)
+
+    monkeypatch.setattr(bodies, "write_text", write)
+    (tmp_path / "empty").mkdir()
+    for folder in (tmp_path / "new", tmp_path / "empty"):
+        written.clear()
+        with pytest.raises((KeyboardInterrupt, _core.ConfigError)):
+            bodies.generate(folder, 6)
+        assert len(written) == 7
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+    monkeypatch.undo()
+    # no --force is needed afterwards, and the folder has the rights of any new one
+    bodies.generate(tmp_path / "empty", 6)
+    (tmp_path / "other").mkdir()
+    assert (tmp_path / "empty").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+def test_a_library_that_is_there_stays_whole(tmp_path, monkeypatch):
+    """With --force as well: nothing is replaced before all is written."""
+    bodies.generate(tmp_path / "a", 6, seed=1)
+    before = files(tmp_path / "a")
+    monkeypatch.setattr(bodies, "_tasks", lambda names: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        bodies.generate(tmp_path / "a", 6, seed=2, force=True)
+    assert files(tmp_path / "a") == before
+    monkeypatch.undo()
+    bodies.generate(tmp_path / "a", 6, seed=2, force=True)
+    bodies.generate(tmp_path / "b", 6, seed=2)
+    assert files(tmp_path / "a") == files(tmp_path / "b")

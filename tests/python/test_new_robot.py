@@ -1,6 +1,7 @@
 """A ninth robot: from a URDF of one's own to training with `polypod robot new`, and no source file changed."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -195,6 +196,116 @@ def test_a_foot_may_be_named(cli, fox):
     done = cli("robot", "new", str(fox), "--force", "--foot", "LF=pad")
     assert done.returncode == 2
     assert "feet.LF" in done.stderr
+
+
+def fingers(follower):
+    """A gripper on the trunk whose second finger follows the first."""
+    slide = '<joint name="{0}" type="prismatic"><origin xyz="0.3 {1} 0"/><parent link="trunk"/><child link="{0}_link"/>'
+    limit = '<axis xyz="0 1 0"/><limit lower="0.01" upper="0.04" effort="5" velocity="0.1"/>{0}</joint>'
+    return "".join(
+        link(f"{name}_link", 0.05, (0.05, 0.01, 0.02)) + slide.format(name, y) + limit.format(mimic)
+        for name, y, mimic in (("finger_1", 0.03, ""), ("finger_2", -0.03, follower))
+    )
+
+
+def test_fingers_that_mimic_each_other_are_held(cli, tmp_path):
+    file = tmp_path / "robot.urdf"
+    text = quadruped().replace("</robot>", fingers('<mimic joint="finger_1" multiplier="2"/>') + "</robot>")
+    file.write_text(text)
+    done = cli("check", str(file))
+    assert done.returncode == 0, done.stderr
+    assert (
+        'joint "finger_2": it mimics "finger_1"; coupled joints are not modelled, so it is held at 0.02' in done.stdout
+    )
+    done = cli("robot", "new", str(file))
+    assert done.returncode == 0, done.stderr
+    assert "16 of 16 stand" in done.stdout
+    assert "finger_2 is coupled to another by <mimic>" in done.stdout
+    config = tomllib.loads((tmp_path / "test_fox.toml").read_text())
+    assert config["locked_joints"] == {"finger_1": 0.01, "finger_2": 0.02}
+    with pytest.warns(UserWarning, match="it mimics"):
+        sim = polypod.Simulation(file)
+    assert "finger_1" in sim.joint_names
+    assert "finger_2" not in sim.joint_names
+    # or where the caller wants it
+    sim = polypod.Simulation(file, locked_joints={"finger_1": 0.03, "finger_2": 0.03})
+    assert sim.num_joints == 12
+    assert sim.warnings == []
+    done = cli("robot", "new", str(file), "--force", "--lock", "finger_2=0.03")
+    assert tomllib.loads((tmp_path / "test_fox.toml").read_text())["locked_joints"]["finger_2"] == 0.03
+    assert cli("check", str(file), "--lock", "finger_2=0.03").stdout.count("mimics") == 0
+    done = cli("check", str(file), "--lock", "finger_2=wide")
+    assert done.returncode == 2
+    assert "write rad or m" in done.stderr
+
+
+def test_a_leg_joint_that_mimics_is_named_where_it_is_the_cause(cli, tmp_path):
+    file = tmp_path / "robot.urdf"
+    at = '<limit lower="-2.6" upper="-0.3" effort="90.0" velocity="14.0"/>'
+    text = quadruped()
+    assert text.count(at) == 4
+    file.write_text(text.replace(at, at + '<mimic joint="m02"/>'))
+    done = cli("robot", "new", str(file))
+    assert done.returncode == 2
+    assert 'joint "m03": it mimics "m02"' in done.stderr
+    assert "remove <mimic> to let it move by itself" in done.stderr
+    assert cli("check", str(file)).returncode == 0
+
+
+def test_roles_may_be_named(cli, tmp_path):
+    """The remedy that errors name can be taken: legs that point upwards at zero are no legs by their geometry."""
+    text = quadruped()
+    for number in range(4):
+        place = text.index(f'<joint name="m{number}2"')
+        end = text.index('xyz="0.0 ', place)
+        text = text[:end] + 'rpy="0 3.0 0" ' + text[end:]
+    file = tmp_path / "robot.urdf"
+    file.write_text(text)
+    done = cli("robot", "new", str(file))
+    assert done.returncode == 2
+    assert "--role SLOT=JOINT of robot new" in done.stderr
+    roles = [
+        f"{leg}_{role}=m{number}{joint}"
+        for number, leg in enumerate(("LF", "RF", "LH", "RH"))
+        for joint, role in enumerate(("HAA", "HFE", "KFE"), start=1)
+    ]
+    done = cli("robot", "new", str(file), *(word for role in roles for word in ("--role", role)))
+    assert done.returncode == 0, done.stderr
+    config = tomllib.loads((tmp_path / "test_fox.toml").read_text())
+    assert {f"{slot}={joint}" for slot, joint in config["joint_roles"].items()} == set(roles)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links ask for rights there")
+def test_links_in_a_circle_are_no_bug(cli, tmp_path, fox):
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    for line in (
+        ["check", "loop"],
+        ["robot", "new", "loop"],
+        ["robot", "new", "loop/robot.urdf"],
+        ["robot", "new", str(fox), "--out", "loop/test_fox.toml"],
+        ["robot", "new", str(fox), "--package-dir", "a=loop", "--force"],
+    ):
+        done = cli(*line)
+        assert "bug" not in done.stderr, done.stderr
+        assert done.returncode == (0 if "a=loop" in line else 2), (line, done.stderr)
+
+
+def test_meshes_are_summed_up(cli, tmp_path):
+    text = quadruped().replace('<sphere radius="0.025"/>', f'<mesh filename="{tmp_path}/pad.obj"/>')
+    corners = [(x, y, z) for x in (-0.02, 0.02) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+    (tmp_path / "pad.obj").write_text(vertices + "".join(f"f {i} {i} {i}\n" for i in range(1, 9)))
+    file = tmp_path / "robot.urdf"
+    file.write_text(text)
+    done = cli("robot", "new", str(file))
+    assert "4 meshes are taken as convex hulls" in done.stdout
+    assert f"`polypod check {file}` lists them" in done.stdout
+    assert "taken as the convex hull of" not in done.stdout + done.stderr
+    assert cli("check", str(file)).stdout.count("is taken as the convex hull of 8 of its 8 vertices") == 4
+    with pytest.warns(UserWarning) as caught:
+        polypod.Simulation(file)
+    assert [str(warning.message).count("4 meshes are taken") for warning in caught] == [1]
 
 
 def test_changes_of_robots_may_be_set(cli, fox):

@@ -15,6 +15,9 @@ pub(super) struct Check {
     /// Where a ROS package of `package://` names lies; may be given several times.
     #[arg(long = "package-dir", value_name = "NAME=DIR", value_parser = package_dir)]
     package_dirs: Vec<(String, PathBuf)>,
+    /// Holds a joint at a position, rad or m; may be given several times.
+    #[arg(long = "lock", value_name = "JOINT=POSITION", value_parser = lock, allow_hyphen_values = true)]
+    locks: Vec<(String, f64)>,
 }
 
 fn package_dir(text: &str) -> Result<(String, PathBuf), String> {
@@ -24,9 +27,18 @@ fn package_dir(text: &str) -> Result<(String, PathBuf), String> {
     }
 }
 
+fn lock(text: &str) -> Result<(String, f64), String> {
+    let lock = text.rsplit_once('=').and_then(|(joint, position)| Some((joint.to_string(), position.parse().ok()?)));
+    lock.filter(|(joint, _)| !joint.is_empty()).ok_or_else(|| "write JOINT=POSITION, in rad or m".to_string())
+}
+
 impl Check {
     pub(super) fn run(self) -> anyhow::Result<()> {
-        let options = LoadOptions { package_dirs: self.package_dirs.into_iter().collect(), ..LoadOptions::default() };
+        let options = LoadOptions {
+            package_dirs: self.package_dirs.into_iter().collect(),
+            locked_joints: self.locks.into_iter().collect(),
+            ..LoadOptions::default()
+        };
         let text = check(&self.file, &options).map_err(Error::from)?;
         std::io::stdout().lock().write_all(text.as_bytes())?;
         Ok(())

@@ -6,7 +6,7 @@ use clap::Args;
 use polypod::Error;
 use polypod::config::Library;
 use polypod::morphology::MorphologyModel;
-use polypod::robot::Geometry;
+use polypod::robot::{Geometry, summed_up};
 
 /// Arguments of `inspect`.
 #[derive(Args)]
@@ -77,7 +77,7 @@ impl Inspect {
                 shapes.join(", ")
             )?;
         }
-        for warning in &model.warnings {
+        for warning in summed_up(&model.warnings) {
             writeln!(out, "\nwarning: {warning}")?;
         }
         Ok(())

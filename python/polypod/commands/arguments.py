@@ -21,6 +21,7 @@ RobotNames = Annotated[str | None, arg(aliases=("--robot",), metavar="A,B,C")]
 Velocity = Annotated[tuple[float, float, float] | None, arg(metavar="VX VY WZ")]
 Overrides = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
 PackageDirs = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME=DIR")]
+Locks = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="JOINT=POSITION")]
 
 
 def names(text: str | None) -> list[str] | None:
@@ -65,6 +66,17 @@ def pairs(texts: Sequence[str], flag: str, metavar: str) -> dict[str, str]:
 def package_dirs(texts: Sequence[str]) -> dict[str, str]:
     """Folders of ROS packages by name, of NAME=DIR pairs. Raises ConfigError."""
     return pairs(texts, "--package-dir", "NAME=DIR")
+
+
+def locked_joints(texts: Sequence[str]) -> dict[str, float]:
+    """Positions of joints that are held, of JOINT=POSITION pairs. Raises ConfigError."""
+    positions = {}
+    for joint, text in pairs(texts, "--lock", "JOINT=POSITION").items():
+        try:
+            positions[joint] = float(text)
+        except ValueError:
+            raise _core.ConfigError(f"--lock {joint}={text}: {text} is no position; write rad or m") from None
+    return positions
 
 
 def write_json(path: Path | None, content: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from polypod.commands.arguments import Name, PackageDirs, arg, package_dirs, pairs
+from polypod.commands.arguments import Locks, Name, PackageDirs, arg, locked_joints, package_dirs, pairs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,6 +26,10 @@ class Robot:
     """Where a ROS package of `package://` names lies. May be repeated."""
     foot: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="LEG=LINK")] = ()
     """The link that is the foot of a leg, where the URDF does not tell: LF=toe_link. May be repeated."""
+    role: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="SLOT=JOINT")] = ()
+    """The joint of a slot, where geometry does not tell: LF_HFE=thigh_joint. May be repeated."""
+    lock: Locks = ()
+    """Holds a joint at a position, rad or m: an arm, a payload. May be repeated."""
     force: bool = False
     """Write over a file that is there."""
 
@@ -34,8 +38,16 @@ class Robot:
         from polypod import new_robot
 
         feet = pairs(self.foot, "--foot", "LEG=LINK")
-        folders = package_dirs(self.package_dir)
-        new = new_robot.new_robot(self.file, self.out, self.name, folders, feet, force=self.force)
+        new = new_robot.new_robot(
+            self.file,
+            self.out,
+            self.name,
+            package_dirs(self.package_dir),
+            feet,
+            joint_roles=pairs(self.role, "--role", "SLOT=JOINT"),
+            locked_joints=locked_joints(self.lock),
+            force=self.force,
+        )
         print(new.path)
         for note in new.notes:
             print(f"  {note}")

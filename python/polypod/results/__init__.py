@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from polypod import documents
+from polypod.files import real_path
 from polypod.results import pictures, tables
 from polypod.results.runs import Results, read
 
@@ -45,6 +46,6 @@ def write(
 
 
 def _relative(file: Path, document: Path) -> str:
-    folder = document.resolve().parent
-    place = file.resolve()
+    folder = real_path(document).parent
+    place = real_path(file)
     return place.relative_to(folder).as_posix() if place.is_relative_to(folder) else place.as_posix()

@@ -11,7 +11,7 @@ from typing import Any, get_args, get_origin
 
 from polypod import _core
 from polypod.compat import tomllib
-from polypod.files import read_bytes
+from polypod.files import read_bytes, real_path
 from polypod.training.manifest import MAX_LAYER, Activation, check_size
 from polypod.training.schema import (
     ALTERNATE,
@@ -138,7 +138,7 @@ def _read_path(name: str, path: Path) -> "_core.TrainFile":
         raise _core.ConfigError(f"cannot read train config {name[:80]}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise _core.ConfigError(f"train config {name} is no text in UTF-8: {error}; save it as UTF-8") from error
-    return {"text": text, "id": str(path.resolve()), "folder": str(path.parent)}
+    return {"text": text, "id": str(real_path(path)), "folder": str(path.parent)}
 
 
 def _read_tables(name: str, text: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any
 from polypod import _core
 from polypod.evaluation import evaluate_checkpoint
 from polypod.extras import package
+from polypod.files import real_path
 from polypod.training import run_dir, session
 from polypod.training.report import Reporter
 from polypod.training.workers import LostWorkerError, Workers, is_among_workers
@@ -106,8 +107,8 @@ def absolute(options: session.Options) -> session.Options:
         task=None if options.task is None else run_dir.source(options.task),
         robots=None if options.robots is None else [run_dir.source(robot) for robot in options.robots],
         train_config=None if options.train_config is None else run_dir.source(options.train_config),
-        init=None if options.init is None else options.init.resolve(),
-        log_dir=options.log_dir.resolve(),
+        init=None if options.init is None else real_path(options.init),
+        log_dir=real_path(options.log_dir),
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from polypod import _core
-from polypod.files import read_bytes
+from polypod.files import read_bytes, real_path
 from polypod.state import State
 from polypod.terms import Reward
 
@@ -66,7 +66,7 @@ def load(path: Path) -> PythonTerms:
         if not callable(term):
             raise _core.ConfigError(f"--terms {path}: terminations[{name!r}] is no function of the state")
     return PythonTerms(
-        path.resolve(),
+        real_path(path),
         hashlib.sha256(data).hexdigest(),
         {name: replace(term, function=_named(path, name, term.function)) for name, term in rewards.items()},
         {name: _named(path, name, term) for name, term in terminations.items()},
@@ -88,7 +88,7 @@ def _named(path: Path, name: str, function: Callable[[State], Any]) -> Callable[
 def _failed(path: Path, what: str, error: Exception) -> _core.ConfigError:
     """An error of the user's code, with the innermost line of the file that led to it."""
     frames = [
-        frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).resolve() == path.resolve()
+        frame for frame in traceback.extract_tb(error.__traceback__) if real_path(frame.filename) == real_path(path)
     ]
     line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else frames[-1].lineno if frames else None
     where = f"{path}, line {line}" if line else str(path)

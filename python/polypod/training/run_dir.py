@@ -30,7 +30,7 @@ import tomli_w
 import torch
 
 from polypod import _core
-from polypod.files import read_bytes, remove_stale, write_bytes, write_text
+from polypod.files import read_bytes, real_path, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.training import manifest
 from polypod.training.python_terms import PythonTerms
@@ -335,7 +335,7 @@ def _checkpoints(run: Path) -> list[Path]:
 
 def source(name: str) -> str:
     """How to find a robot or task again from any directory: its name, or the absolute path of its config."""
-    return str(Path(name).resolve()) if name.endswith(".toml") else name
+    return str(real_path(name)) if name.endswith(".toml") else name
 
 
 def _is_known(task: str) -> bool:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from polypod import _core, bundled
+from polypod.files import real_path
 from polypod.observation import check_memory, layout_of, terms_of
 from polypod.training.manifest import read as read_manifest
 
@@ -216,7 +217,7 @@ class TrainConfig:
         """The config with the absolute path of its teacher, so that a run goes on from any directory."""
         if self.distillation is None:
             return self
-        teacher = str(bundled.resolve(Path(self.distillation.teacher)).resolve())
+        teacher = str(real_path(bundled.resolve(Path(self.distillation.teacher))))
         return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":

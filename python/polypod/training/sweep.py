@@ -19,7 +19,7 @@ from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import evaluate_checkpoint
 from polypod.extras import package
-from polypod.files import read_bytes, write_text
+from polypod.files import read_bytes, real_path, write_text
 from polypod.training import run_dir, session
 from polypod.training.report import Reporter
 from polypod.training.schema import TrainConfig
@@ -138,7 +138,7 @@ def read(file: Path, folder: Path) -> Sweep:
 
 def _trial(own: Mapping[str, Any], group: str, seed: int, base: Path, folder: Path) -> Trial:
     def placed(name: str) -> str:
-        return str((base / name).resolve()) if name.endswith(".toml") else name
+        return str(real_path(base / name)) if name.endswith(".toml") else name
 
     options = {key: value for key, value in own.items() if key != "set"}
     for key in ("task", "train_config"):
@@ -146,8 +146,10 @@ def _trial(own: Mapping[str, Any], group: str, seed: int, base: Path, folder: Pa
             options[key] = placed(options[key])
     if "robots" in options:
         options["robots"] = [placed(robot) for robot in options["robots"]]
-    run = (folder / group / f"seed_{seed}").resolve()
-    found = session.Options(**options, seed=seed, overrides=list(own.get("set", ())), run=run, log_dir=folder.resolve())
+    run = real_path(folder / group / f"seed_{seed}")
+    found = session.Options(
+        **options, seed=seed, overrides=list(own.get("set", ())), run=run, log_dir=real_path(folder)
+    )
     try:
         plan = session.new_plan(found)
     except _core.PolypodError as error:
@@ -247,7 +249,7 @@ def run_on_ray(sweep: Sweep, address: str, reporter: Reporter) -> int:
         tune_config=tune.TuneConfig(metric=METRIC, mode="min", scheduler=scheduler),
         run_config=tune.RunConfig(
             name=f"{sweep.folder.name}_ray",
-            storage_path=str(sweep.folder.resolve().parent),
+            storage_path=str(real_path(sweep.folder).parent),
             failure_config=tune.FailureConfig(max_failures=on_ray.MOST_FAILURES),
             verbose=1,
         ),
