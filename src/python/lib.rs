@@ -20,7 +20,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use exceptions::{guarded, to_python, value_error};
-use polypod::config::Library;
+use polypod::config::{EARTH_GRAVITY, Library};
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
 use polypod::learner::Worker;
@@ -178,6 +178,7 @@ fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("EARTH_GRAVITY", EARTH_GRAVITY)?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
     module.add_class::<simulation::Simulation>()?;
