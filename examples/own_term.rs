@@ -11,13 +11,13 @@ use serde::Deserialize;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BaseHeight {
-    /// Height above the env's origin that is asked for, m.
+    /// Height above the ground that is asked for, m.
     target_height: f32,
 }
 
 /// Squared deviation of the base's height, m^2.
 fn base_height_squared(p: &BaseHeight, robot: &RobotView) -> f32 {
-    let error = robot.pose.position[2] - p.target_height;
+    let error = robot.base_height() - p.target_height;
     error * error
 }
 

@@ -120,13 +120,16 @@ fn spread(mut x: u64) -> u64 {
 /// How far the episode is and how the last one ended.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Episode {
-    /// Control steps since the last reset.
+    /// Control steps that count towards the time-out: those since the reset, unless a caller has set another number.
     pub length: u32,
+    /// Control steps since the reset.
+    pub lived: u32,
     /// The episode ended in a state that counts as failure, in the present control step.
     pub terminated: bool,
     /// The episode ran out of time, in the present control step.
     pub truncated: bool,
-    /// Terms that ended it, as bits in the order of the task's terminations.
+    /// Terms that ended it, as bits: that of the guard against broken states, then in the order of the task's terminations. None where a
+    /// caller ended it.
     pub causes: u32,
     /// The env is to be reset before it goes on.
     pub needs_reset: bool,
@@ -203,7 +206,7 @@ pub struct EpisodeSums {
 /// Pose of the base link.
 #[derive(Component, Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct BasePose {
-    /// m, relative to the env's origin.
+    /// m: x and y relative to the env's origin, z in the world.
     pub position: [f32; 3],
     /// Unit quaternion w, x, y, z.
     pub rotation: [f32; 4],
@@ -392,7 +395,7 @@ impl ContactForces {
 /// Where the feet are and how they move.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Feet {
-    /// Centres of the foot spheres, m, relative to the env's origin.
+    /// Centres of the foot spheres, m: x and y relative to the env's origin, z in the world.
     pub position: PerFoot<[f32; 3]>,
     /// World axes, m/s.
     pub velocity: PerFoot<[f32; 3]>,
@@ -404,13 +407,6 @@ impl Feet {
     /// So many, at rest at the origin.
     pub fn zeros(feet: usize) -> Self {
         Self { position: smallvec![[0.0; 3]; feet], velocity: smallvec![[0.0; 3]; feet], height: smallvec![0.0; feet] }
-    }
-
-    /// As if they were at rest at the origin.
-    pub fn clear(&mut self) {
-        self.position.fill([0.0; 3]);
-        self.velocity.fill([0.0; 3]);
-        self.height.fill(0.0);
     }
 }
 
@@ -489,7 +485,7 @@ pub struct Imu {
     pub linear_velocity: [f32; 3],
     /// Base axes, rad/s.
     pub angular_velocity: [f32; 3],
-    /// Unit vector of gravity, base axes.
+    /// Unit vector of gravity, base axes; zeros without gravity.
     pub projected_gravity: [f32; 3],
     /// Heading of the base's x axis in the world, rad.
     pub heading: f32,

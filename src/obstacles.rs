@@ -7,7 +7,7 @@ use bevy_math::{EulerRot, Quat, Vec3};
 use glam::DVec3;
 
 use crate::config::{ObstacleConfig, TerrainConfig};
-use crate::terrain;
+use crate::terrain::{self, Mesh};
 
 /// One convex or triangulated part of an obstacle.
 #[derive(Clone)]
@@ -96,6 +96,42 @@ pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
             surface.map(|surface| part(surface, Vec3::ZERO, Quat::IDENTITY, reach)).into_iter().collect()
         }
     }
+}
+
+/// Half the side of a plane that is open somewhere, m: farther than a robot walks in an episode, about any env's origin.
+pub(crate) const FLOOR: f32 = 500.0;
+
+/// The plane at height zero with these rectangles left out; `None` without any, when it is whole.
+pub(crate) fn floor(pits: &[[[f64; 2]; 2]]) -> Option<Part> {
+    if pits.is_empty() {
+        return None;
+    }
+    // cut along all edges of all rectangles, so that neighbouring pieces share their corners
+    let cuts = |axis: usize| {
+        let mut cuts: Vec<f32> = pits.iter().flatten().map(|corner| corner[axis] as f32).collect();
+        cuts.extend([-FLOOR, FLOOR]);
+        cuts.retain(|x| x.abs() <= FLOOR);
+        cuts.sort_unstable_by(f32::total_cmp);
+        cuts.dedup();
+        cuts
+    };
+    let (x, y) = (cuts(0), cuts(1));
+    let is_open = |middle: [f32; 2]| {
+        pits.iter()
+            .any(|[low, high]| (0..2).all(|axis| low[axis] as f32 <= middle[axis] && middle[axis] <= high[axis] as f32))
+    };
+    let mut mesh = Mesh::default();
+    for along_x in x.windows(2) {
+        for along_y in y.windows(2) {
+            if !is_open([0.5 * (along_x[0] + along_x[1]), 0.5 * (along_y[0] + along_y[1])]) {
+                let edges = |cuts: &[f32]| [f64::from(cuts[0]), f64::from(cuts[1])];
+                mesh.top(edges(along_x), edges(along_y), 0.0);
+            }
+        }
+    }
+    let vertices = mesh.vertices.into_iter().map(Vec3::from_array).collect();
+    let collider = Collider::try_trimesh(vertices, mesh.triangles).ok()?;
+    Some(Part { collider, position: Position::default(), rotation: Rotation::default(), reach: FLOOR })
 }
 
 /// Generated terrain as one part: all tiles and the border.

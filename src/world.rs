@@ -9,7 +9,7 @@ use std::time::Duration;
 use avian3d::collider_tree::ColliderTreeOptimization;
 use avian3d::prelude::{
     ActiveCollisionHooks, CoefficientCombine, Collider, ColliderOf, CollisionHooks, Friction, Gravity, PhysicsPlugins,
-    Position, Restitution, RigidBody, SpatialQuery, SpatialQueryFilter,
+    Position, Restitution, RigidBody, SimpleCollider, SpatialQuery, SpatialQueryFilter,
 };
 use bevy_app::{App, PluginGroup};
 use bevy_ecs::prelude::*;
@@ -41,6 +41,11 @@ enum WorldError {
         "scene.terrain: no collider can be made of the tile in row {0}, column {1}; change its sub-terrain's numbers"
     )]
     NoTile(u32, u32),
+    /// An obstacle has no part above the ground.
+    #[error(
+        "scene.obstacles[{0}]: all of it is below the ground, which covers it; raise it, or make pits with a heightfield"
+    )]
+    Buried(usize),
     /// The terrain is too large or the obstacles are too far apart for one grid.
     #[error(
         "scene: a grid of {0} x {1} heights would be needed for terrain and obstacles; make it smaller or move them \
@@ -70,6 +75,8 @@ pub struct ObstacleCollider {
     pub index: usize,
     /// Radius about its position that holds the collider, m.
     reach: f32,
+    /// Height of the collider's highest point, m.
+    top: f32,
 }
 
 /// Marks the colliders of generated terrain.
@@ -119,7 +126,7 @@ pub fn build(world: &mut World, config: &TaskConfig) -> Result<Ground, Error> {
         world.spawn((
             GroundCollider,
             RigidBody::Static,
-            Collider::half_space(Vec3::Z),
+            obstacles::floor(&scene.pits()).map_or_else(|| Collider::half_space(Vec3::Z), |part| part.collider),
             surface(ground),
             // a collider takes its scale from this component, and zero without it
             GlobalTransform::IDENTITY,
@@ -127,8 +134,9 @@ pub fn build(world: &mut World, config: &TaskConfig) -> Result<Ground, Error> {
     }
     for (index, obstacle) in scene.obstacles.iter().enumerate() {
         for part in obstacles::parts(obstacle) {
+            let top = part.collider.aabb(part.position.0, part.rotation).max.z + FLUSH;
             world.spawn((
-                ObstacleCollider { index, reach: part.reach },
+                ObstacleCollider { index, reach: part.reach, top },
                 RigidBody::Static,
                 part.collider,
                 part.position,
@@ -179,6 +187,8 @@ pub struct Ground {
     pub height: f64,
     /// m/s^2, world axes.
     pub gravity: [f64; 3],
+    /// Unit vector of [`gravity`](Self::gravity), world axes; zeros without gravity.
+    pub down: [f32; 3],
     /// Heights where there is terrain or obstacles stand, in the frame in which envs have their [`EnvOrigin`].
     pub terrain: Option<Arc<HeightGrid>>,
     /// The tiles of generated terrain.
@@ -188,6 +198,19 @@ pub struct Ground {
 }
 
 impl Ground {
+    /// Acceleration of free fall, m/s^2.
+    pub fn free_fall(&self) -> f32 {
+        length(&self.gravity) as f32
+    }
+
+    /// Height below a place about an env's origin, m.
+    #[inline(always)]
+    pub fn height_at(&self, origin: &EnvOrigin, place: [f32; 2]) -> f32 {
+        let mut height = [0.0];
+        self.heights_at(origin, std::iter::once(place), &mut height);
+        height[0]
+    }
+
     /// Heights below places about an env's origin, m, as many as there is room for.
     #[inline(always)]
     pub fn heights_at(&self, origin: &EnvOrigin, places: impl Iterator<Item = [f32; 2]>, heights: &mut [f32]) {
@@ -237,6 +260,9 @@ pub(crate) fn step_world(world: &mut World, seconds: f64) {
     world.resource_mut::<Time>().advance_by(step);
     world.run_schedule(UpdateWorld);
 }
+
+/// An obstacle whose top is below the ground by no more than this is level with it, m.
+const FLUSH: f32 = 1e-5;
 
 /// Height from which rays look for the ground, m.
 const RAY_START: f32 = 100.0;
@@ -289,23 +315,45 @@ fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldEr
     let mut rays: SystemState<SpatialQuery> = SystemState::new(world);
     let query = rays.get(world).map_err(|_| WorldError::NoGround)?;
     let bare = SpatialQueryFilter::from_excluded_entities(obstacles.iter().map(|(entity, ..)| *entity));
-    let (hit, height) = below(&query, [0.0; 2], &bare).ok_or(WorldError::NoGround)?;
-    // the border of terrain, and what lies beyond, is at height 0
-    let height = if layout.is_some() { 0.0 } else { height };
-    let terrain = bake_terrain(&query, &tiles, &obstacles, scene.grid_cell as f32, height)?;
+    // a plane that is open somewhere is not open at its corners
+    let is_whole = scene.pits().is_empty();
+    let place = if is_whole { [0.0; 2] } else { [-0.9 * obstacles::FLOOR; 2] };
+    let (hit, height) = below(&query, place, &bare).ok_or(WorldError::NoGround)?;
+    // triangles are at height 0: those of a plane with pits, and the border of terrain with what lies beyond
+    let height = if layout.is_none() && is_whole { height } else { 0.0 };
+    let plane = layout.is_none().then_some((hit, height));
+    if let Some((_, ground)) = plane {
+        let is_above = |index: usize| obstacles.iter().any(|(_, o, _)| o.index == index && o.top >= ground);
+        if let Some(index) = (0..scene.obstacles.len()).find(|index| !is_above(*index)) {
+            return Err(WorldError::Buried(index));
+        }
+    }
+    let terrain = bake_terrain(&query, &tiles, &obstacles, scene.grid_cell as f32, height, plane)?;
     let (friction, restitution) = world
         .query::<(&Friction, &Restitution)>()
         .get(world, hit)
         .map(|(friction, restitution)| (*friction, *restitution))
         .map_err(|_| WorldError::NoGround)?;
+    let gravity = world.resource::<Gravity>().0.to_array().map(f64::from);
     Ok(Ground {
         height: f64::from(height),
-        gravity: world.resource::<Gravity>().0.to_array().map(f64::from),
+        gravity,
+        down: direction(&gravity),
         terrain: terrain.map(Arc::new),
         layout,
         friction,
         restitution,
     })
+}
+
+fn length(vector: &[f64; 3]) -> f64 {
+    vector.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Unit vector along a vector; zeros for zeros.
+fn direction(vector: &[f64; 3]) -> [f32; 3] {
+    let length = length(vector);
+    vector.map(|x| if length > 0.0 { (x / length) as f32 } else { 0.0 })
 }
 
 /// The highest collider at a place, and its height, m.
@@ -314,13 +362,15 @@ pub fn below(query: &SpatialQuery, [x, y]: [f32; 2], filter: &SpatialQueryFilter
     Some((hit.entity, RAY_START - hit.distance))
 }
 
-/// The heights of tiles, from the triangles of their colliders, and of obstacles, by rays.
+/// The heights of tiles, from the triangles of their colliders, and of obstacles, by rays. `plane` are the plane and its exact height, if
+/// the ground is one.
 fn bake_terrain(
     query: &SpatialQuery,
     tiles: &[(Mesh, [f32; 2])],
     obstacles: &[(Entity, ObstacleCollider, Vec3)],
     cell: f32,
     ground: f32,
+    plane: Option<(Entity, f32)>,
 ) -> Result<Option<HeightGrid>, WorldError> {
     if tiles.is_empty() && obstacles.is_empty() {
         return Ok(None);
@@ -357,8 +407,9 @@ fn bake_terrain(
         for i in rows {
             for j in columns.clone() {
                 let place = [x + i as f32 * cell, y + j as f32 * cell];
-                if let Some((_, height)) = below(query, place, &all) {
-                    grid.set_height(i, j, height);
+                if let Some((hit, height)) = below(query, place, &all) {
+                    let exact = plane.filter(|(plane, _)| *plane == hit).map_or(height, |(_, exact)| exact);
+                    grid.set_height(i, j, exact);
                 }
             }
         }

@@ -63,25 +63,35 @@ struct LevelRules {
     /// Share of the commanded distance below which a robot moves to an easier level.
     #[serde(default = "half", deserialize_with = "values::non_negative")]
     required_share: f64,
+    /// Length that an episode must have had for a robot to move to an easier level, s. A shorter one does not show what the robot can do.
+    #[serde(default = "one", deserialize_with = "values::non_negative")]
+    min_length_s: f64,
 }
 
 fn half() -> f64 {
     0.5
 }
 
+fn one() -> f64 {
+    1.0
+}
+
 /// A robot that left its tile moves to a harder level, one that fell behind its command to an easier one; from beyond the
 /// hardest it moves to any.
+///
+/// The commanded distance is that of the time which the robot was given: a fall leaves the rest of the episode unused, while an end from
+/// outside or a late start takes it away.
 fn terrain_levels(p: &LevelRules, end: &mut EpisodeEnd, rng: &mut EnvRng) {
     let Some(layout) = end.layout else {
         return;
     };
     let length = |x: f32, y: f32| (x * x + y * y).sqrt();
     let walked = length(end.pose.position[0], end.pose.position[1]);
-    let asked = length(end.command.velocity[0], end.command.velocity[1]) * end.episode_length_s;
+    let asked = length(end.command.velocity[0], end.command.velocity[1]) * end.given_s;
     let level = end.origin.terrain_level;
     let next = if walked > 0.5 * layout.size[0] {
         level + 1
-    } else if walked < asked * p.required_share as f32 {
+    } else if walked < asked * p.required_share as f32 && end.lived_s >= p.min_length_s as f32 {
         level.saturating_sub(1)
     } else {
         return;

@@ -5,7 +5,7 @@ use bevy_ecs::prelude::*;
 use super::faults;
 use super::terms::CompiledTask;
 use super::view::{RobotView, ViewParam};
-use crate::components::{ContactForces, Env, Episode, Robot};
+use crate::components::{ContactForces, Env, Episode, PerFoot, Robot};
 use crate::error::Error;
 use crate::morphology::{BatchSlots, Morphologies};
 use crate::rows::Rows;
@@ -14,15 +14,17 @@ use crate::workers::{MatrixRows, Workers};
 /// One quantity of every robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StateField {
-    /// Base position relative to the env's origin, m.
+    /// Base position relative to the env's origin, which lies on the ground, m.
     BasePos,
+    /// Height of the base above the ground, m: see [`RobotView::base_height`].
+    BaseHeight,
     /// Base orientation w, x, y, z.
     BaseQuat,
     /// Velocity of the base's centre of mass, base axes, m/s.
     BaseLinVel,
     /// Base axes, rad/s.
     BaseAngVel,
-    /// Unit vector of gravity, base axes.
+    /// Unit vector of gravity, base axes; zeros without gravity.
     ProjectedGravity,
     /// Joint positions, canonical order, rad.
     JointPos,
@@ -38,6 +40,8 @@ pub enum StateField {
     ContactForces,
     /// Centres of the feet relative to the env's origin, m.
     FeetPos,
+    /// Heights of the feet's centres above the ground below them, m.
+    FeetHeight,
     /// World axes, m/s.
     FeetVel,
     /// How long each foot has been in the air, s.
@@ -56,8 +60,9 @@ pub enum StateField {
 
 impl StateField {
     /// All of them.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 21] = [
         Self::BasePos,
+        Self::BaseHeight,
         Self::BaseQuat,
         Self::BaseLinVel,
         Self::BaseAngVel,
@@ -69,6 +74,7 @@ impl StateField {
         Self::DefaultJointPos,
         Self::ContactForces,
         Self::FeetPos,
+        Self::FeetHeight,
         Self::FeetVel,
         Self::FeetAirTime,
         Self::FeetContactTime,
@@ -82,6 +88,7 @@ impl StateField {
     pub fn name(self) -> &'static str {
         match self {
             Self::BasePos => "base_pos",
+            Self::BaseHeight => "base_height",
             Self::BaseQuat => "base_quat",
             Self::BaseLinVel => "base_lin_vel",
             Self::BaseAngVel => "base_ang_vel",
@@ -93,6 +100,7 @@ impl StateField {
             Self::DefaultJointPos => "default_joint_pos",
             Self::ContactForces => "contact_forces",
             Self::FeetPos => "feet_pos",
+            Self::FeetHeight => "feet_height",
             Self::FeetVel => "feet_vel",
             Self::FeetAirTime => "feet_air_time",
             Self::FeetContactTime => "feet_contact_time",
@@ -106,10 +114,10 @@ impl StateField {
     /// Numbers per robot in a batch with these columns.
     pub fn width(self, slots: &BatchSlots) -> usize {
         match self {
-            Self::Valid => 1,
+            Self::Valid | Self::BaseHeight => 1,
             Self::BasePos | Self::BaseLinVel | Self::BaseAngVel | Self::ProjectedGravity | Self::Command => 3,
             Self::BaseQuat => 4,
-            Self::FeetAirTime | Self::FeetContactTime => slots.feet.len(),
+            Self::FeetHeight | Self::FeetAirTime | Self::FeetContactTime => slots.feet.len(),
             Self::ContactForces | Self::FeetPos | Self::FeetVel => 3 * slots.feet.len(),
             Self::JointPos
             | Self::JointVel
@@ -138,13 +146,16 @@ impl StateField {
                 out[3 * column..][..3].copy_from_slice(value);
             }
         };
-        let times = |out: &mut [f32], values: &[f32]| {
+        let by_foot = |out: &mut [f32], values: &[f32]| {
             for (column, value) in r.morphology.foot_columns.iter().zip(values) {
                 out[*column] = *value;
             }
         };
+        let origin = || r.ground.height_at(r.origin, [0.0; 2]);
+        let about = |origin: f32, [x, y, z]: [f32; 3]| [x, y, z - origin];
         match self {
-            Self::BasePos => out.copy_from_slice(&r.pose.position),
+            Self::BasePos => out.copy_from_slice(&about(origin(), r.pose.position)),
+            Self::BaseHeight => out[0] = r.base_height(),
             Self::BaseQuat => out.copy_from_slice(&r.pose.rotation),
             Self::BaseLinVel => out.copy_from_slice(&r.imu.linear_velocity),
             Self::BaseAngVel => out.copy_from_slice(&r.imu.angular_velocity),
@@ -155,10 +166,15 @@ impl StateField {
             Self::JointEffort => joints(out, &r.effort.applied),
             Self::DefaultJointPos => joints(out, &r.stance.default_position),
             Self::ContactForces => feet(out, &forces.feet),
-            Self::FeetPos => feet(out, &r.feet.position),
+            Self::FeetPos => {
+                let origin = origin();
+                let positions: PerFoot<[f32; 3]> = r.feet.position.iter().map(|&foot| about(origin, foot)).collect();
+                feet(out, &positions);
+            }
+            Self::FeetHeight => by_foot(out, &r.feet.height),
             Self::FeetVel => feet(out, &r.feet.velocity),
-            Self::FeetAirTime => times(out, &r.contacts.air_time),
-            Self::FeetContactTime => times(out, &r.contacts.contact_time),
+            Self::FeetAirTime => by_foot(out, &r.contacts.air_time),
+            Self::FeetContactTime => by_foot(out, &r.contacts.contact_time),
             Self::Command => out.copy_from_slice(r.command),
             Self::LastAction => actions(out, &r.action.current),
             Self::PreviousAction => actions(out, &r.action.previous),

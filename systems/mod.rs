@@ -42,6 +42,7 @@ mod logs;
 mod mirror;
 mod observe;
 mod physics;
+mod place;
 mod privileged;
 mod reset;
 mod reward;
@@ -162,6 +163,8 @@ pub enum ResetSet {
     Bodies,
     /// States, targets, commands and sums of these envs.
     Envs,
+    /// Their robots are lifted above the ground, and their feet placed.
+    Place,
     /// Their sensors.
     Sensors,
     /// Their mirrors.
@@ -261,6 +264,7 @@ impl Plugin for PipelinePlugin {
                     ResetSet::Log,
                     ResetSet::Bodies,
                     ResetSet::Envs,
+                    ResetSet::Place,
                     ResetSet::Sensors,
                     ResetSet::Mirror,
                 )

@@ -332,8 +332,8 @@ const MORPHOLOGY_BLOCKS: [Block; 7] = [
 /// What body this is, each number of the order of one: total mass / 50 kg; distance of the hips along and across the
 /// base, m; upper and lower leg and offset of the hip, mean over the legs, m; radians per unit of action; then per role
 /// (HAA, HFE, KFE), mean over the legs: stiffness / 100, damping / 5, effort limit / 100, armature * 10, and the torque
-/// of one unit of action / weight / leg length; the default joint positions in canonical order, rad; the spawn height,
-/// m.
+/// of one unit of action / weight / leg length, 0 without gravity; the default joint positions in canonical order, rad;
+/// the spawn height, m.
 ///
 /// Randomised bodies describe themselves as they are.
 fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
@@ -343,7 +343,7 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
     let length = |v: &[f32; 3]| v[0].mul_add(v[0], v[1].mul_add(v[1], v[2] * v[2])).sqrt();
     let joint = |role: usize, leg: usize| joints[role][leg];
     let mean = |f: &dyn Fn(usize) -> f32| (f(0) + f(1) + f(2) + f(3)) * 0.25;
-    let mass = body.total_mass();
+    let (mass, free_fall) = (body.total_mass(), r.ground.free_fall());
     // legs come in the order LF, LH, RF, RH
     let hip = |leg: usize| body.joint_offset[joint(0, leg)];
     let along = 0.5 * (hip(0)[0] + hip(2)[0] - hip(1)[0] - hip(3)[0]);
@@ -357,7 +357,8 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
         let damping = mean(&|leg| body.damping[joint(role, leg)]);
         let effort = mean(&|leg| model.max_effort(joint(role, leg), body));
         let armature = mean(&|leg| body.armature[joint(role, leg)]);
-        let authority = stiffness * stance.action_scale / (mass * 9.81 * (upper + lower));
+        let torque = stiffness * stance.action_scale;
+        let authority = if free_fall > 0.0 { torque / (mass * free_fall * (upper + lower)) } else { 0.0 };
         out[7 + 5 * role..12 + 5 * role].copy_from_slice(&[
             stiffness / 100.0,
             damping / 5.0,

@@ -55,8 +55,10 @@ fn make_engine(
         EngineKind::Avian => {
             let obstacles = config.scene.obstacles.iter().flat_map(obstacles::parts);
             let terrain = config.scene.terrain.as_ref().and_then(obstacles::terrain);
-            let statics = obstacles.chain(terrain).collect();
-            (EngineChoice::Avian(config.physics.avian_substeps as usize, statics), on_plane.then_some(level))
+            let floor = obstacles::floor(&config.scene.pits());
+            let plane = Some(level).filter(|_| on_plane && floor.is_none());
+            let statics = obstacles.chain(terrain).chain(floor).collect();
+            (EngineChoice::Avian(config.physics.avian_substeps as usize, statics), plane)
         }
     };
     let settings = StepSettings {

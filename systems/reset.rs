@@ -7,14 +7,15 @@ use serde::Deserialize;
 use super::ResetRequest;
 use super::command::{draw_command, heading, steer};
 use super::disturb::{EXTERNAL_WRENCH, WrenchRanges};
+use super::place::place_robots;
 use super::startup::is_due;
 use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, NoParams, Registry};
 use super::view::{EpisodeEnd, NewState};
 use super::{ResetSet, for_both, startup};
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
-    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
-    JointTargets, Morphology, Robot, Stance,
+    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, JointEffort, JointState, JointTargets,
+    Morphology, Robot, Stance,
 };
 use crate::config::JointPositionMode;
 use crate::morphology::Morphologies;
@@ -29,7 +30,13 @@ pub struct ResetPlugin;
 
 impl Plugin for ResetPlugin {
     fn build(&self, app: &mut App) {
-        for_both(app, || (startup::reset_bodies.in_set(ResetSet::Bodies), reset_envs.in_set(ResetSet::Envs)));
+        for_both(app, || {
+            (
+                startup::reset_bodies.in_set(ResetSet::Bodies),
+                reset_envs.in_set(ResetSet::Envs),
+                place_robots.in_set(ResetSet::Place),
+            )
+        });
     }
 }
 
@@ -48,7 +55,6 @@ type RobotColumns = (
     &'static mut JointEffort,
     &'static mut ConstraintImpulses,
     &'static mut ContactForces,
-    &'static mut Feet,
     &'static mut ExternalWrench,
 );
 
@@ -62,11 +68,10 @@ type EnvColumns = (
     &'static mut EnvOrigin,
 );
 
-/// Half the side of the square about the base's origin in which a robot begins above everything, m.
-const FOOTPRINT: f32 = 0.5;
-
-/// Resets what is due: state, targets, delays, timers, sums and command, each from the env's own stream. Sensors follow, see
-/// [`Sensor::begin`](super::Sensor::begin).
+/// Resets what is due: state, targets, delays, timers, sums and command, each from the env's own stream.
+///
+/// What belongs to a physics step (efforts, accelerations, contact forces, impulses) is zero: none has been made. What follows from the
+/// state is computed for the new one afterwards, by [`place_robots`] and [`Sensor::begin`](super::Sensor::begin).
 pub(super) fn reset_envs(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
@@ -91,17 +96,16 @@ pub(super) fn reset_envs(
         efforts,
         impulses,
         forces,
-        feet,
         wrenches,
     ) = robots.write()?;
     let of_kind = (tags, bodies, stances);
     let motion = (poses, velocities, joints);
     let drive = (actions, targets, delays, memories, wrenches);
-    let report = (efforts, impulses, forces, feet);
+    let report = (efforts, impulses, forces);
     let rows = (of_kind, motion, drive, report, envs.write()?);
     workers.for_each_chunk(rows, tags.len(), |_, n, (of_kind, motion, drive, report, envs)| {
         let ((tags, bodies, stances), (poses, velocities, joints)) = (of_kind, motion);
-        let ((actions, targets, delays, memories, wrenches), (efforts, impulses, forces, feet)) = (drive, report);
+        let ((actions, targets, delays, memories, wrenches), (efforts, impulses, forces)) = (drive, report);
         let (episodes, rngs, commands, timers, sums, origins) = envs;
         for i in 0..n {
             if !is_due(&episodes[i], *autoreset, *request) {
@@ -111,12 +115,22 @@ pub(super) fn reset_envs(
             let (rng, stance) = (&mut rngs[i], &stances[i]);
             let (pose, velocity, joints) = (&mut poses[i], &mut velocities[i], &mut joints[i]);
             let origin = &mut origins[i];
-            if episodes[i].length > 0 {
+            // a caller's reset in the middle of an episode says nothing of the robot
+            if episodes[i].lived > 0 && (episodes[i].done() || !request.0) {
+                let episode = &episodes[i];
+                let seconds = |steps: u32| steps as f32 * task.step_dt;
+                // what a fall leaves of the episode counts as the robot's
+                let left = match task.has_failed(episode.causes) {
+                    true => task.max_episode_length.saturating_sub(episode.length),
+                    false => 0,
+                };
                 let mut end = EpisodeEnd {
-                    episode: &episodes[i],
+                    episode,
                     pose,
                     command: &commands[i],
-                    episode_length_s: task.max_episode_length as f32 * task.step_dt,
+                    episode_length_s: seconds(task.max_episode_length),
+                    lived_s: seconds(episode.lived),
+                    given_s: seconds(episode.lived + left),
                     layout: ground.layout.as_ref(),
                     origin,
                 };
@@ -142,11 +156,6 @@ pub(super) fn reset_envs(
             for event in &task.reset_events {
                 event(&mut NewState { morphology, pose, velocity, joints, delay, wrench, body }, rng);
             }
-            if let Some(terrain) = &ground.terrain {
-                let ([x, y, z], [x0, y0]) = (&mut pose.position, origin.position);
-                *z += terrain.highest_near(x0 + *x, y0 + *y, FOOTPRINT) - ground.height as f32;
-            }
-
             actions[i].current.fill(0.0);
             actions[i].previous.fill(0.0);
             for past in &mut targets[i].history {
@@ -157,8 +166,6 @@ pub(super) fn reset_envs(
             efforts[i].acceleration.fill(0.0);
             impulses[i].contacts.clear();
             impulses[i].bounds.fill(0.0);
-            feet[i].clear();
-
             forces[i].clear();
 
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {

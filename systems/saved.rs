@@ -166,7 +166,7 @@ const MAX_COUNT: u32 = u32::MAX / 2;
 
 impl Saved for Episode {
     fn fits(&self, _: &Self, _: &Place) -> bool {
-        self.length <= MAX_COUNT
+        self.length.max(self.lived) <= MAX_COUNT
     }
 }
 

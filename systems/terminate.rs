@@ -47,9 +47,10 @@ pub(super) fn end_episodes(
             let view = views.get(first + i);
             let pending = *autoreset == Autoreset::NextStep && episode.needs_reset;
             if pending {
-                (episode.terminated, episode.truncated, episode.causes) = (false, false, 0);
+                (episode.terminated, episode.truncated) = (false, false);
             } else {
                 episode.length += 1;
+                episode.lived += 1;
                 episode.invalid = !is_allowed(&task.limits, &view);
                 episode.terminated = episode.invalid;
                 episode.causes = u32::from(episode.invalid);
@@ -102,7 +103,7 @@ struct ContactThreshold {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Tilt {
-    /// Angle between the base's z axis and the vertical that ends the episode, rad.
+    /// Angle between the base's z axis and the direction against gravity that ends the episode, rad.
     limit_angle: Angle,
 }
 
@@ -154,8 +155,9 @@ fn illegal_contact(p: &BodiesInContact, view: &RobotView, _: &Episode, _: u32) -
 }
 
 fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
-    // the angle of gravity from the base's downward axis, without an inverse cosine
-    -view.imu.projected_gravity[2] < p.limit_angle.cos
+    let gravity = view.imu.projected_gravity;
+    // the angle of gravity from the base's downward axis, without an inverse cosine; without gravity there is no vertical
+    -gravity[2] < p.limit_angle.cos && gravity != [0.0; 3]
 }
 
 fn root_height_below_minimum(p: &LeastHeight, view: &RobotView, _: &Episode, _: u32) -> bool {

@@ -21,7 +21,7 @@ pub struct RobotView<'a> {
     pub morphology: &'a MorphologyModel,
     /// Forward and left velocity (m/s) and yaw rate (rad/s) that it is to follow, base frame.
     pub command: &'a [f32; 3],
-    /// Pose of the base, position relative to the env's origin.
+    /// Pose of the base; see [`base_height`](Self::base_height) for its height above the ground.
     pub pose: &'a BasePose,
     /// Velocity of the base.
     pub velocity: &'a BaseVelocity,
@@ -45,6 +45,10 @@ pub struct RobotView<'a> {
     pub body: &'a Parameters<f32>,
     /// Default pose and action scale of this body.
     pub stance: &'a Stance,
+    /// What the robots stand on, and gravity.
+    pub ground: &'a Ground,
+    /// Where the env is on the ground.
+    pub origin: &'a EnvOrigin,
     /// Whether the episode ends as failed in this step. Rewards alone know: for other terms it is false.
     pub terminated: bool,
     /// Length of a control step, s.
@@ -52,13 +56,16 @@ pub struct RobotView<'a> {
 }
 
 impl RobotView<'_> {
-    /// Height of the base above the env's origin, m; above the mean of the ground below the height scanner's rays where the
-    /// task has one, as Isaac Lab does.
+    /// Height of the base's origin above the ground below it, m; above the mean of the ground below the height scanner's rays
+    /// where the task has one, as Isaac Lab does.
     #[inline(always)]
     pub fn base_height(&self) -> f32 {
-        let scan = self.height_scan;
-        let ground = if scan.is_empty() { 0.0 } else { scan.iter().sum::<f32>() / scan.len() as f32 };
-        self.pose.position[2] - ground
+        let (scan, [x, y, z]) = (self.height_scan, self.pose.position);
+        let ground = match scan.len() {
+            0 => self.ground.height_at(self.origin, [x, y]),
+            rays => scan.iter().sum::<f32>() / rays as f32,
+        };
+        z - ground
     }
 }
 
@@ -66,8 +73,9 @@ impl RobotView<'_> {
 #[derive(SystemParam)]
 pub(super) struct ViewParam<'w, 's> {
     morphologies: Res<'w, Morphologies>,
+    ground: Res<'w, Ground>,
     robots: Rows<'w, 's, RobotColumns, Robot>,
-    commands: Rows<'w, 's, &'static Command, Env>,
+    envs: Rows<'w, 's, (&'static Command, &'static EnvOrigin), Env>,
     imus: Rows<'w, 's, &'static Imu, Imu>,
     contacts: Rows<'w, 's, &'static ContactSensor, ContactSensor>,
     scans: Rows<'w, 's, &'static HeightScan, HeightScan>,
@@ -90,10 +98,13 @@ type RobotColumns = (
 impl ViewParam<'_, '_> {
     pub(super) fn views(&self, step_dt: f32) -> Result<Views<'_>, Error> {
         let (tags, poses, velocities, joints, efforts, actions, feet, bodies, stances) = self.robots.read()?;
+        let (commands, origins) = self.envs.read()?;
         Ok(Views {
             morphologies: &self.morphologies,
+            ground: &self.ground,
             tags,
-            commands: self.commands.read()?,
+            commands,
+            origins,
             poses,
             velocities,
             imus: self.imus.read()?,
@@ -115,8 +126,10 @@ impl ViewParam<'_, '_> {
 #[derive(Clone, Copy)]
 pub(super) struct Views<'a> {
     morphologies: &'a Morphologies,
+    ground: &'a Ground,
     pub(super) tags: &'a [Morphology],
     commands: &'a [Command],
+    origins: &'a [EnvOrigin],
     poses: &'a [BasePose],
     velocities: &'a [BaseVelocity],
     imus: &'a [Imu],
@@ -154,6 +167,8 @@ impl<'a> Views<'a> {
             joint_descriptors: self.descriptors.get(env).map_or(&[], |of| &of.numbers),
             body: &self.bodies[env].0,
             stance: &self.stances[env],
+            ground: self.ground,
+            origin: &self.origins[env],
             terminated: false,
             step_dt: self.step_dt,
         }
@@ -185,8 +200,8 @@ impl NewBody<'_> {
 pub struct NewState<'a> {
     /// What kind of robot it is.
     pub morphology: &'a MorphologyModel,
-    /// Pose of the base; starts at the env's origin, at the spawn height, level. Afterwards it is lifted onto
-    /// what stands there.
+    /// Pose of the base; starts at the env's origin, at the spawn height above level ground, level. Afterwards it is lifted onto
+    /// what stands there, and further until no collision shape is nearer to the ground than the reset's `spawn_margin`.
     pub pose: &'a mut BasePose,
     /// Velocity of the base; starts at rest.
     pub velocity: &'a mut BaseVelocity,
@@ -210,6 +225,11 @@ pub struct EpisodeEnd<'a> {
     pub command: &'a Command,
     /// Length of a full episode, s.
     pub episode_length_s: f32,
+    /// Time since the episode's reset, s.
+    pub lived_s: f32,
+    /// Time that the robot was given, s: all until the time-out where a termination of the task ended the episode, and `lived_s` where the
+    /// time ran out or a caller ended it.
+    pub given_s: f32,
     /// The tiles, if the ground is generated terrain.
     pub layout: Option<&'a TerrainLayout>,
     /// Where the next episode begins.

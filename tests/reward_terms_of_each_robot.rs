@@ -2,11 +2,12 @@
 //! worked out by hand.
 
 use polypod::components::{
-    Action, BasePose, BaseVelocity, ContactSensor, Feet, Imu, JointEffort, JointState, PerJoint,
+    Action, BasePose, BaseVelocity, ContactSensor, EnvOrigin, Feet, Imu, JointEffort, JointState, PerJoint,
 };
 use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
 use polypod::systems::RobotView;
+use polypod::world::Ground;
 use polypod::{Sim, SimOptions};
 use smallvec::smallvec;
 
@@ -192,6 +193,8 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 joint_descriptors: &[],
                 body: &model.nominal,
                 stance: &model.stance,
+                ground: sim.world().resource::<Ground>(),
+                origin: &EnvOrigin::default(),
                 terminated: false,
                 step_dt: 0.02,
             };

@@ -2,7 +2,7 @@
 
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
-use polypod::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, EnvRng, Feet, HeightScan};
+use polypod::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, EnvRng, Episode, Feet, HeightScan};
 use polypod::config::{Library, SubTerrainShape, TerrainConfig};
 use polypod::dynamics::HeightGrid;
 use polypod::terrain::{TerrainLayout, generate};
@@ -337,6 +337,9 @@ fn levels_follow_what_a_robot_walked() {
             (pose.position[0], pose.position[1]) = (0.6 * walked, -0.8 * walked);
         }
         sim.set_episode_lengths(&[last; 80]).unwrap();
+        for mut episode in sim.world_mut().query::<&mut Episode>().iter_mut(sim.world_mut()) {
+            episode.lived = last as u32;
+        }
         sim.step(&vec![0.0; 80 * 12]).unwrap();
         assert!((0..80).all(|env| sim.batch().truncated[env] || sim.batch().terminated[env]));
         by_env::<EnvOrigin>(sim).iter().map(|origin| origin.terrain_level).collect()

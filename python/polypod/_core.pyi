@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 __version__: str
+EARTH_GRAVITY: float
+"""m/s^2, of tasks and simulations that say nothing else."""
 
 class PolypodError(Exception):
     """The root of every exception that polypod raises on purpose."""
@@ -81,6 +83,8 @@ class TerrainEntry(TypedDict):
     """[m, 3], three vertices each."""
     tiles: list[tuple[int, int, str, tuple[float, float]]]
     """Level (row), column, type and middle of each tile."""
+    pits: list[tuple[tuple[float, float], tuple[float, float]]]
+    """Rectangles of heightfields that reach below the plane: smallest and largest x and y, about the same origin."""
 
 class CoreInfo(TypedDict):
     version: str
@@ -294,6 +298,8 @@ class VecSim:
     """Control steps until an episode is truncated."""
     step_dt: float
     """Seconds between control steps."""
+    gravity: tuple[float, float, float]
+    """Of the task, m/s^2, world axes."""
     robots: list[str]
     """Names of the robots, in the order of their blocks of envs."""
     canonical_joint_names: list[str]

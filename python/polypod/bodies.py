@@ -20,7 +20,7 @@ from polypod.files import new_folder, write_text
 KINDS = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
 """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
 TASK = "velocity_flat_generated"
-GRAVITY = 9.81
+GRAVITY = _core.EARTH_GRAVITY
 """m/s^2."""
 
 Vector = tuple[float, float, float]

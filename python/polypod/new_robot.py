@@ -27,8 +27,6 @@ STIFFER = 1.5
 TRIES = 4
 CARRIED = 0.95
 """Least share of the weight that the feet of a standing robot carry: the rest lies on its belly or its knees."""
-GRAVITY = 9.81
-"""m/s^2."""
 SETTLED = 1.0
 """At the end of standing, in which the weight is measured, s."""
 
@@ -161,9 +159,10 @@ def stand(robot: Path) -> Standing:
             carried.append(env.state.contact_forces.reshape(NUM_ENVS, -1, 3)[:, :, 2].sum(axis=1))
         up = ~fallen if not fallen.all() else np.ones_like(fallen)
         gap = np.abs(env.state.joint_pos - env.state.default_joint_pos)[up].mean(axis=0)
-        height = float(env.state.base_pos[up, 2].mean())
+        height = float(env.state.base_height[up].mean())
         last = carried[-round(SETTLED / env.step_dt) :]
-        share = float(np.mean(last, axis=0).min()) / (info["mass"] * GRAVITY) if last else 0.0
+        weight = info["mass"] * float(np.linalg.norm(env.sim.gravity))
+        share = float(np.mean(last, axis=0).min()) / weight if last else 0.0
         return Standing(int(fallen.sum()), float(gap.max()), height, share)
     finally:
         env.close()

@@ -20,7 +20,9 @@ class State:
 
     Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order of `VectorEnv.feet_names` with
     x, y, z side by side: twelve joints and LF, LH, RF, RH for quadrupeds. What a robot lacks is 0, see `action_mask`.
-    Base axes: x forward, y left, z up. Rows whose state broke (`valid` is False) are zeros.
+    Base axes: x forward, y left, z up. After a reset all is computed for the new state; accelerations, efforts, contact
+    forces and times, which belong to physics steps, are 0: none has been made. Rows whose state broke (`valid` is
+    False) are zeros.
     """
 
     def __init__(self, sim: Callable[[], _core.VecSim]) -> None:
@@ -29,8 +31,19 @@ class State:
 
     @property
     def base_pos(self) -> FloatArray:
-        """[num_envs, 3], position of the base relative to the env's origin, m."""
+        """[num_envs, 3], position of the base relative to the env's origin, m.
+
+        The origin lies on the ground (`VecSim.env_origins`): on terrain at the height of the tile's middle.
+        """
         return self._sim().state("base_pos")
+
+    @property
+    def base_height(self) -> FloatArray:
+        """[num_envs], height of the base above the ground below it, m.
+
+        Where the task has a height scanner: above the mean of the ground below its rays.
+        """
+        return self._sim().state("base_height")[:, 0]
 
     @property
     def base_quat(self) -> FloatArray:
@@ -49,7 +62,7 @@ class State:
 
     @property
     def projected_gravity(self) -> FloatArray:
-        """[num_envs, 3], unit vector of gravity, base axes."""
+        """[num_envs, 3], unit vector of gravity, base axes; zeros without gravity."""
         return self._sim().state("projected_gravity")
 
     @property
@@ -86,6 +99,11 @@ class State:
     def feet_pos(self) -> FloatArray:
         """[num_envs, 3 feet], centre of each foot relative to the env's origin, m."""
         return self._sim().state("feet_pos")
+
+    @property
+    def feet_height(self) -> FloatArray:
+        """[num_envs, feet], height of each foot's centre above the ground below it, m."""
+        return self._sim().state("feet_height")
 
     @property
     def feet_vel(self) -> FloatArray:

@@ -3,7 +3,7 @@
 >>> import polypod
 >>> from polypod.terms import CustomTerms, Reward
 >>> def base_height_l2(state):
-...     return (state.base_pos[:, 2] - 0.3) ** 2
+...     return (state.base_height - 0.3) ** 2
 >>> env = polypod.make("velocity_flat", num_envs=256, robots=["unitree_go2"], autoreset="disabled")
 >>> env = CustomTerms(env, rewards={"base_height_l2": Reward(base_height_l2, weight=-10.0)})
 """

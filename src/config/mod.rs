@@ -30,9 +30,9 @@ pub use robot::{
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
 pub use task::{
-    AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EngineKind, EventConfig, EventMode, HeightScannerConfig,
-    MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig,
-    SimConfig, TaskConfig, VelocityCommandConfig,
+    AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EngineKind, EventConfig, EventMode,
+    HeightScannerConfig, MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig,
+    RewardConfig, SensorsConfig, SimConfig, TaskConfig, VelocityCommandConfig,
 };
 pub use terrain::{
     BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,

@@ -13,11 +13,14 @@ use crate::robot::{Surface, read_surface};
 /// More triangles than this are no obstacle but a scan.
 const MOST_TRIANGLES: usize = 250_000;
 
+/// Heights that are below the ground by no more than this are level with it, m.
+const FLUSH: f64 = 1e-6;
+
 /// What the robots stand on.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SceneConfig {
-    /// An infinite plane at z = 0; with terrain only its surface counts.
+    /// An infinite plane at z = 0, open where a heightfield reaches below it; with terrain only its surface counts.
     pub ground: GroundConfig,
     /// Generated ground, in place of the plane, with the ground's surface.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -185,7 +188,8 @@ pub enum ObstacleConfig {
         #[serde(default)]
         triangles: Vec<[u32; 3]>,
     },
-    /// A surface over a rectangle, two triangles between four heights.
+    /// A surface over a rectangle, two triangles between four heights. Where some are below the ground, there is no plane in the
+    /// rectangle.
     Heightfield {
         /// Edge lengths along x and y, m.
         size: [f64; 2],
@@ -216,9 +220,17 @@ impl SceneConfig {
             }
         }
         self.obstacles.iter().enumerate().find_map(|(i, obstacle)| {
-            let (problem, remedy) = obstacle.problem()?;
+            let covered = obstacle.pit().filter(|_| self.terrain.is_some()).map(|_| {
+                ("it has heights below 0, where generated terrain covers it", "raise it, or leave out scene.terrain")
+            });
+            let (problem, remedy) = obstacle.problem().or(covered)?;
             Some((format!("scene.obstacles[{i}]"), problem, remedy))
         })
+    }
+
+    /// Rectangles in which the plane is open, see [`ObstacleConfig::pit`].
+    pub fn pits(&self) -> Vec<[[f64; 2]; 2]> {
+        self.obstacles.iter().filter_map(ObstacleConfig::pit).collect()
     }
 }
 
@@ -235,6 +247,17 @@ impl ObstacleConfig {
             | Self::Mesh { position, rpy, .. }
             | Self::Heightfield { position, rpy, .. } => (*position, *rpy),
         }
+    }
+
+    /// The rectangle of a heightfield that reaches below the ground, as its corners of smallest and largest x and y, m: the plane is open
+    /// there, and the field's heights are the ground.
+    pub fn pit(&self) -> Option<[[f64; 2]; 2]> {
+        let Self::Heightfield { size, heights, position: [x, y, z], .. } = self else {
+            return None;
+        };
+        let lowest = heights.iter().flatten().fold(f64::INFINITY, |low: f64, height| low.min(*height));
+        let half = size.map(|edge| 0.5 * edge);
+        (z + lowest < -FLUSH).then_some([[x - half[0], y - half[1]], [x + half[0], y + half[1]]])
     }
 
     fn problem(&self) -> Option<(&'static str, &'static str)> {
@@ -273,6 +296,8 @@ impl ObstacleConfig {
                     Some(("its heights are not a table of at least two by two", "write rows of equal length"))
                 } else if !heights.iter().flatten().all(|x| x.is_finite()) {
                     Some(("a height of it is not finite", "write finite numbers"))
+                } else if self.pit().is_some() && rpy != [0.0; 3] {
+                    Some(("it is turned and has heights below 0, the ground's", "leave out its rpy, or raise it"))
                 } else {
                     None
                 }

@@ -100,8 +100,11 @@ impl SimConfig {
     }
 }
 
+/// Gravity of tasks and simulations that say nothing else, m/s^2.
+pub const EARTH_GRAVITY: f64 = 9.81;
+
 fn earth_gravity() -> [f64; 3] {
-    [0.0, 0.0, -9.81]
+    [0.0, 0.0, -EARTH_GRAVITY]
 }
 
 fn env_spacing() -> f64 {

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use glam::{DMat3, DVec3};
 
 use super::quadruped::Legs;
+use crate::config::EARTH_GRAVITY;
 use crate::robot::{Joint, LEGS, Model, Pose};
 
 /// Share of thigh and shank together by which the foot lies below the hip. This and the next two are the pose in which most
@@ -26,8 +27,8 @@ const ITERATIONS: u32 = 60;
 pub(super) const ROUNDS: u32 = 3;
 /// A foot that comes this near is where it should be, m.
 pub(super) const REACHED: f64 = 1e-3;
-/// Standard gravity, m/s^2.
-pub(super) const GRAVITY: f64 = 9.81;
+/// A robot is drafted to stand on Earth, m/s^2.
+pub(super) const GRAVITY: f64 = EARTH_GRAVITY;
 
 /// A pose with bent knees in which all feet stand level, behind and outside the hips, about the centre of mass.
 pub(super) struct Stance {

@@ -21,7 +21,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use exceptions::{guarded, to_python, unsigned, value_error, whole};
-use polypod::config::Library;
+use polypod::config::{EARTH_GRAVITY, Library};
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
 use polypod::learner::Worker;
@@ -250,6 +250,7 @@ fn load_numpy(py: Python<'_>) -> PyResult<()> {
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     load_numpy(module.py())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("EARTH_GRAVITY", EARTH_GRAVITY)?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
     module.add_class::<simulation::Simulation>()?;

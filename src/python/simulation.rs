@@ -13,6 +13,7 @@ use super::exceptions::{Guarded, optional_whole, to_python, type_error, unsigned
 use super::vec_sim::tuple;
 use polypod::AVIAN_SUBSTEPS;
 use polypod::Error;
+use polypod::config::EARTH_GRAVITY;
 use polypod::dynamics::SWEEPS;
 use polypod::dynamics::lanes::Simd;
 use polypod::robot::summed_up;
@@ -166,7 +167,7 @@ fn numbers_of_any_length(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f
 }
 
 // the signature below must say them in figures: Python prints names as `...`
-const _: () = assert!(SWEEPS == 4 && AVIAN_SUBSTEPS == 8);
+const _: () = assert!(SWEEPS == 4 && AVIAN_SUBSTEPS == 8 && EARTH_GRAVITY == 9.81);
 
 #[pymethods]
 impl Simulation {

@@ -56,5 +56,7 @@ pub(super) fn entry<'py>(
     dict.set_item("vertices", PyArray1::from_vec(py, vertices).reshape(rows(mesh.vertices.len()))?)?;
     dict.set_item("triangles", PyArray1::from_vec(py, triangles).reshape(rows(mesh.triangles.len()))?)?;
     dict.set_item("tiles", tiles)?;
+    let pits = config.scene.pits().into_iter().map(|[low, high]| (low.into(), high.into()));
+    dict.set_item("pits", pits.collect::<Vec<((f64, f64), (f64, f64))>>())?;
     Ok(Some(dict))
 }

@@ -279,6 +279,11 @@ impl VecSim {
     fn step_dt(&self) -> f64 {
         self.sim.task().config.sim.step_dt()
     }
+    #[doc = docstring!("VecSim.gravity")]
+    #[getter]
+    fn gravity(&self) -> (f64, f64, f64) {
+        self.sim.task().config.sim.gravity.into()
+    }
     #[doc = docstring!("VecSim.robots")]
     #[getter]
     fn robots(&self) -> Vec<&str> {

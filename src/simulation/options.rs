@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT, check_threads};
-use crate::config::{AVIAN_SUBSTEPS, EngineKind};
+use crate::config::{AVIAN_SUBSTEPS, EARTH_GRAVITY, EngineKind};
 use crate::dynamics::SWEEPS;
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
@@ -72,7 +72,7 @@ impl SimulationOptions {
             num_envs,
             dt: 0.005,
             ground: Some([0.0, 0.0, 1.0]),
-            gravity: [0.0, 0.0, -9.81],
+            gravity: [0.0, 0.0, -EARTH_GRAVITY],
             engine: "articulated".into(),
             fixed_base: false,
             package_dirs: BTreeMap::new(),

@@ -31,7 +31,7 @@ impl Mesh {
     }
 
     /// A level rectangle.
-    pub(super) fn top(&mut self, [x0, x1]: [f64; 2], [y0, y1]: [f64; 2], z: f64) {
+    pub(crate) fn top(&mut self, [x0, x1]: [f64; 2], [y0, y1]: [f64; 2], z: f64) {
         self.quad([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]);
     }
 

@@ -48,7 +48,7 @@ impl Kernel<f32> for FeetRows<'_> {
 impl Feet {
     /// Their heights above the ground, from where they are.
     #[inline(always)]
-    fn measure(&mut self, ground: &Ground, origin: &EnvOrigin) {
+    pub(in crate::systems) fn measure(&mut self, ground: &Ground, origin: &EnvOrigin) {
         let Self { position, height, .. } = self;
         ground.heights_at(origin, position.iter().map(|[x, y, _]| [*x, *y]), height);
         for ([_, _, z], height) in position.iter().zip(height) {

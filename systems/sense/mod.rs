@@ -38,7 +38,7 @@ pub struct SensedRobot<'a> {
     pub morphology: &'a MorphologyModel,
     /// Where the env is on the ground.
     pub origin: &'a EnvOrigin,
-    /// Pose of the base, position relative to the env's origin.
+    /// Pose of the base.
     pub pose: &'a BasePose,
     /// Velocity of the base.
     pub velocity: &'a BaseVelocity,

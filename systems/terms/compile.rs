@@ -129,6 +129,9 @@ impl ActionDelay {
     }
 }
 
+/// Terms that end episodes, each with a bit of [`Episode::causes`](crate::components::Episode::causes), whose first bit is that of the guard.
+const MOST_TERMINATIONS: usize = u32::BITS as usize - 1;
+
 /// Name under which the guard against broken states appears among the terminations.
 const ILLEGAL_STATE: &str = "illegal_state";
 
@@ -211,6 +214,11 @@ impl CompiledTask {
             let (time_out, build) = find(&registry.terminations, name, file, &element, "termination")?;
             let ends = build(file, &element, params)?;
             terminations.push(TerminationTerm { name: name.clone(), time_out: *time_out, ends });
+        }
+        if terminations.len() > MOST_TERMINATIONS {
+            let problem = format!("there are {} terms", terminations.len());
+            let remedy = format!("name {MOST_TERMINATIONS} at most: let one term look for several reasons");
+            return Err(ConfigError::invalid(file, "terminations", problem, remedy));
         }
         let velocity = &config.commands.base_velocity;
         let commands = morphologies.0.iter().map(|robot| robot.config.velocity_commands(velocity));
@@ -353,6 +361,12 @@ impl CompiledTask {
     /// Interval events that each env keeps a timer for.
     pub fn num_interval_events(&self) -> usize {
         self.interval_events.len()
+    }
+
+    /// Whether causes of an end hold a failure, see [`Episode::causes`](crate::components::Episode::causes).
+    pub(in crate::systems) fn has_failed(&self, causes: u32) -> bool {
+        let of_terms = self.terminations.iter().enumerate().filter(|(_, term)| !term.time_out);
+        of_terms.fold(1, |failures: u32, (bit, _)| failures | 1 << (bit + 1)) & causes != 0
     }
 
     /// Names of the bits of [`Episode::causes`](crate::components::Episode::causes).

@@ -22,6 +22,7 @@ WIDTHS = {
     "default_joint_pos": 12,
     "contact_forces": 12,
     "feet_pos": 12,
+    "feet_height": 4,
     "feet_vel": 12,
     "feet_air_time": 4,
     "feet_contact_time": 4,
@@ -39,7 +40,7 @@ def fields():
 def test_the_state_is_dense_and_a_copy(make, actions):
     env = make(autoreset="disabled")
     env.reset(seed=3)
-    assert fields() == {*WIDTHS, "valid", "episode_length", "action_mask"}
+    assert fields() == {*WIDTHS, "base_height", "valid", "episode_length", "action_mask"}
     env.step(actions(env, 0))
     before = {}
     for name, width in WIDTHS.items():
@@ -49,6 +50,8 @@ def test_the_state_is_dense_and_a_copy(make, actions):
         assert values.flags.c_contiguous, name
         assert np.isfinite(values).all(), name
         before[name] = (values, values.copy())
+    # above the plane, on which the envs' origins lie
+    np.testing.assert_array_equal(env.state.base_height, env.state.base_pos[:, 2])
     assert env.state.valid.all()
     assert env.state.action_mask.all()
     assert env.state.valid.dtype == np.bool_

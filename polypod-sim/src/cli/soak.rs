@@ -257,7 +257,8 @@ impl Energy {
             Simulation::new(&SimulationOptions { ground: None, self_collision: Some(false), ..options.clone() })?;
         set_extremes(&mut alone, model)?;
         let none = vec![Won { energy: 0.0, least: 0.0 }; alone.num_envs()];
-        Ok(Self { dt: options.dt, weight: alone.total_mass() * 9.81, alone, total: none.clone(), contacts: none })
+        let free_fall = options.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+        Ok(Self { dt: options.dt, weight: alone.total_mass() * free_fall, alone, total: none.clone(), contacts: none })
     }
 
     /// Starts anew.

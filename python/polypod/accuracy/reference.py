@@ -27,13 +27,14 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from polypod import _core
 from polypod._core import ConfigError
 from polypod.accuracy.robot import Actuators, Array, Robot
 from polypod.extras import package
 
 Integrator = Literal["implicitfast", "RK4"]
 
-GRAVITY = 9.81
+GRAVITY = _core.EARTH_GRAVITY
 """m/s^2."""
 
 

@@ -73,7 +73,7 @@ class RobotResult:
     """W, mechanical, of all joints: see `measures.joint_power`."""
     cost_of_transport: float
     """Energy of all episodes over weight times planar distance; the weight is that of the robot without random masses.
-    NaN for a robot that has not moved."""
+    NaN for a robot that has not moved or has no weight."""
     foot_slip: float
     """m/s, mean planar speed of the feet while they are in contact; NaN for one that never is."""
     terrain: dict[str, list[TileResult]] = dataclasses.field(default_factory=dict)
@@ -178,7 +178,7 @@ def robot_result(
         return float(np.mean(sums[key] / steps))
 
     success = _success(sums)
-    distance = float(sums["speed"].sum() * step_dt)
+    carried = weight * float(sums["speed"].sum() * step_dt)
     contact = float(sums["contact"].sum())
     return RobotResult(
         episodes=steps.size,
@@ -192,7 +192,7 @@ def robot_result(
         tracking_reward=float(sums["tracking"].mean() / length),
         episode_length_s=float(steps.mean() * step_dt),
         power=time_average("power"),
-        cost_of_transport=float(sums["power"].sum() * step_dt) / (weight * distance) if distance > 0.0 else math.nan,
+        cost_of_transport=float(sums["power"].sum() * step_dt) / carried if carried > 0.0 else math.nan,
         foot_slip=float(sums["slip"].sum()) / contact if contact > 0.0 else math.nan,
         terrain=_tiles(sums, success, kinds),
         commands=_commands(sums) if "command" in sums else [],

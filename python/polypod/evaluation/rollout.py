@@ -119,7 +119,7 @@ def evaluate(
     disturbances = _core.disturbances(name, changes)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
     masses = {robot: info["mass"] for robot, info in json.loads(sim.robot_info()).items()}
-    gravity = float(np.linalg.norm(tomllib.loads(sim.resolved_config())["task"]["sim"]["gravity"]))
+    gravity = float(np.linalg.norm(sim.gravity))
     results = {}
     for robot in sim.robots:
         envs = slice(*sim.env_ids(robot))

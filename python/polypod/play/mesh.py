@@ -37,6 +37,12 @@ class Mesh:
         both = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)[c != d]])
         return both.astype(np.uint32)
 
+    def split(self) -> tuple["Mesh", "Mesh"]:
+        """Its faces that reach above the ground, and those that reach below."""
+        heights = self.vertices[self.faces][..., 2]
+        above, below = heights.max(axis=1) > 0.0, heights.min(axis=1) < 0.0
+        return Mesh(self.vertices, self.faces[above]), Mesh(self.vertices, self.faces[below])
+
 
 def lit(corners: Array, camera: Array, light: Array) -> tuple[npt.NDArray[np.bool_], Array]:
     """Which faces with corners [n, 4, 3] look at the camera, [n], and how bright those are.
@@ -108,6 +114,23 @@ def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
         case _:
             parts = [shape(description)]
     return [part.moved(description["position"], turn) for part in parts]
+
+
+def floor(openings: Sequence[Array], half: float) -> Mesh:
+    """The plane at height zero up to `half` from the origin, m, without rectangles that are given by their outlines."""
+    cuts = []
+    for axis in (0, 1):
+        edges = [corner[axis] for outline in openings for corner in outline]
+        cuts.append(np.unique(np.clip([-half, half, *edges], -half, half)))
+    grid = np.zeros((len(cuts[0]), len(cuts[1]), 3))
+    grid[..., 0], grid[..., 1] = cuts[0][:, None], cuts[1][None, :]
+    plane = _grid(grid)
+    middles = plane.vertices[plane.faces][..., :2].mean(axis=1)
+    is_open = np.zeros(len(middles), dtype=np.bool_)
+    for outline in openings:
+        low, high = outline[:, :2].min(axis=0), outline[:, :2].max(axis=0)
+        is_open |= ((low < middles) & (middles < high)).all(axis=1)
+    return Mesh(plane.vertices, plane.faces[~is_open])
 
 
 def box(size: Sequence[float]) -> Mesh:

@@ -154,14 +154,22 @@ def render(
     if scene.ground is not None:
         away = [np.linalg.norm(robot.position[0][:2] - camera.target[:2]) for robot in robots]
         robots = [robot for robot, distance in zip(robots, away, strict=True) if distance < relief.RADIUS]
+    sunk: list[Mesh] = []
     for place in scene.obstacle_places(frame):
-        solids += [(part.moved(place, (1.0, 0.0, 0.0, 0.0)), OBSTACLE) for part in scene.obstacles]
+        for part in scene.obstacles:
+            placed = part.moved(place, (1.0, 0.0, 0.0, 0.0))
+            if scene.ground is None:
+                placed, below = placed.split()
+                sunk.append(below)
+            solids.append((placed, OBSTACLE))
     for robot in robots:
         for part in scene.parts[robot.name]:
             placed = part.mesh.moved(robot.position[part.link], robot.quaternion[part.link])
             solids.append((placed, color_of(part.group)))
     if scene.ground is None:
         _draw_ground(canvas, camera)
+        for outline in scene.openings(frame):
+            canvas.pit(outline, sunk, OBSTACLE)
         for solid, _ in solids:
             canvas.shadow(solid)
         for solid, color in solids:
@@ -212,7 +220,7 @@ class _Canvas:
         self._resampling = image.Resampling.BOX
         self.lens = Lens(camera, self._pixels)
         self._queue: list[tuple[float, list[tuple[float, float]], Color, int]] = []
-        self._new: Any = (image.fromarray, draw.Draw)
+        self._new: Any = (image.fromarray, draw.Draw, image.new)
 
     def paint(self, pixels: npt.NDArray[np.uint8]) -> None:
         """Replaces all that was drawn; [height, width, 3]."""
@@ -229,6 +237,22 @@ class _Canvas:
             self._draw.polygon(points, fill=color)
         else:
             self._queue.append((float(depth.mean()), points, color, 0))
+
+    def pit(self, outline: Array, solids: Sequence[Mesh], color: Color) -> None:
+        """What is seen of solids below the ground through an opening [n, 3] in it, drawn at once."""
+        pixels, depth = self.lens.project(outline)
+        if depth.min() <= NEAR:
+            return
+        above, self._image = self._image, self._new[2]("RGB", self._pixels, SHADOW)
+        self._draw = self._new[1](self._image)
+        for solid in solids:
+            self.solid(solid, color)
+        self.flush()
+        opening = self._new[2]("1", self._pixels)
+        self._new[1](opening).polygon([(x, y) for x, y in pixels.tolist()], fill=1)
+        above.paste(self._image, mask=opening)
+        self._image = above
+        self._draw = self._new[1](self._image)
 
     def shadow(self, solid: Mesh) -> None:
         """What a solid keeps from the ground, drawn at once."""

@@ -57,7 +57,7 @@ class RobotFrame:
     contacts: list[Contact]
     """Forces above 1 N."""
     weight: float
-    """N."""
+    """N; on Earth, where the task has no gravity."""
     command: Array
     """[3], commanded forward and left velocity, m/s, and yaw rate, rad/s."""
     velocity: Array
@@ -100,7 +100,10 @@ class Scene:
             part for description in config["scene"].get("obstacles", []) for part in mesh.obstacle(description)
         ]
         """Meshes of the scene; see `obstacle_places`."""
-        terrain = sim.terrain() if "terrain" in config["scene"] else None
+        entry = sim.terrain()
+        self.pits = [] if entry is None else entry["pits"]
+        """Rectangles about each of `obstacle_places` in which the plane is open, as `VecSim.terrain` has them."""
+        terrain = entry if "terrain" in config["scene"] else None
         self.ground = None if terrain is None else Ground(terrain)
         """The generated terrain on which all robots are; None without."""
         self.shared = self.ground is not None or config["scene"].get("placement") == "global"
@@ -110,7 +113,9 @@ class Scene:
         self.outlines = shapes
         """By robot, its entry of `VecSim.robot_shapes`."""
         self.parts = {robot: _parts(shapes[robot]) for robot in sim.robots}
-        self._weights = {robot: infos[robot]["mass"] * 9.81 for robot in sim.robots}
+        # without gravity arrows are as long as on Earth
+        free_fall = float(np.linalg.norm(sim.gravity)) or _core.EARTH_GRAVITY
+        self._weights = {robot: infos[robot]["mass"] * free_fall for robot in sim.robots}
         self.reach = {robot: _reach(sim.link_pose(robot)[0]) for robot in sim.robots}
         """From the base to the link that is farthest from it as the robot begins, m."""
         if spacing is None or self.obstacles:
@@ -136,6 +141,14 @@ class Scene:
         if not self.obstacles:
             return []
         return [np.zeros(3)] if self.shared else [robot.place for robot in frame.robots]
+
+    def openings(self, frame: Frame) -> list[Array]:
+        """Outlines [4, 3] of the pits in the plane, m, counter-clockwise from above."""
+        return [
+            place + np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
+            for place in self.obstacle_places(frame)
+            for (x0, y0), (x1, y1) in self.pits
+        ]
 
     def frame(self) -> Frame:
         """The present state."""

@@ -17,6 +17,7 @@ from polypod.play.avatar import Avatar
 from polypod.play.gate import Gate, open_server, wake_safely
 from polypod.play.ground import Ground
 from polypod.play.looks import Look, Model
+from polypod.play.mesh import floor
 from polypod.play.player import Player
 from polypod.play.raster import OBSTACLE, Color
 from polypod.play.scene import Frame
@@ -28,6 +29,9 @@ WORLD = "/world"
 """The node that all of the simulation hangs on. It moves against what is followed, and cameras stay where they are."""
 GROUP = "all robots"
 NOTHING = "nothing"
+PLANE = (214, 218, 222)
+FLOOR = 100.0
+"""Half the side of a plane with pits, m; one without is infinite."""
 FOLLOW = 0.1
 """Share of its distance by which the view comes nearer to what it follows, per shown frame."""
 FIELD_OF_VIEW = 0.75
@@ -208,7 +212,13 @@ class Viewer:
         scene = self._server.scene
         self._world = scene.add_frame(WORLD, show_axes=False)
         ground = f"{WORLD}/ground"
-        if self.player.ground is None:
+        openings = self.player.openings(frame)
+        if openings:
+            plane = floor(openings, FLOOR)
+            scene.add_mesh_simple(
+                ground, plane.vertices.astype(np.float32), plane.triangles(), color=PLANE, flat_shading=True
+            )
+        elif self.player.ground is None:
             scene.add_grid(
                 ground,
                 infinite_grid=True,
@@ -217,7 +227,7 @@ class Viewer:
                 section_color=(176, 182, 190),
                 cell_color=(198, 203, 209),
                 fade_distance=60.0,
-                plane_color=(214, 218, 222),
+                plane_color=PLANE,
                 plane_opacity=1.0,
                 shadow_opacity=0.35,
             )

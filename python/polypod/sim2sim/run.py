@@ -235,10 +235,10 @@ class _Episode:
             )
         self.seed = options.seed
         task = tomllib.loads(self.sim.resolved_config())["task"]
-        if task["scene"].get("obstacles") or abs(task["sim"]["gravity"][2] + reference.GRAVITY) > 1e-6:
+        if task["scene"].get("obstacles"):
             raise _core.ConfigError(
-                f"{self.sim.task_name}: MuJoCo is given the task's ground and gravity of {reference.GRAVITY} m/s^2; "
-                "compare in a task without obstacles"
+                f"{self.sim.task_name}: scene.obstacles: MuJoCo is given the task's ground and gravity; compare in a "
+                "task without obstacles"
             )
         self.terminations: dict[str, dict[str, Any]] = task["terminations"]
         self.heights = heights(self.sim)
@@ -399,6 +399,7 @@ def _run_mujoco(
         network_torques=functools.partial(episode.sim.network_torques, name),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
+        gravity=episode.sim.gravity,
         least_height=least_height,
         most_tilt=ends.get("bad_orientation", {}).get("limit_angle", np.pi),
     )

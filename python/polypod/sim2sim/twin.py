@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.accuracy.reference import Ground, Heights, Integrator, Reference, mujoco, states
+from polypod.accuracy.reference import GRAVITY, Ground, Heights, Integrator, Reference, mujoco, states
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
 from polypod.export.runtime import OnnxPolicy
@@ -76,6 +76,7 @@ class Twin:
         network_torques: NetworkTorques | None = None,
         heights: Heights | None = None,
         places: Array | None = None,
+        gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
         least_height: float = -np.inf,
         most_tilt: float = np.pi,
     ) -> None:
@@ -93,11 +94,15 @@ class Twin:
             network_torques: of the robot's actuator networks, one physics step of `physics_dt` after the other.
             heights: of the ground; None: a plane.
             places: [envs, 3], of the envs' origins on it, m; None: the world's origin.
-            least_height: of the base's origin above the ground below it; one that is lower has fallen, m.
-            most_tilt: of the base's z axis from the vertical; one that is farther has fallen, rad.
+            gravity: m/s^2, world axes.
+            least_height: see `base_height`; one that is lower has fallen, m.
+            most_tilt: of the base's z axis from the direction against gravity; one that is farther has fallen, rad.
         """
         ground = Ground(physics.friction, soft=physics.soft_contact, heights=heights)
-        self.reference = Reference.of(robot, dt=physics.dt, integrator=physics.integrator, ground=ground)
+        options = {"dt": physics.dt, "integrator": physics.integrator, "ground": ground, "gravity": gravity}
+        self.reference = Reference.of(robot, **options)
+        free_fall = float(np.linalg.norm(gravity))
+        self._down = np.array(gravity) / (free_fall or 1.0)
         self.robot, self.interface, self.policy = robot, interface, policy
         self.step_dt, self.physics_dt = step_dt, physics_dt
         self.substeps = round(step_dt / physics.dt)
@@ -159,7 +164,8 @@ class Twin:
             self._physics_step(substep, envs, fell)
         # as the task's terminations, once in a control step
         fell[envs] |= (self.base_height() < self.least_height)[envs]
-        fell[envs] |= (_rotation(self.qpos)[:, 2, 2] < self.least_upright)[envs]
+        if self._down.any():
+            fell[envs] |= (-self.projected_gravity()[:, 2] < self.least_upright)[envs]
         velocity, rate = self.base_velocity()
         return Observed(velocity[:, :2] + (rate @ self.interface.lever())[:, :2], rate[:, 2], fell)
 
@@ -169,15 +175,24 @@ class Twin:
         return {
             "base_lin_vel": velocity,
             "base_ang_vel": rate,
-            "projected_gravity": -_rotation(self.qpos)[:, 2, :],
+            "projected_gravity": self.projected_gravity(),
             "joint_pos": self.qpos[:, 7:],
             "joint_vel": self.qvel[:, 6:],
             "last_action": self.actions.astype(np.float64),
             "height_scan": self.height_scan(),
         }
 
+    def projected_gravity(self) -> Array:
+        """[envs, 3], unit vector of gravity, base axes; zeros without gravity."""
+        return np.einsum("eji,j->ei", _rotation(self.qpos), self._down)
+
     def base_height(self) -> Array:
-        """[envs], of the base's origin above the ground below it, m."""
+        """[envs], of the base's origin above the ground below it, m.
+
+        Where the task has a height scanner: above the mean of the ground below its rays, as `State.base_height`.
+        """
+        if len(self.interface.scan_points):
+            return self.height_scan().mean(axis=1)
         at = self.qpos[:, :3] + self.places
         ground = 0.0 if self.heights is None else self.heights.at(at[:, None, :2])[:, 0]
         return at[:, 2] - ground
