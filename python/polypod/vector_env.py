@@ -390,7 +390,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         for row, observation in zip(rows, sim.final_obs[rows], strict=True):
             final_obs[row] = observation
         mask = sim.final_mask.copy()
-        return {"final_obs": final_obs, "_final_obs": mask, "final_info": {}, "_final_info": mask}
+        return {"final_obs": final_obs, "_final_obs": mask, "final_info": {}, "_final_info": mask.copy()}
 
     def _check_mask(self, mask: Any) -> None:
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:

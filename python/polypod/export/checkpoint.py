@@ -93,6 +93,7 @@ class _Writer:
         self.manifest, self.network, self.out, self.formats = manifest, policy.network, out, formats
         self.terms: tuple[Term, ...] = ()
         self.scan_points: list[list[float]] = []
+        self.action_names: list[str] = []
         self.files: list[Path] = []
         self.sums: dict[str, str] = {}
         self.difference = 0.0
@@ -110,6 +111,7 @@ class _Writer:
         any_robot = next(iter(robots.values()))
         self.terms = any_robot.terms
         self.scan_points = any_robot.scan_points.tolist()
+        self.action_names = list(any_robot.action_names)
         module = states.as_module(self.network)
         sizes = {"obs": self.num_obs}
         memory = states.of_network(self.network)
@@ -125,8 +127,15 @@ class _Writer:
             "policy",
             {
                 "kind": "policy",
-                "inputs": [_tensor("obs", self.num_obs, "the observation: see observation_layout")],
-                "outputs": [_tensor("actions", self.num_actions, "the action, in canonical order")],
+                "inputs": [
+                    {
+                        **_tensor("obs", self.num_obs, "the observation: see observation_layout"),
+                        "columns": metadata.observation_columns(self.terms, self.action_names),
+                    }
+                ],
+                "outputs": [
+                    {**_tensor("actions", self.num_actions, "the action"), "columns": self.action_names},
+                ],
                 "states": states.describe(memory),
                 "robots": self.manifest["robot_sources"],
                 "robot_info": {name: self._robot(robot) for name, robot in robots.items()},
@@ -148,8 +157,8 @@ class _Writer:
             name,
             {
                 "kind": "robot",
-                "inputs": [_tensor(key, size, robot.meaning(key)) for key, size in sizes.items()],
-                "outputs": [_tensor(key, size, OUTPUTS[key]) for key, size in outputs.items()],
+                "inputs": [self._described(key, size, robot.meaning(key), robot) for key, size in sizes.items()],
+                "outputs": [self._described(key, size, OUTPUTS[key], robot) for key, size in outputs.items()],
                 "states": states.describe(memory),
                 "robots": [robot.name],
                 "robot_info": {robot.name: self._robot(robot)},
@@ -233,13 +242,20 @@ class _Writer:
             "morphology": [float(x) for value in robot.constants.values() for x in value],
         }
 
+    def _described(self, name: str, size: int, meaning: str, robot: RobotInterface) -> dict[str, Any]:
+        """A tensor of a folded graph, with the names of its columns where they are joints or slots."""
+        columns: dict[str, Sequence[str]] = dict.fromkeys(("last_action", "actions"), robot.action_names)
+        columns |= dict.fromkeys(("joint_pos", "joint_vel", "joint_pos_target"), robot.joint_names)
+        described = _tensor(name, size, meaning)
+        return {**described, "columns": list(columns[name])} if name in columns else described
+
     def _metadata(self, name: str, robot: RobotInterface | None = None) -> dict[str, str]:
         return {
             METADATA: json.dumps(onnx_manifest(self.manifest)),
             "name": name,
             "task": self.manifest["task"],
             "checkpoint_sha256": self.origin["sha256"],
-            **metadata.of_observation(self.terms, self.run_path, self.manifest["step_dt"]),
+            **metadata.of_observation(self.terms, self.action_names, self.run_path, self.manifest["step_dt"]),
             **({} if robot is None else metadata.of_robot(robot)),
         }
 

@@ -76,7 +76,7 @@ def _width(entry: Any, name: str) -> int:
     """The size of a [batch, size] tensor. Raises ConfigError."""
     if entry.type != "tensor(float)" or len(entry.shape) != 2 or not isinstance(entry.shape[1], int):
         raise _core.ConfigError(
-            f"{name}: {entry.name} is {entry.type} of shape {entry.shape}; pass the graph of an export, whose inputs are "
+            f"{name}: {entry.name} is {entry.type} of shape {entry.shape}; pass the graph of an export: inputs of "
             "float32 [batch, size]"
         )
     return int(entry.shape[1])

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float32]
 
 
 def runtime(purpose: str) -> Any:
-    """The module onnxruntime, without telemetry. Raises ConfigError where it is missing, which begins with `purpose`."""
+    """Imports onnxruntime, without telemetry. Raises ConfigError, which begins with `purpose`, where it is missing."""
     os.environ.setdefault(TELEMETRY, "1")
     return package("onnxruntime", purpose, "export")
 

@@ -194,7 +194,7 @@ def _check_plain(tensor: torch.Tensor, place: str) -> None:
         raise _core.ConfigError(f"{place} is a tensor of a kind that no checkpoint holds; use another file")
     if tensor.dtype not in _DTYPES or tensor.device.type == "meta":
         raise _core.ConfigError(
-            f"{place} is a tensor of {tensor.dtype} on {tensor.device.type}, which no checkpoint holds; use another file"
+            f"{place} is of {tensor.dtype} on {tensor.device.type}, which no checkpoint holds; use another file"
         )
     if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
         raise _core.ConfigError(
