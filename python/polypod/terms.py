@@ -62,7 +62,7 @@ class CustomTerms(_VectorWrapper):
     Infos are those of the wrapped env; of an episode that has ended they are in `infos["final_info"]`.
 
     A term gives finite numbers that float32 holds, or its name and the number are in a ConfigError. Rows whose state
-    broke (`State.valid`) are not asked.
+    broke (`State.valid`) may hold anything.
     """
 
     env: VectorEnv

@@ -17,6 +17,7 @@ import json
 import pickle
 import platform
 import re
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator
 from datetime import datetime
@@ -147,7 +148,10 @@ def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "c
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if (broken := archive.testzip()) is not None:
                 raise zipfile.BadZipFile(f"{broken} is not as it was written")
-        state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
+        with warnings.catch_warnings():
+            # of tensors that are refused below
+            warnings.simplefilter("ignore")
+            state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
     except pickle.UnpicklingError as error:  # torch's message is advice to trust the file
         raise _core.ConfigError(
             f"{path} is not a checkpoint: it asks for code, and a checkpoint holds numbers alone; use another file"
