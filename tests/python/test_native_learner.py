@@ -111,11 +111,11 @@ def test_numbers_that_no_training_leaves_are_refused(make):
     learner.set_network("actor", weights, first, second, steps)
     assert (learner.action_std() == np.float32(1e-6)).all()
     second[1][3] = -1.0
-    with pytest.raises(polypod.ConfigError, match="second: number .* is -1"):
+    with pytest.raises(polypod.ConfigError, match=r"second: number .* is -1"):
         learner.set_network("actor", weights, first, second, steps)
     mean, variance, count = learner.normalizer("actor")
     variance[2] = -1e-3
-    with pytest.raises(polypod.ConfigError, match="variance: number 2 is -0.001"):
+    with pytest.raises(polypod.ConfigError, match=r"variance: number 2 is -0\.001"):
         learner.set_normalizer("actor", mean, variance, count)
     returns, (count, mean, variance) = learner.reward_scale()
     with pytest.raises(polypod.ConfigError, match="variance: number 0 is -1"):

@@ -26,6 +26,15 @@ def outside(distribution: Any) -> tuple[int, int]:
     return int(((parameter < low) | (parameter > high)).sum()), parameter.numel()
 
 
+def of(distribution: Any) -> torch.Tensor | None:
+    """The learnt deviations that a distribution acts with, [num_actions]; None where they are a network's output."""
+    if (learnt := _learnt(distribution)) is None:
+        return None
+    parameter, low, high = learnt
+    limited = parameter.detach().clamp(low, high)
+    return limited if hasattr(distribution, "std_param") else limited.exp()
+
+
 def _learnt(distribution: Any) -> tuple[torch.nn.Parameter, float, float] | None:
     """The parameter and its range; None for deviations that are a network's output."""
     for name, bounds in (("std_param", "std_range"), ("log_std_param", "log_std_range")):

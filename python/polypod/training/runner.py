@@ -275,9 +275,11 @@ class Runner(OnPolicyRunner):
 
     def _action_std(self) -> torch.Tensor:
         """Deviations of the actions, [n]: of those that the robots have."""
-        policy = self.alg.get_policy()
-        mask = getattr(policy.distribution, "mask", None)
-        return policy.output_std if mask is None else policy.output_std[mask > 0]
+        # those after the update, which a checkpoint holds; the policy's own are of the last mini-batch
+        learnt = deviations.of(self._distribution)
+        std: torch.Tensor = self.alg.get_policy().output_std if learnt is None else learnt
+        mask = getattr(self._distribution, "mask", None)
+        return std if mask is None else std.expand_as(mask)[mask > 0]
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint, whole or not at all. All workers call it, and worker 0 writes."""
