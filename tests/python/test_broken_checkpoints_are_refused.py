@@ -20,6 +20,8 @@ from onnx import TensorProto, helper
 import polypod
 from common import FLAT_POLICY
 from polypod import files
+from polypod.export import OnnxPolicy, checkpoint, onnx_graph
+from polypod.networks.onnx_network import OnnxNetwork
 from polypod.training import run_dir
 
 KEY = "mlp.0.weight"
@@ -192,6 +194,17 @@ def test_graphs(kind, command, cli, tmp_path):
     (tmp_path / "weights.bin").write_bytes(bytes(4 * 48 * 12))
     done = cli(*COMMANDS[command][:-1], "--task", "Velocity-Flat-Spot-v0", "--checkpoint", str(path))
     assert message in refused(done)
+
+
+def test_a_graph_with_branches_is_exported():
+    """Their nodes use tensors of the graph around them, whose names an export changes."""
+    inner = helper.make_node("MatMul", ["obs", "weights"], ["product"])
+    branch = helper.make_graph([inner], "branch", [], [helper.make_tensor_value_info("product", 1, ["batch", 12])])
+    sure = helper.make_node("Constant", [], ["sure"], value=helper.make_tensor("t", TensorProto.BOOL, [], [True]))
+    chosen = helper.make_node("If", ["sure"], ["actions"], then_branch=branch, else_branch=branch)
+    network = OnnxNetwork(graph([sure, chosen], initializers=[matrix(0.01)]).SerializeToString())
+    made = onnx_graph.network_model(network, 48, 12, {}).SerializeToString()
+    assert checkpoint.compare(OnnxPolicy(made), network, {"obs": 48}, ["actions"]) < 1e-6
 
 
 def test_a_sound_graph_is_taken(cli, tmp_path):
