@@ -13,6 +13,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <cstdlib>
 #include <iostream>
 #include <map>
 #include <sstream>
@@ -42,6 +43,10 @@ int main(int argc, char** argv) {
     std::cerr << "usage: policy_loop policy_<robot>.onnx\n";
     return 2;
   }
+#ifndef _WIN32
+  // onnxruntime reports its use to its maker unless this is set before it begins
+  setenv("ORT_DISABLE_TELEMETRY", "1", 0);
+#endif
   Ort::Env env(ORT_LOGGING_LEVEL_WARNING, "policy_loop");
   Ort::SessionOptions options;
   options.SetIntraOpNumThreads(1);

@@ -10,10 +10,14 @@ put your robot's calls in the place of `SimulatedRobot`, and an estimator in tha
 
 import argparse
 import dataclasses
+import os
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+# onnxruntime reports its use to its maker unless this is set before it is imported
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 import polypod

@@ -183,7 +183,7 @@ class Learner:
         """
 
     def action_std(self) -> npt.NDArray[np.float32]:
-        """Returns the deviations of the actions, [num_actions]."""
+        """Returns the deviations that the actions are drawn with, [num_actions]: at least 1e-6."""
 
     def set_network(
         self,
@@ -193,7 +193,12 @@ class Learner:
         second: Sequence[npt.NDArray[np.float32]],
         steps: int,
     ) -> None:
-        """Takes over what `network` gives. Raises ConfigError for other sizes, which change nothing."""
+        """Takes over what `network` gives.
+
+        Raises:
+            ConfigError: for other sizes, a deviation or a mean of squares below 0, and a number that is not finite,
+                which change nothing.
+        """
 
     def normalizer(self, name: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], int] | None:
         """Returns mean [num_obs], variance [num_obs] and number of the observations, or None for a network without."""
@@ -201,7 +206,7 @@ class Learner:
     def set_normalizer(
         self, name: str, mean: npt.NDArray[np.float32], variance: npt.NDArray[np.float32], count: int
     ) -> None:
-        """Takes over what `normalizer` gives. Raises ConfigError for other sizes."""
+        """Takes over what `normalizer` gives. Raises ConfigError for other sizes and numbers that it never gives."""
 
     def reward_scale(self) -> tuple[npt.NDArray[np.float32], list[npt.NDArray[np.float64]]] | None:
         """Returns the discounted returns [num_envs], and count, mean and variance [robots] of each robot's returns.
@@ -216,13 +221,13 @@ class Learner:
         mean: npt.NDArray[np.float64],
         variance: npt.NDArray[np.float64],
     ) -> None:
-        """Takes over what `reward_scale` gives. Raises ConfigError for other sizes."""
+        """Takes over what `reward_scale` gives. Raises ConfigError as `set_normalizer`."""
 
     def episodes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Returns the sums of the rewards and the control steps of the present episodes, [num_envs] each."""
 
     def set_episodes(self, rewards: npt.NDArray[np.float32], lengths: npt.NDArray[np.float32]) -> None:
-        """Takes over what `episodes` gives. Raises ConfigError for other sizes."""
+        """Takes over what `episodes` gives. Raises ConfigError as `set_normalizer`."""
 
     def rollout(self, sim: VecSim, into: dict[str, npt.NDArray[Any]] | None = None) -> dict[str, npt.NDArray[Any]]:
         """Returns the samples of the iteration as flat arrays by steps, envs and numbers.

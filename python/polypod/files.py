@@ -19,6 +19,8 @@ from polypod import _core
 
 ENDLESS = 64 << 20
 """Bytes that are read of what is not a regular file, at most."""
+_PIECE = 1 << 20
+"""Bytes that are asked for at once of what has no size."""
 _PROCESS = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/[^/]+/fd/\d+")
 """Names of what this process has open already, maybe a file that the shell also writes to."""
 _TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
@@ -28,6 +30,9 @@ _TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
 def read_bytes(path: Path, limit: int) -> bytes:
     """A file's bytes, of which there may be `limit`, and `ENDLESS` of a device or a pipe, which need not end.
 
+    Memory is taken for what is there, not for what may be: a regular file is read at once, anything else, or a file
+    that grows meanwhile, piece by piece.
+
     Raises:
         OSError: where it cannot be read.
         ConfigError: where there are more.
@@ -36,7 +41,17 @@ def read_bytes(path: Path, limit: int) -> bytes:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             limit = min(limit, ENDLESS)
-        data = b"" if state.st_size > limit else file.read(limit + 1)
+            size = _PIECE
+        else:
+            size = state.st_size
+        pieces = []
+        left = 0 if state.st_size > limit else limit + 1
+        # one byte more than a file has tells whether it ends there
+        while left > 0 and (piece := file.read(min(left, max(size, 1) + 1))):
+            pieces.append(piece)
+            left -= len(piece)
+            size = _PIECE
+        data = pieces[0] if len(pieces) == 1 else b"".join(pieces)
     if max(len(data), state.st_size) > limit:
         raise _core.ConfigError(
             f"{path} has more than {limit >> 20} MiB, too many for what it should be; choose another file"

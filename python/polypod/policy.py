@@ -24,6 +24,7 @@ from polypod import _core, bundled
 from polypod.evaluation.policies import NetworkPolicy, load_network
 from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
+from polypod.networks.agreement import TOLERANCE, difference, expected, untouched
 from polypod.networks.onnx_network import OnnxNetwork
 from polypod.registration import task_of
 from polypod.training import manifest as manifests
@@ -39,8 +40,6 @@ MAX_BYTES = 1 << 30
 """Of an ONNX file."""
 OPSET = 17
 """Of the files that `save_onnx` writes."""
-TOLERANCE = 1e-5
-"""Largest difference of a file that `save_onnx` writes from its module, relative to numbers beyond 1."""
 _ROWS = 64
 
 
@@ -123,13 +122,16 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     path = bundled.resolve(Path(path))
     if path.suffix == ".onnx":
         return _load_onnx(path, task, robots)
-    state, manifest = run_dir.load_checkpoint(path), run_dir.read_manifest(path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    data = run_dir.read_checkpoint(path)
+    state, manifest = run_dir.checkpoint_of(data, path), run_dir.read_manifest(path)
+    digest = hashlib.sha256(data).hexdigest()
     return LoadedPolicy(load_network(state, manifest["policy"]), manifest, path, digest, state.get("iter"))
 
 
 def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path:
     """Writes a policy as an ONNX file that the commands take: `polypod eval --checkpoint FILE`.
+
+    The module stays as it is, in its mode and on its device, and torch's random numbers go on as without the call.
 
     Args:
         module: takes observations [batch, num_obs], float32, and gives actions [batch, num_actions] as `env.step` takes
@@ -141,36 +143,64 @@ def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path
         The path.
 
     Raises:
-        ConfigError: for another ending, for a module that gives something else, and where onnx is missing.
+        ConfigError: for another ending, for a module that fails or gives something else, and where onnx is missing.
         PolypodError: for a graph that does not compute what the module does.
     """
     path = Path(path)
     if path.suffix != ".onnx":
         raise _core.ConfigError(f"{path}: the name of an ONNX file ends in .onnx")
     onnx = package("onnx", "writing an ONNX file", "export")
-    sim, module = env.sim, module.to("cpu").eval()
+    sim = env.sim
     example = torch.from_numpy(np.random.default_rng(0).standard_normal((_ROWS, sim.num_obs), dtype=np.float32))
-    with torch.inference_mode():
-        wanted = module(example)
-    if not isinstance(wanted, torch.Tensor) or wanted.shape != (_ROWS, sim.num_actions):
-        found = tuple(wanted.shape) if isinstance(wanted, torch.Tensor) else type(wanted).__name__
-        raise _core.ConfigError(
-            f"the module gives {found} for observations {tuple(example.shape)}; it must give actions "
-            f"({_ROWS}, {sim.num_actions})"
-        )
-    model = onnx.load_model_from_string(_traced(module, example))
+    # other rows than those that the graph is traced with: what depends on them differs here
+    others = -example[: _ROWS // 8]
+    with untouched(module):
+        _check_actions(module, example, sim.num_actions)
+        try:
+            model = onnx.load_model_from_string(_traced(module, example))
+        except Exception as error:  # of torch's exporter, or of the caller's code
+            reason = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+            raise _core.ConfigError(
+                f"torch does not write the module as ONNX: {type(error).__name__}: {reason}; let it compute with "
+                f"operators of opset {OPSET}"
+            ) from error
+        wanted = [expected(module, [rows], "the module") for rows in (example, others)]
     onnx.helper.set_model_props(model, {METADATA: json.dumps(_manifest_of(sim, sim.task_name, sim.robots))})
     data = model.SerializeToString()
-    with torch.inference_mode():
-        given = OnnxNetwork(data, str(path))(example)
-    difference = float(((given - wanted).abs() / wanted.abs().clamp(min=1.0)).max())
-    if not difference <= TOLERANCE:
+    graph = OnnxNetwork(data, str(path))
+    with torch.no_grad():
+        found = [difference([graph(rows).numpy()], of) for rows, of in zip((example, others), wanted, strict=True)]
+    if not max(found) <= TOLERANCE:
         raise _core.PolypodError(
-            f"{path} would differ from the module by {difference:.1e}; let the module compute without random numbers "
-            "and without branches that depend on its input"
+            f"{path} would differ from the module by {max(found):.1e} of its actions, more than {TOLERANCE:g}; let the "
+            "module compute without branches that depend on its input"
         )
     write_bytes(path, data)
     return path
+
+
+def _check_actions(module: torch.nn.Module, observations: torch.Tensor, num_actions: int) -> None:
+    """Raises ConfigError for a module that is no policy, or one that gives other actions each time."""
+    try:
+        given = module(observations)
+    except Exception as error:  # of the caller's code
+        raise _core.ConfigError(
+            f"the module fails for observations {tuple(observations.shape)} of float32 on the CPU: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if not isinstance(given, torch.Tensor) or given.shape != (len(observations), num_actions):
+        found = tuple(given.shape) if isinstance(given, torch.Tensor) else type(given).__name__
+        raise _core.ConfigError(
+            f"the module gives {found} for observations {tuple(observations.shape)}; it must give actions "
+            f"({len(observations)}, {num_actions})"
+        )
+    if given.dtype is not torch.float32:
+        raise _core.ConfigError(f"the module gives actions of {given.dtype}; it must give float32")
+    if not torch.equal(given, module(observations)) and bool(torch.isfinite(given).all()):
+        raise _core.PolypodError(
+            "the module gives other actions for the same observations; let it compute without random numbers and "
+            "without memory"
+        )
 
 
 def _traced(module: torch.nn.Module, example: torch.Tensor) -> bytes:

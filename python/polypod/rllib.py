@@ -36,11 +36,13 @@ def make(config: Mapping[str, Any]) -> polypod.VectorEnv | Env:
         config: `task`, and options of `polypod.make`. `num_envs` is the number of the share where there is one.
 
     Raises:
-        ConfigError: without a task, and as `polypod.make`.
+        ConfigError: without a task, with `copy=False`, and as `polypod.make`.
     """
     options = dict(config)
     if "task" not in options:
         raise ConfigError('env_config names no task; write env_config={"task": "velocity_flat"}')
+    if not options.get("copy", True):
+        raise ConfigError("RLlib keeps what it is handed: leave copy=False out of env_config")
     task, num_envs, runners = options.pop("task"), options.pop("num_envs", None), options.pop("runners", None)
     if num_envs is None:
         return Env(task, **options)

@@ -27,8 +27,9 @@ except ModuleNotFoundError as error:
 class VecEnv(rsl_rl.env.VecEnv):
     """A polypod vector env as rsl_rl wants it.
 
-    rsl_rl stores the observation of step t after it has taken step t + 1, so the tensors handed out must survive one
-    further step: on the CPU they are views of the simulator's two alternating buffers, on a GPU they are fresh.
+    rsl_rl stores the observation of step t after it has taken step t + 1, so observations survive one further step: on
+    the CPU they are views of the simulator's two alternating buffers. All other tensors are fresh, and so are
+    observations on a GPU.
     """
 
     def __init__(
@@ -71,7 +72,10 @@ class VecEnv(rsl_rl.env.VecEnv):
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
-        """int64 [num_envs], control steps of the current episodes. A copy: assign the whole tensor to change it."""
+        """int64 [num_envs], control steps of the current episodes.
+
+        A copy: what is written into it changes nothing. Assign a whole tensor, `env.episode_length_buf = lengths`.
+        """
         return torch.from_numpy(self._sim.episode_length).to(self.device)
 
     @episode_length_buf.setter
@@ -126,7 +130,7 @@ class VecEnv(rsl_rl.env.VecEnv):
             extras["log"] = self.log()
         return (
             self.get_observations(),
-            self._tensor("reward", sim.reward),
+            self._tensor("reward", sim.reward.copy()),
             self._tensor("done", (sim.terminated | sim.truncated).astype(np.int64)),
             extras,
         )

@@ -120,9 +120,15 @@ class VecEnv(BaseVecEnv):
         self._returns += rewards
         self._lengths += 1
         dones = terminated | truncated
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        # such as the masks of a batch of different bodies; what belongs to ends has its place below
+        kept = {
+            key: value
+            for key, value in final.items()
+            if isinstance(value, np.ndarray) and len(value) == self.num_envs and "final_" not in key
+        }
+        infos: list[dict[str, Any]] = [{key: value[row] for key, value in kept.items()} for row in range(self.num_envs)]
         for row in np.flatnonzero(dones):
-            infos[row] = {
+            infos[row] |= {
                 "terminal_observation": final["final_obs"][row],
                 "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
                 "episode": {

@@ -20,8 +20,8 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
     >>> import gymnasium, polypod
     >>> env = gymnasium.make("polypod/Velocity-Flat-Spot-v0")
 
-    An observation is float32 [num_obs], an action [12], see `polypod.VectorEnv`. Episodes are not reset by themselves.
-    Batches are what polypod is fast at: prefer `polypod.make` where the learner takes one.
+    An observation is float32 [num_obs], an action [num_actions], see `polypod.VectorEnv`. Episodes are not reset by
+    themselves. Batches are what polypod is fast at: prefer `polypod.make` where the learner takes one.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012  (declared so by Gymnasium)
@@ -72,16 +72,16 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
         if options:
             raise _core.ConfigError(f"unknown reset option {next(iter(options))!r}; a single env has none")
         observations, infos = self.batch.reset(seed=seed)
-        return observations[0].copy(), infos
+        return observations[0].copy(), _of_one(infos)
 
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Advances by one control step, see `VectorEnv.step`.
 
         Args:
-            action: [12], of any float type.
+            action: [num_actions], of any float type.
         """
         observations, rewards, terminated, truncated, infos = self.batch.step(np.asarray(action)[np.newaxis])
-        return observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), infos
+        return observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _of_one(infos)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """A picture, uint8 [360, 640, 3], for `render_mode="rgb_array"`; None without a render mode."""
@@ -91,6 +91,11 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
     def close(self) -> None:
         """Lets go of the simulator."""
         self.batch.close()
+
+
+def _of_one(infos: dict[str, Any]) -> dict[str, Any]:
+    """The infos of a batch's only env."""
+    return {key: value[0] if isinstance(value, np.ndarray) else value for key, value in infos.items()}
 
 
 def _first_robot(task_id: str, options: "EnvOptions") -> list[str]:

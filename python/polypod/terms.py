@@ -25,6 +25,9 @@ from polypod.vector_env import VectorEnv
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
+_LARGEST = float(np.finfo(np.float32).max)
+"""Largest number of float32."""
+
 
 @dataclass(frozen=True)
 class Reward:
@@ -56,6 +59,10 @@ class CustomTerms(_VectorWrapper):
     `infos["final_obs"]`. Envs whose state broke get no reward, and are ended by the task.
 
     Observation terms follow the task's own in the observation, without noise. All arrays that are handed out are fresh.
+    Infos are those of the wrapped env; of an episode that has ended they are in `infos["final_info"]`.
+
+    A term gives finite numbers that float32 holds, or its name and the number are in a ConfigError. Rows whose state
+    broke (`State.valid`) may hold anything.
     """
 
     env: VectorEnv
@@ -66,6 +73,7 @@ class CustomTerms(_VectorWrapper):
         rewards: Mapping[str, Reward] | None = None,
         terminations: Mapping[str, Callable[[State], npt.ArrayLike]] | None = None,
         observations: Mapping[str, Callable[[State], npt.ArrayLike]] | None = None,
+        source: str = "",
     ) -> None:
         """Adds terms to an env.
 
@@ -73,10 +81,12 @@ class CustomTerms(_VectorWrapper):
             env: made with `autoreset="disabled"`.
             rewards: by name.
             terminations: by name; each gives a bool per env, [num_envs], True where the episode has failed.
-            observations: by name; each gives float32 [num_envs, n] or [num_envs].
+            observations: by name; each gives float32 [num_envs, n] or [num_envs], as many numbers in each call.
+            source: where the terms come from; errors begin with it.
 
         Raises:
-            ConfigError: for an env that resets by itself, and for a term that gives another shape or type.
+            ConfigError: for an env that resets by itself, for a weight that is not finite, and for a term that gives
+                another shape or type, or a number that is not finite.
             UnknownNameError: for a reward's robot that is not in the env.
         """
         super().__init__(env)
@@ -85,11 +95,18 @@ class CustomTerms(_VectorWrapper):
                 f"this env has {env.autoreset_mode}, which resets before a term could see the last state; "
                 "build it with polypod.make(..., autoreset='disabled')"
             )
+        self._source = f"{source}: " if source else ""
         self.rewards = dict(rewards or {})
         self.terminations = dict(terminations or {})
         self.observations = dict(observations or {})
         self.autoreset_mode = AutoresetMode.SAME_STEP
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
+        for name, term in self.rewards.items():
+            if not isinstance(term, Reward):
+                raise ConfigError(
+                    f"{self._source}rewards[{name!r}] is a {type(term).__name__}; write "
+                    "polypod.terms.Reward(function, weight=1.0)"
+                )
         self._state = env.state
         self._factor = {name: self._factors(name, term) for name, term in self.rewards.items()}
         self._sums = {name: np.zeros(env.num_envs) for name in self.rewards}
@@ -97,6 +114,7 @@ class CustomTerms(_VectorWrapper):
         self._causes: dict[str, BoolArray] = {}
         self._ends: dict[str, int] = {}
         self.final_mask: BoolArray = np.zeros(env.num_envs, dtype=np.bool_)
+        self._widths: dict[str, int] = {}
         extra = self._observe_terms()
         low = np.full(env.sim.num_obs + extra.shape[1], -np.inf, dtype=np.float32)
         self.single_observation_space = gymnasium.spaces.Box(low, -low, dtype=np.float32)
@@ -119,8 +137,7 @@ class CustomTerms(_VectorWrapper):
     @property
     def observation_layout(self) -> list[tuple[str, int]]:
         """(term, size) of an observation, in order."""
-        own = [(name, self._columns(name, term).shape[1]) for name, term in self.observations.items()]
-        return self.env.observation_layout + own
+        return self.env.observation_layout + list(self._widths.items())
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -135,7 +152,7 @@ class CustomTerms(_VectorWrapper):
 
     def step(self, actions: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Advances every env by one control step, see `VectorEnv.step` under same-step autoreset."""
-        observations, rewards, terminated, truncated, _ = self.env.step(actions)
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
         self.reward = self._add_rewards(rewards)
         ends = self._ended()
         if ends.any():
@@ -146,13 +163,22 @@ class CustomTerms(_VectorWrapper):
         self.final_mask = done
         self.observation = self._extended(observations, self._observe_terms())
         if not done.any():
-            return self.observation, self.reward, self.terminated, self.truncated, {}
-        infos = self._final_infos(done)
+            return self.observation, self.reward, self.terminated, self.truncated, infos
+        final = self._final_infos(done, infos)
         self._log(done)
-        observations, _ = self.env.reset(options={"reset_mask": done})
+        observations, of_reset = self.env.reset(options={"reset_mask": done})
         fresh = self._extended(observations, self._observe_terms())
         self.observation[done] = fresh[done]
+        infos = {**self._rows_replaced(infos, of_reset, done), **final}
         return self.observation, self.reward, self.terminated, self.truncated, infos
+
+    def send(self, actions: FloatArray) -> None:
+        """Not for envs with terms in Python, which are computed after the step. Raises ConfigError."""
+        raise ConfigError("terms in Python are computed between steps: call step in the place of send and recv")
+
+    def recv(self) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """See `send`. Raises ConfigError."""
+        raise ConfigError("terms in Python are computed between steps: call step in the place of send and recv")
 
     def refresh(self) -> None:
         """Observes the present state: after `sim.restore`, which changes it without a step."""
@@ -170,13 +196,19 @@ class CustomTerms(_VectorWrapper):
         return {**self.sim.log(), **own}
 
     def _factors(self, name: str, term: Reward) -> npt.NDArray[np.float64]:
-        factors = np.full(self.env.num_envs, term.weight * self.env.step_dt)
+        what = f"rewards[{name!r}].weight"
+        weight = self._numbers(what, term.weight)
+        if weight.ndim:
+            raise ConfigError(f"{self._source}{what} is an array of shape {weight.shape}; pass one number")
+        self._check_finite(what, weight)
+        factors = np.full(self.env.num_envs, float(weight) * self.env.step_dt)
         if term.robots is not None:
             rewarded = np.zeros(self.env.num_envs, dtype=np.bool_)
             for robot in term.robots:
                 if robot not in self.env.robots:
                     raise UnknownNameError(
-                        f"rewards[{name!r}].robots: there is no {robot!r} in this env; use {', '.join(self.env.robots)}"
+                        f"{self._source}rewards[{name!r}].robots: there is no {robot!r} in this env; use "
+                        f"{', '.join(self.env.robots)}"
                     )
                 rewarded[self.env.env_ids(robot)] = True
             factors[~rewarded] = 0.0
@@ -187,21 +219,27 @@ class CustomTerms(_VectorWrapper):
         if self.rewards:
             valid = self._state.valid
             for name, term in self.rewards.items():
-                value = np.asarray(term.function(self._state), dtype=np.float64)
-                self._check("rewards", name, value.shape, (self.env.num_envs,))
+                what = f"rewards[{name!r}]"
+                value = self._numbers(what, term.function(self._state))
+                self._check(what, value.shape, (self.env.num_envs,))
                 # a broken robot is worth nothing, nor is one whom the term does not reward
-                value = np.where(valid & (self._factor[name] != 0.0), self._factor[name] * value, 0.0)
+                value = np.where(valid & (self._factor[name] != 0.0), value, 0.0)
+                self._check_finite(what, value)
+                value *= self._factor[name]
+                self._check_finite(f"{what} times its weight and step_dt", value)
                 self._sums[name] += value
                 total += value
+            self._check_finite("the sum of rewards", total)
         return total.astype(np.float32)
 
     def _ended(self) -> BoolArray:
         ends = np.zeros(self.env.num_envs, dtype=np.bool_)
         for name, term in self.terminations.items():
-            mine = np.asarray(term(self._state))
-            self._check("terminations", name, mine.shape, (self.env.num_envs,))
+            what = f"terminations[{name!r}]"
+            mine = self._array(what, term(self._state))
             if mine.dtype != np.bool_:
-                raise ConfigError(f"terminations[{name!r}] gives {mine.dtype}; return bools, e.g. of a comparison")
+                raise ConfigError(f"{self._source}{what} gives {mine.dtype}; return bools, e.g. of a comparison")
+            self._check(what, mine.shape, (self.env.num_envs,))
             self._causes[name] = mine
             ends |= mine
         return ends
@@ -211,28 +249,71 @@ class CustomTerms(_VectorWrapper):
         return np.concatenate([np.empty((self.env.num_envs, 0), dtype=np.float32), *columns], axis=1)
 
     def _columns(self, name: str, term: Callable[[State], npt.ArrayLike]) -> FloatArray:
-        values = np.asarray(term(self._state), dtype=np.float32)
+        what = f"observations[{name!r}]"
+        values = self._numbers(what, term(self._state))
         if values.ndim == 1:
             values = values[:, np.newaxis]
         if values.ndim != 2:
-            raise ConfigError(f"observations[{name!r}] gives {values.ndim} dimensions; return [num_envs, n]")
-        self._check("observations", name, values.shape[:1], (self.env.num_envs,))
-        return values
+            raise ConfigError(f"{self._source}{what} gives {values.ndim} dimensions; return [num_envs, n]")
+        self._check(what, values.shape, (self.env.num_envs, self._widths.setdefault(name, values.shape[1])))
+        if not (np.abs(values) <= _LARGEST).all():
+            # of a broken robot there is nothing to observe
+            values = np.where(self._state.valid[:, np.newaxis], values, 0.0)
+            self._check_finite(what, values)
+        return values.astype(np.float32)
 
-    @staticmethod
-    def _check(kind: str, name: str, found: tuple[int, ...], wanted: tuple[int, ...]) -> None:
+    def _array(self, what: str, value: Any) -> npt.NDArray[Any]:
+        """What a term has given as an array. Raises ConfigError, which begins with `what`."""
+        try:
+            return np.asarray(value)
+        except Exception as error:  # of the caller's type, such as a tensor that wants a gradient
+            raise ConfigError(f"{self._source}{what} gives no array: {error}; return a NumPy array") from error
+
+    def _numbers(self, what: str, value: Any) -> npt.NDArray[np.float64]:
+        """The same as numbers."""
+        array = self._array(what, value)
+        if array.dtype.kind not in "fiub":
+            raise ConfigError(f"{self._source}{what} gives {array.dtype}; return numbers")
+        return array.astype(np.float64)
+
+    def _check(self, what: str, found: tuple[int, ...], wanted: tuple[int, ...]) -> None:
         if found != wanted:
-            raise ConfigError(f"{kind}[{name!r}] gives shape {found}; return one row per env, {wanted}")
+            raise ConfigError(f"{self._source}{what} gives shape {found}; return one row per env, {wanted}")
+
+    def _check_finite(self, what: str, values: npt.NDArray[np.float64]) -> None:
+        """Raises ConfigError for numbers that are not finite in float32."""
+        wrong = ~(np.abs(values) <= _LARGEST)
+        if wrong.any():
+            place = np.argwhere(wrong)[0]
+            where = f"gives {values[tuple(place)]:.6g} for env {place[0]}" if place.size else f"is {values:.6g}"
+            raise ConfigError(f"{self._source}{what} {where}; only finite numbers that float32 holds are taken")
+
+    def _rows_replaced(self, infos: dict[str, Any], others: dict[str, Any], rows: BoolArray) -> dict[str, Any]:
+        """Infos with the rows of others in those of the mask; what has no rows is that of the others."""
+        replaced = {**infos, **others}
+        for key, value in others.items():
+            old = infos.get(key)
+            if not isinstance(value, np.ndarray) or not isinstance(old, np.ndarray):
+                continue
+            if old.shape == value.shape and old.shape[:1] == rows.shape:
+                replaced[key] = old.copy()
+                replaced[key][rows] = value[rows]
+        return replaced
 
     @staticmethod
     def _extended(observations: FloatArray, extra: FloatArray) -> FloatArray:
         return np.concatenate([observations, extra], axis=1)
 
-    def _final_infos(self, done: BoolArray) -> dict[str, Any]:
+    def _final_infos(self, done: BoolArray, infos: dict[str, Any]) -> dict[str, Any]:
         final_obs = np.full(self.env.num_envs, None, dtype=object)
         for row in np.flatnonzero(done):
             final_obs[row] = self.observation[row].copy()
-        return {"final_obs": final_obs, "_final_obs": done, "final_info": {}, "_final_info": done}
+        return {
+            "final_obs": final_obs,
+            "_final_obs": done.copy(),
+            "final_info": dict(infos),
+            "_final_info": done.copy(),
+        }
 
     def _log(self, done: BoolArray) -> None:
         full = self.env.max_episode_length * self.env.step_dt

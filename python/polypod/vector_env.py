@@ -5,7 +5,8 @@ import difflib
 import json
 import operator
 import os
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -85,8 +86,21 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
 
 
 def make_for_gymnasium(task_id: str, num_envs: int, **options: "Unpack[EnvOptions]") -> "VectorEnv":
-    """`make` for `gymnasium.make_vec`, which passes `num_envs=1` when its caller names no number."""
-    return make(task_id, None if num_envs == 1 else num_envs, **options)
+    """`make` for `gymnasium.make_vec`, which passes `num_envs=1` also when its caller names no number.
+
+    One env holds one robot. Where there are more robots, 1 stands for an env of each, with a warning that says so.
+    """
+    if num_envs != 1:
+        return make(task_id, num_envs, **options)
+    env = make(task_id, None, **options)
+    if env.num_envs > 1:
+        warnings.warn(
+            f"gymnasium.make_vec gives {env.num_envs} envs, one for each robot, in the place of num_envs=1, which is "
+            f"also what it passes where none is named; pass num_envs={env.num_envs} or more, or "
+            f"robots=[{env.robots[0]!r}] for a single env",
+            stacklevel=3,
+        )
+    return env
 
 
 class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[Any]]):
@@ -390,7 +404,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         for row, observation in zip(rows, sim.final_obs[rows], strict=True):
             final_obs[row] = observation
         mask = sim.final_mask.copy()
-        return {"final_obs": final_obs, "_final_obs": mask, "final_info": {}, "_final_info": mask}
+        return {"final_obs": final_obs, "_final_obs": mask, "final_info": {}, "_final_info": mask.copy()}
 
     def _check_mask(self, mask: Any) -> None:
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:

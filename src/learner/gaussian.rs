@@ -5,8 +5,8 @@ use polypod_dynamics::elementary::exp;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::settings::{Robot, Settings};
 
-/// Deviations that the policy may have.
-const RANGE: [f32; 2] = [1e-6, 1e6];
+/// Deviations that the policy may have: those of rsl_rl's `GaussianDistribution`. Each step of the optimiser ends within them.
+pub(crate) const RANGE: [f32; 2] = [1e-6, 1e6];
 const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
 /// Deviations of the actions that a robot has, and what is computed of them once.

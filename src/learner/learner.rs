@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use polypod_dynamics::lanes::{Simd, SimdDispatch};
 
-use crate::gaussian::Distributions;
+use crate::gaussian::{Distributions, RANGE};
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
@@ -58,6 +58,23 @@ thread_local! {
 /// Works with the thread's tile.
 pub(crate) fn with_tile<R>(f: impl FnOnce(&mut Tile) -> R) -> R {
     TILE.with(|tile| f(&mut tile.borrow_mut()))
+}
+
+/// Refuses the first number that is not finite, or below the least one.
+fn check_numbers<'a, T: Copy + Into<f64> + 'a>(
+    element: &'static str,
+    numbers: impl IntoIterator<Item = &'a T>,
+    least: T,
+) -> Result<(), LearnerError> {
+    let least: f64 = least.into();
+    let wrong = numbers
+        .into_iter()
+        .map(|&x| x.into())
+        .enumerate()
+        .find(|(_, x): &(usize, f64)| !(x.is_finite() && *x >= least));
+    let Some((index, x)) = wrong else { return Ok(()) };
+    let wanted = if least == 0.0 { "a finite number that is not below 0" } else { "a finite number" };
+    Err(LearnerError::new(element, format!("number {index} is {x}; it must be {wanted}")))
 }
 
 impl Learner {
@@ -143,15 +160,22 @@ impl Learner {
     /// Takes over a network's numbers.
     ///
     /// # Errors
-    /// Arrays of other sizes, which change nothing.
+    /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not finite, which change nothing.
     pub fn set_network(&mut self, which: Which, state: &NetworkState) -> Result<(), LearnerError> {
+        let deviations = state.weights.iter().take(usize::from(which == Which::Actor)).flatten();
+        check_numbers("deviations", deviations, 0.0)?;
+        check_numbers("second", state.second.iter().flatten(), 0.0)?;
+        for (element, arrays) in [("weights", &state.weights), ("first", &state.first)] {
+            check_numbers(element, arrays.iter().flatten(), f32::MIN)?;
+        }
         let fits = self.net_mut(which).set_state(state);
         fits.then_some(()).ok_or_else(|| LearnerError::new("state", "its arrays have other sizes than the network's"))
     }
 
-    /// Deviations of the actions, `[num_actions]`.
+    /// Deviations that the actions are drawn with, `[num_actions]`: at least 1e-6.
     pub fn deviations(&self) -> Vec<f32> {
-        self.actor.perceptron.extra().iter().flat_map(|line| line.0).take(self.settings.num_actions).collect()
+        let numbers = self.actor.perceptron.extra().iter().flat_map(|line| line.0).take(self.settings.num_actions);
+        numbers.map(|x| x.clamp(RANGE[0], RANGE[1])).collect()
     }
 
     /// A network's statistics of the observations, if it has any.
@@ -162,9 +186,11 @@ impl Learner {
     /// Takes over statistics of the observations; a network without them ignores it.
     ///
     /// # Errors
-    /// Those of other observations.
+    /// Those of other observations, a variance below 0, and a number that is not finite.
     pub fn set_normalizer(&mut self, which: Which, normalizer: Normalizer) -> Result<(), LearnerError> {
         let size = self.settings.num_obs;
+        check_numbers("mean", &normalizer.mean, f32::MIN)?;
+        check_numbers("variance", &normalizer.variance, 0.0)?;
         if normalizer.mean.len() != size || normalizer.variance.len() != size {
             return Err(LearnerError::new("normalizer", format!("it is not of {size} numbers")));
         }
@@ -182,12 +208,18 @@ impl Learner {
     /// Takes over statistics of the returns, and the discounted returns so far, `[envs]`.
     ///
     /// # Errors
-    /// Those of other robots or envs.
+    /// Those of other robots or envs, a count or variance below 0, and a number that is not finite.
     pub fn set_reward_scale(&mut self, scale: RewardScale, discounted: &[f32]) -> Result<(), LearnerError> {
         let robots = self.settings.robots.len();
         let lengths = [scale.count.len(), scale.mean.len(), scale.variance.len()];
         if lengths != [robots; 3] || discounted.len() != self.num_own_envs() {
             return Err(LearnerError::new("reward_scale", format!("it is not of {robots} robots and these envs")));
+        }
+        check_numbers("returns", discounted, f32::MIN)?;
+        for (element, numbers, least) in
+            [("count", &scale.count, 0.0), ("mean", &scale.mean, f64::MIN), ("variance", &scale.variance, 0.0)]
+        {
+            check_numbers(element, numbers, least)?;
         }
         if self.reward_scale.is_some() {
             self.reward_scale = Some(scale);
@@ -212,12 +244,14 @@ impl Learner {
     /// Takes over what [`Learner::episodes`] gave.
     ///
     /// # Errors
-    /// Arrays of other sizes.
+    /// Arrays of other sizes, a length below 0, and a number that is not finite.
     pub fn set_episodes(&mut self, rewards: &[f32], lengths: &[f32]) -> Result<(), LearnerError> {
         let envs = self.num_own_envs();
         if [rewards.len(), lengths.len()] != [envs; 2] {
             return Err(LearnerError::new("episodes", format!("they are not of {envs} envs")));
         }
+        check_numbers("rewards", rewards, f32::MIN)?;
+        check_numbers("lengths", lengths, 0.0)?;
         for part in &mut self.parts {
             part.episode_reward.copy_from_slice(&rewards[part.rows.clone()]);
             part.episode_length.copy_from_slice(&lengths[part.rows.clone()]);

@@ -71,7 +71,8 @@ impl Normalizer {
             let new_mean = f64::from(*mean) + rate * delta;
             let spread = of.variance() - f64::from(*variance) + delta * (of.mean - new_mean);
             *mean = new_mean as f32;
-            *variance = (f64::from(*variance) + rate * spread) as f32;
+            // rounding may leave less than nothing of a number that does not change
+            *variance = (f64::from(*variance) + rate * spread).max(0.0) as f32;
         }
         self.prepare();
     }

@@ -118,6 +118,13 @@ impl Perceptron {
         &self.weights[self.first_extra()..]
     }
 
+    /// Moves each of the further numbers into a range; NaN stays NaN.
+    pub(crate) fn limit_extra(&mut self, [low, high]: [f32; 2]) {
+        let first = self.first_extra();
+        let numbers = self.weights[first..].iter_mut().flat_map(|line| &mut line.0).take(self.extra);
+        numbers.for_each(|x| *x = x.clamp(low, high));
+    }
+
     /// The transposed weights follow the weights.
     pub(crate) fn transpose(&mut self) {
         for layer in self.layers.iter().skip(1) {

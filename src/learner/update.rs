@@ -5,7 +5,7 @@ use std::ops::Range;
 use polypod_dynamics::lanes::{Kernel, SimdDispatch};
 
 use crate::adam::{Rates, Step};
-use crate::gaussian::{Distributions, Surrogate};
+use crate::gaussian::{Distributions, RANGE, Surrogate};
 use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
 use crate::matrix::Matrix;
@@ -401,6 +401,8 @@ impl Learner {
             }
         }
         team.for_each(tasks, |step| dispatch.vectorize(step));
+        // Adam knows no bounds: a small deviation with a large rate would become negative
+        self.actor.perceptron.limit_extra(RANGE);
         team.for_each(vec![&mut self.actor, &mut self.critic], |net| net.perceptron.transpose());
     }
 

@@ -24,6 +24,7 @@ Finished = subprocess.CompletedProcess[str]
 
 # pytest runs a worker per core. Torch reads this when it is imported, here and in processes that tests start.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 _MODULES = ("evaluation", "export", "play.session", "sim2sim", "training.session", "results", "bench")
-_LIBRARIES = ("mujoco", "onnx", "onnxruntime", "rsl_rl.runners", "torch.utils.tensorboard", "viser", "av", "tyro")
+_LIBRARIES = ("mujoco", "onnx", "rsl_rl.runners", "torch.utils.tensorboard", "viser", "av", "tyro")
 
 _MEMORY_UNIT = 1 if sys.platform == "darwin" else 1024
 """Bytes of the unit of a process's peak memory."""
@@ -111,6 +111,7 @@ def _serve() -> None:
         importlib.import_module(f"polypod.{module}")
     for module in _LIBRARIES:
         importlib.import_module(module)
+    importlib.import_module("polypod.networks.onnx_session").runtime("the tests")
     for line in sys.stdin:
         request = json.loads(line)
         child = os.fork()

@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 
 import polypod
 from common import TINY
 from polypod.training import config, run_dir, session
+from polypod.training.workers import Workers
 from same_bits import equal
 
 
@@ -53,6 +55,71 @@ def test_what_a_learner_lacks_is_refused():
         alternate.with_learner_resolved("rsl_rl")
     with pytest.raises(polypod.ConfigError, match="symmetry"):
         config.parse(flat.as_dict() | {"run": flat.as_dict()["run"] | {"symmetry": "both"}}, "test")
+
+
+SHRINKING = [
+    *("train.actor.init_std=0.002", "train.algorithm.learning_rate=0.003", "train.algorithm.schedule=fixed"),
+    *("train.algorithm.entropy_coef=0", "train.run.num_steps_per_env=8"),
+]
+"""Deviations so small that the optimiser's steps, of the size of the rate, lead below 0."""
+
+
+@pytest.mark.parametrize("learner", ["native", "rsl_rl"])
+def test_deviations_stay_positive(learner, tmp_path, capsys):
+    means = {}
+    options = session.Options(
+        num_envs=64, robots=["unitree_go2"], max_iterations=4, learner=learner, logger="none", device="cpu", seed=1,
+        log_dir=tmp_path, overrides=SHRINKING,
+    )  # fmt: skip
+    run, runner = session.train_with(
+        options, Workers.alone(), lambda done, of: means.update({done: of["Policy/mean_std"]})
+    )
+    path = run_dir.latest_checkpoint(run)
+    state = run_dir.load_checkpoint(path)
+    deviations = state["actor_state_dict"]["distribution.std_param"]
+    assert (deviations == 1e-6).any()
+    assert (deviations >= 1e-6).all()
+    # the curve says what the checkpoint holds
+    assert means[4] == pytest.approx(float(deviations.mean()), rel=1e-6)
+    runner.env.close()
+
+    # a checkpoint from before there was a limit
+    state["actor_state_dict"]["distribution.std_param"][:3] = -0.02
+    torch.save(state, path)
+    manifest = json.loads((run / "manifest.json").read_text())
+    del manifest["checkpoints"]
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    capsys.readouterr()
+    assert session.train(session.Options(resume=str(path), max_iterations=1, logger="none", device="cpu")) == 0
+    assert "3 of 12 deviations of the actions are out of the range" in capsys.readouterr().out
+    after = run_dir.load_checkpoint(run_dir.latest_checkpoint(run))["actor_state_dict"]["distribution.std_param"]
+    assert (after >= 1e-6).all()
+
+
+def test_numbers_that_no_training_leaves_are_refused(make):
+    learner = polypod._core.Learner(make().sim, json.dumps(config.load("flat_universal").native_options()))
+    weights, first, second, steps = learner.network("actor")
+    weights[0][:] = 0.02
+    learner.set_network("actor", weights, first, second, steps)
+    assert learner.action_std() == pytest.approx(np.full(12, 0.02))
+    for wrong in (-0.02, np.nan, np.inf):
+        weights[0][:6] = wrong
+        with pytest.raises(polypod.ConfigError, match="deviations: number 0 is"):
+            learner.set_network("actor", weights, first, second, steps)
+    assert learner.action_std() == pytest.approx(np.full(12, 0.02))
+    weights[0][:] = 0.0
+    learner.set_network("actor", weights, first, second, steps)
+    assert (learner.action_std() == np.float32(1e-6)).all()
+    second[1][3] = -1.0
+    with pytest.raises(polypod.ConfigError, match=r"second: number .* is -1"):
+        learner.set_network("actor", weights, first, second, steps)
+    mean, variance, count = learner.normalizer("actor")
+    variance[2] = -1e-3
+    with pytest.raises(polypod.ConfigError, match=r"variance: number 2 is -0\.001"):
+        learner.set_normalizer("actor", mean, variance, count)
+    returns, (count, mean, variance) = learner.reward_scale()
+    with pytest.raises(polypod.ConfigError, match="variance: number 0 is -1"):
+        learner.set_reward_scale(returns, count, mean, -variance)
 
 
 def test_options_and_states_that_do_not_fit_are_refused(make):

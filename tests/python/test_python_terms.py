@@ -1,10 +1,13 @@
 """Terms in Python see the true state, add up, end episodes, and leave autoreset and final observations right."""
 
+import re
+
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
 import polypod
+import polypod.single_env
 from common import SHORT, size
 from polypod.terms import CustomTerms, Reward
 
@@ -258,6 +261,142 @@ def test_mistakes_are_told(make):
         wrapped.step(still)
     with pytest.raises(polypod.ConfigError, match="autoreset disabled"):
         make().sim.terminate(np.ones(16, dtype=np.bool_))
+
+
+BAD = [
+    (np.nan, "nan"),
+    (np.inf, "inf"),
+    (-np.inf, "-inf"),
+    (1e39, "1e+39"),
+    (np.float64(-3.5e38), "-3.5e+38"),
+]
+
+
+@pytest.mark.parametrize(("value", "told"), BAD)
+def test_a_reward_is_a_finite_number(make, value, told):
+    env = make(autoreset="disabled")
+    wrapped = CustomTerms(
+        env,
+        rewards={"bad": Reward(lambda state: np.where(np.arange(16) == 5, value, 0.0), weight=1.0)},
+        source="mine.py",
+    )
+    wrapped.reset()
+    with pytest.raises(polypod.ConfigError, match=re.escape(f"mine.py: rewards['bad'] gives {told} for env 5")):
+        wrapped.step(np.zeros(env.action_space.shape, dtype=np.float32))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("value", "told"), BAD)
+def test_an_observation_is_finite_numbers(make, value, told):
+    late = {"on": False}
+
+    def term(state):
+        return np.where(late["on"], np.full((16, 2), value), 0.0)
+
+    env = make(autoreset="disabled")
+    wrapped = CustomTerms(env, observations={"bad": term})
+    wrapped.reset()
+    late["on"] = True
+    message = re.escape(f"observations['bad'] gives {told} for env 0")
+    with pytest.raises(polypod.ConfigError, match=message):
+        wrapped.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    with pytest.raises(polypod.ConfigError, match=message):
+        wrapped.reset()
+    with pytest.raises(polypod.ConfigError, match=message):
+        CustomTerms(env, observations={"bad": term})
+
+
+def test_terms_of_other_types_and_sizes_are_refused(make):
+    env = make(autoreset="disabled")
+    still = np.zeros(env.action_space.shape, dtype=np.float32)
+    for weight in (np.nan, np.inf, 1e39, "1", None):
+        with pytest.raises(polypod.ConfigError, match=r"rewards\['x'\]\.weight"):
+            CustomTerms(env, rewards={"x": Reward(height, weight=weight)})
+    wrapped = CustomTerms(env, rewards={"x": Reward(lambda state: np.full(16, 1e38), weight=1e10)})
+    wrapped.reset()
+    with pytest.raises(
+        polypod.ConfigError, match=r"rewards\['x'\] times its weight and step_dt gives 2e\+46 for env 0"
+    ):
+        wrapped.step(still)
+    with pytest.raises(polypod.ConfigError, match=r"rewards\['x'\] is a function; write polypod\.terms\.Reward"):
+        CustomTerms(env, rewards={"x": height})
+    for value in (["a"] * 16, np.zeros(16, dtype=complex), [None] * 16):
+        wrapped = CustomTerms(env, rewards={"x": Reward(lambda state, value=value: value, weight=1.0)})
+        wrapped.reset()
+        with pytest.raises(polypod.ConfigError, match=r"rewards\['x'\] gives"):
+            wrapped.step(still)
+        with pytest.raises(polypod.ConfigError, match=r"observations\['x'\] gives"):
+            CustomTerms(env, observations={"x": lambda state, value=value: value})
+    for value in (np.full(16, np.nan), np.zeros(16, dtype=int), [None] * 16, ["no"] * 16):
+        wrapped = CustomTerms(env, terminations={"x": lambda state, value=value: value})
+        wrapped.reset()
+        with pytest.raises(polypod.ConfigError, match=r"terminations\['x'\] gives .*; return bools"):
+            wrapped.step(still)
+    sizes = iter((2, 2, 3))
+    wrapped = CustomTerms(env, observations={"x": lambda state: np.zeros((16, next(sizes)))})
+    wrapped.reset()
+    with pytest.raises(polypod.ConfigError, match=r"observations\['x'\] gives shape \(16, 3\)"):
+        wrapped.step(still)
+    with pytest.raises(polypod.ConfigError, match="call step"):
+        wrapped.send(still)
+
+
+class Told(polypod.VectorEnv):
+    """An env with an info of its own."""
+
+    def reset(self, **options):
+        """As of the env."""
+        observations, infos = super().reset(**options)
+        return observations, {**infos, "age": self.sim.episode_length, "note": "a word"}
+
+    def step(self, actions):
+        """As of the env."""
+        *found, infos = super().step(actions)
+        return (*found, {**infos, "age": self.sim.episode_length, "note": "a word"})
+
+
+def test_infos_are_those_of_the_env(actions):
+    """Of all keys, before and after ends; those of the last step of an episode are in `final_info`."""
+    plain = polypod.make("velocity_flat_legged", 8, robots=["unitree_go2", "unitree_h1"], seed=1, overrides=SHORT)
+    env = Told(
+        "velocity_flat_legged", 8, robots=["unitree_go2", "unitree_h1"], seed=1, overrides=SHORT, autoreset="disabled"
+    )
+    wrapped = CustomTerms(env, terminations={"old": lambda state: state.episode_length >= 9})
+    assert plain.reset()[1].keys() | {"age", "note"} == wrapped.reset()[1].keys()
+    ends = 0
+    for step in range(25):
+        drawn = actions(plain, step, scale=0.05)
+        of_plain = plain.step(drawn)[4]
+        _, _, terminated, truncated, infos = wrapped.step(drawn)
+        done = terminated | truncated
+        np.testing.assert_array_equal(infos["action_mask"], env.action_mask)
+        assert infos["note"] == "a word"
+        np.testing.assert_array_equal(infos["age"] == 0, done)
+        if done.any():
+            ends += done.sum()
+            assert infos.keys() == {
+                "action_mask",
+                "age",
+                "note",
+                "final_obs",
+                "_final_obs",
+                "final_info",
+                "_final_info",
+            }
+            assert set(infos["final_info"]) == {"action_mask", "age", "note"}
+            assert (infos["final_info"]["age"][done] > 0).all()
+            assert infos["_final_obs"] is not infos["_final_info"]
+        else:
+            assert of_plain.keys() - {"final_obs", "_final_obs", "final_info", "_final_info"} == {"action_mask"}
+    assert ends >= 16
+
+
+def test_a_single_env_has_the_infos_of_one_row():
+    env = polypod.single_env.Env("velocity_flat_legged", robots=["unitree_go2"], slots=["L_HIP_YAW"])
+    _, infos = env.reset(seed=0)
+    assert infos["action_mask"].shape == env.action_space.shape
+    assert infos["action_mask"].sum() == 12
+    assert env.step(np.zeros(env.action_space.shape))[4]["action_mask"].shape == env.action_space.shape
 
 
 def test_rsl_rl_learns_with_own_terms(make):

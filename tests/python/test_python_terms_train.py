@@ -28,6 +28,28 @@ def terms(tmp_path):
     return path
 
 
+@pytest.mark.parametrize(
+    ("rewards", "terminations", "told"),
+    [
+        ("np.where(i == 3, np.nan, 0.0)", "i < 0", "rewards['bad'] gives nan for env 3"),
+        ("np.where(i == 0, np.inf, 0.0)", "i < 0", "rewards['bad'] gives inf for env 0"),
+        ("np.where(i == 0, 1e39, 0.0)", "i < 0", "rewards['bad'] gives 1e+39 for env 0"),
+        ("np.zeros(7)", "i < 0", "rewards['bad'] gives shape (7,)"),
+        ("0.0 * i", "np.nan * i", "terminations['bad'] gives float64; return bools"),
+    ],
+)
+def test_a_bad_number_is_told_in_one_line(rewards, terminations, told, cli, tmp_path):
+    lines = ("import numpy as np", "from polypod.terms import Reward", "i = np.arange(16)")
+    lines += (f"rewards = {{'bad': Reward(lambda state: {rewards}, weight=1.0)}}",)
+    lines += (f"terminations = {{'bad': lambda state: {terminations}}}",)
+    (tmp_path / "bad.py").write_text("\n".join(lines))
+    done = cli(*LINE, "--terms", "bad.py", "--max-iterations", "2")
+    assert done.returncode == 2, done.stderr
+    assert f"--terms bad.py: {told}" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.rglob("model_*.pt"))
+
+
 def checkpoint(folder):
     return run_dir.find_checkpoint(folder / "logs", "latest")
 

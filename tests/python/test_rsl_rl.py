@@ -57,6 +57,31 @@ def test_steps_equal_those_of_the_vector_env(env, make, actions):
         np.testing.assert_array_equal(extras["time_outs"].numpy(), truncated & ~terminated)
 
 
+def test_what_a_step_hands_out_survives_the_next_one(env):
+    """Observations for one further step, all else for good, also where episodes end."""
+    random = torch.Generator().manual_seed(0)
+    kept = []
+    for _ in range(25):
+        before = env.get_observations()
+        observed = {name: group.clone() for name, group in before.items()}
+        _, rewards, dones, extras = env.step(torch.randn(16, 12, generator=random))
+        for name, group in before.items():
+            assert torch.equal(group, observed[name])
+        handed = [rewards, dones, extras["time_outs"]]
+        kept.append((handed, [tensor.clone() for tensor in handed]))
+    assert sum(int(copies[1].sum()) for _, copies in kept) >= 16
+    for handed, copies in kept:
+        for tensor, copy in zip(handed, copies, strict=True):
+            assert torch.equal(tensor, copy)
+
+
+def test_what_is_written_into_the_episode_lengths_changes_nothing(env):
+    env.episode_length_buf += 7  # an assignment of the whole tensor
+    assert env.episode_length_buf.tolist() == [7] * 16
+    env.episode_length_buf.zero_()
+    assert env.episode_length_buf.tolist() == [7] * 16
+
+
 def test_episode_lengths_can_be_set(env):
     lengths = torch.arange(16)
     env.episode_length_buf = lengths

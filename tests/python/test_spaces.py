@@ -68,11 +68,26 @@ def test_there_is_one_env_per_robot_by_default(task, robots, count):
 
 
 def test_make_vec_needs_no_number_of_envs():
-    """Gymnasium passes 1 when its caller names none."""
-    env = gymnasium.make_vec("polypod/Velocity-Flat-HeteroQuadruped-v0", seed=0)
+    """Gymnasium passes 1 when its caller names none: an env of each robot, with a warning that says so."""
+    with pytest.warns(UserWarning, match=r"gives 8 envs, one for each robot.*pass num_envs=8 or more, or robots="):
+        env = gymnasium.make_vec("polypod/Velocity-Flat-HeteroQuadruped-v0", seed=0)
     assert env.num_envs == 8
-    assert gymnasium.make_vec(env.spec).num_envs == 8
+    with pytest.warns(UserWarning, match="gives 8 envs"):
+        assert gymnasium.make_vec(env.spec).num_envs == 8
     env.close()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("task", "options"), [("Velocity-Flat-HeteroQuadruped-v0", {"robots": ["spot"]}), ("Velocity-Flat-Spot-v0", {})]
+)
+def test_one_env_is_one_env_where_there_is_one_robot(task, options):
+    env = gymnasium.make_vec(f"polypod/{task}", num_envs=1, seed=0, **options)
+    assert env.num_envs == 1
+    assert env.reset()[0].shape[0] == 1
+    env.close()
+    with pytest.raises(polypod.ConfigError, match="num_envs"):
+        gymnasium.make_vec("polypod/Velocity-Flat-HeteroQuadruped-v0", num_envs=2)
 
 
 def test_an_unknown_option_is_named():

@@ -30,7 +30,7 @@ def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
     network = build_actor(model)
     try:
         network.load_state_dict(checkpoint["actor_state_dict"])
-    except (RuntimeError, TypeError, AttributeError) as error:
+    except (RuntimeError, TypeError, AttributeError, ValueError, LookupError) as error:
         raise _core.ConfigError(
             f"the checkpoint's weights do not fit its manifest: {str(error).splitlines()[-1].strip()}"
         ) from error

@@ -17,6 +17,7 @@ from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
+from polypod.networks.agreement import TOLERANCE, difference, expected, untouched
 from polypod.networks.onnx_network import OnnxNetwork, output_of
 from polypod.observation import Term
 from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
@@ -25,8 +26,6 @@ Format = Literal["onnx", "torchscript"]
 
 FOLDER = "exported"
 """Beside the checkpoint, where nothing else is asked for."""
-TOLERANCE = 1e-5
-"""Largest difference from torch's result, relative to numbers beyond 1."""
 _ROWS = 256
 _NETWORK = ("class_name", "hidden_dims", "activation", "rnn_type", "rnn_hidden_dim", "rnn_num_layers")
 """What the manifest says of the network."""
@@ -38,7 +37,8 @@ class Export:
 
     files: list[Path]
     difference: float
-    """Largest difference of an ONNX graph from torch on random inputs, as `TOLERANCE` counts it; 0 without ONNX."""
+    """Largest difference of an ONNX graph from torch on random inputs, as `agreement.difference` counts it; 0 without
+    ONNX."""
     changes: list[str]
     """What of the robots is no longer as it was in the training."""
 
@@ -93,6 +93,7 @@ class _Writer:
         self.manifest, self.network, self.out, self.formats = manifest, policy.network, out, formats
         self.terms: tuple[Term, ...] = ()
         self.scan_points: list[list[float]] = []
+        self.action_names: list[str] = []
         self.files: list[Path] = []
         self.sums: dict[str, str] = {}
         self.difference = 0.0
@@ -110,6 +111,7 @@ class _Writer:
         any_robot = next(iter(robots.values()))
         self.terms = any_robot.terms
         self.scan_points = any_robot.scan_points.tolist()
+        self.action_names = list(any_robot.action_names)
         module = states.as_module(self.network)
         sizes = {"obs": self.num_obs}
         memory = states.of_network(self.network)
@@ -125,8 +127,15 @@ class _Writer:
             "policy",
             {
                 "kind": "policy",
-                "inputs": [_tensor("obs", self.num_obs, "the observation: see observation_layout")],
-                "outputs": [_tensor("actions", self.num_actions, "the action, in canonical order")],
+                "inputs": [
+                    {
+                        **_tensor("obs", self.num_obs, "the observation: see observation_layout"),
+                        "columns": metadata.observation_columns(self.terms, self.action_names),
+                    }
+                ],
+                "outputs": [
+                    {**_tensor("actions", self.num_actions, "the action"), "columns": self.action_names},
+                ],
                 "states": states.describe(memory),
                 "robots": self.manifest["robot_sources"],
                 "robot_info": {name: self._robot(robot) for name, robot in robots.items()},
@@ -148,8 +157,8 @@ class _Writer:
             name,
             {
                 "kind": "robot",
-                "inputs": [_tensor(key, size, robot.meaning(key)) for key, size in sizes.items()],
-                "outputs": [_tensor(key, size, OUTPUTS[key]) for key, size in outputs.items()],
+                "inputs": [self._described(key, size, robot.meaning(key), robot) for key, size in sizes.items()],
+                "outputs": [self._described(key, size, OUTPUTS[key], robot) for key, size in outputs.items()],
                 "states": states.describe(memory),
                 "robots": [robot.name],
                 "robot_info": {robot.name: self._robot(robot)},
@@ -166,13 +175,13 @@ class _Writer:
         memory: dict[str, states.Shape],
     ) -> None:
         data = model.SerializeToString()
-        difference = compare(OnnxPolicy(data), module, sizes, outputs, memory)
-        if not difference <= TOLERANCE:
+        found = compare(OnnxPolicy(data), module, sizes, outputs, memory)
+        if not found <= TOLERANCE:
             raise _core.PolypodError(
-                f"{name}.onnx differs from the checkpoint by {difference:.1e}, more than {TOLERANCE:g}; "
+                f"{name}.onnx differs from the checkpoint by {found:.1e} of its outputs, more than {TOLERANCE:g}; "
                 "export to torchscript, and report this network"
             )
-        self.difference = max(self.difference, difference)
+        self.difference = max(self.difference, found)
         self._write_graph(f"{name}.onnx", data)
 
     def _write_torchscript(
@@ -233,13 +242,20 @@ class _Writer:
             "morphology": [float(x) for value in robot.constants.values() for x in value],
         }
 
+    def _described(self, name: str, size: int, meaning: str, robot: RobotInterface) -> dict[str, Any]:
+        """A tensor of a folded graph, with the names of its columns where they are joints or slots."""
+        columns: dict[str, Sequence[str]] = dict.fromkeys(("last_action", "actions"), robot.action_names)
+        columns |= dict.fromkeys(("joint_pos", "joint_vel", "joint_pos_target"), robot.joint_names)
+        described = _tensor(name, size, meaning)
+        return {**described, "columns": list(columns[name])} if name in columns else described
+
     def _metadata(self, name: str, robot: RobotInterface | None = None) -> dict[str, str]:
         return {
             METADATA: json.dumps(onnx_manifest(self.manifest)),
             "name": name,
             "task": self.manifest["task"],
             "checkpoint_sha256": self.origin["sha256"],
-            **metadata.of_observation(self.terms, self.run_path, self.manifest["step_dt"]),
+            **metadata.of_observation(self.terms, self.action_names, self.run_path, self.manifest["step_dt"]),
             **({} if robot is None else metadata.of_robot(robot)),
         }
 
@@ -251,21 +267,16 @@ def compare(
     outputs: Sequence[str],
     memory: Mapping[str, states.Shape] = {},
 ) -> float:
-    """Largest difference of an ONNX graph from its torch module on random inputs, relative to numbers beyond 1."""
+    """Largest difference of an ONNX graph from its torch module on random inputs, see `agreement.difference`."""
     random = np.random.default_rng(0)
     shapes: dict[str, tuple[int, ...]] = {name: (_ROWS, size) for name, size in sizes.items()}
     shapes |= {name: states.full_shape(shape, _ROWS) for name, shape in memory.items()}
     inputs = {name: random.standard_normal(shape, dtype=np.float32) for name, shape in shapes.items()}
     outputs = [*outputs, *map(output_of, memory)]
-    with torch.inference_mode():
-        found = module(*(torch.from_numpy(value) for value in inputs.values()))
-    wanted = [found.numpy()] if isinstance(found, torch.Tensor) else [value.numpy() for value in found]
+    with untouched(module):
+        wanted = expected(module, [torch.from_numpy(value) for value in inputs.values()], "the checkpoint's network")
     given = policy(**inputs)
-    differences = (
-        np.abs(given[name] - value) / np.maximum(np.abs(value), 1.0)
-        for name, value in zip(outputs, wanted, strict=True)
-    )
-    return float(max(difference.max() for difference in differences))
+    return difference([given[name] for name in outputs], wanted)
 
 
 def _tensor(name: str, size: int, description: str) -> dict[str, Any]:

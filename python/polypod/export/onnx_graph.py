@@ -67,9 +67,7 @@ class Graph:
         names = {network.input: source, network.output: target}
         self.states |= network.states
         inner = self.onnx.compose.add_prefix_graph(model.graph, "network_", rename_inputs=False, rename_outputs=False)
-        for node in inner.node:
-            node.input[:] = [names.get(name, name) for name in node.input]
-            node.output[:] = [names.get(name, name) for name in node.output]
+        _rename(inner, names)
         self.nodes += list(inner.node)
         self.constants += list(inner.initializer)
 
@@ -103,8 +101,25 @@ class Graph:
             "state_outputs": ",".join(after),
         }
         helper.set_model_props(model, {**metadata, **(fed_back if self.states else {})})
-        self.onnx.checker.check_model(model, full_check=True)
+        try:
+            self.onnx.checker.check_model(model, full_check=True)
+        except Exception as error:  # a class of its own, or one of protobuf's
+            reason = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+            raise _core.ConfigError(
+                f"{self.name}: the network's operators make no sound ONNX graph ({reason}); write it without functions "
+                "and operators of its own"
+            ) from error
         return model
+
+
+def _rename(graph: Any, names: Mapping[str, str]) -> None:
+    """Gives tensors other names, also where branches and loops use them."""
+    for node in graph.node:
+        node.input[:] = [names.get(name, name) for name in node.input]
+        node.output[:] = [names.get(name, name) for name in node.output]
+        for attribute in node.attribute:
+            for inner in (attribute.g, *attribute.graphs):
+                _rename(inner, names)
 
 
 def network_model(network: MLPModel | OnnxNetwork, num_obs: int, num_actions: int, metadata: Mapping[str, str]) -> Any:

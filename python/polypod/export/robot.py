@@ -48,8 +48,8 @@ class RobotInterface:
     """Column of each of these slots in the policy's action."""
     signs: Array
     """Of each slot 1, or -1 where the joint's own positive direction is opposite to the slot's."""
-    num_actions: int
-    """Columns of the policy's action."""
+    action_names: tuple[str, ...]
+    """Columns of the policy's action: slots, of which the robot has some."""
     default_pose: Array
     """rad."""
     action_scale: float
@@ -64,6 +64,11 @@ class RobotInterface:
     """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low, high]."""
     info: Mapping[str, Any]
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
+
+    @property
+    def num_actions(self) -> int:
+        """Columns of the policy's action."""
+        return len(self.action_names)
 
     def inputs(self) -> dict[str, int]:
         """Names and sizes of what the robot's sensors give to the folded graph."""
@@ -152,7 +157,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             joint_of_slot=np.array(infos[robot]["joint_of_slot"], dtype=np.int64),
             columns=np.array(infos[robot]["columns"], dtype=np.int64),
             signs=np.array(infos[robot]["slot_signs"], dtype=np.float32),
-            num_actions=sim.num_actions,
+            action_names=tuple(sim.canonical_joint_names),
             default_pose=np.array(infos[robot]["default_pose"], dtype=np.float32),
             action_scale=infos[robot]["action_scale"],
             base_com=np.array(shapes[robot]["base_com"], dtype=np.float32),

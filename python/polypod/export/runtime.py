@@ -3,14 +3,15 @@
 import hashlib
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.extras import package
 from polypod.files import read_bytes
 from polypod.networks.onnx_network import output_of
+from polypod.networks.onnx_session import OnnxSession
 from polypod.training.manifest import export_sums
 
 MAX_BYTES = 1 << 30
@@ -27,31 +28,28 @@ class OnnxPolicy:
         Raises:
             ConfigError: for a file that is missing, no ONNX model, or not the one that its manifest describes.
         """
-        runtime = package("onnxruntime", "running an exported policy", "export")
         name = "the model" if isinstance(model, bytes) else os.fspath(model)
         source = model if isinstance(model, bytes) else _read(Path(model))
-        options = runtime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = threads
-        try:
-            self._session = runtime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime raises classes of its compiled half
-            raise _core.ConfigError(f"{name} is not loaded by onnxruntime: {str(error).splitlines()[0]}") from error
-        self.outputs: list[str] = [entry.name for entry in self._session.get_outputs()]
-        entries = self._session.get_inputs()
+        self._session = OnnxSession(source, name, "running an exported policy", threads)
+        self.outputs: list[str] = [entry.name for entry in self._session.outputs]
+        entries = self._session.inputs
         self.states = {
             entry.name: tuple(entry.shape)
             for entry in entries
             if entry.name.endswith("_in") and output_of(entry.name) in self.outputs
         }
         """Shapes of what it remembers, the batch as a name; see `polypod.export.states`."""
-        self.inputs: dict[str, int] = {entry.name: entry.shape[1] for entry in entries if entry.name not in self.states}
+        self.inputs: dict[str, int] = {
+            entry.name: _width(entry, name) for entry in entries if entry.name not in self.states
+        }
         """Names and sizes of the others."""
         self._memory: dict[str, Array] = {}
 
     def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Array]:
         """Runs the graph on float32 [batch, size] per input.
 
-        States that are not given are those after the call before, or zeros after `reset`.
+        States that are not given are those after the call before, or zeros after `reset`. Raises ConfigError for inputs
+        that the graph does not have or of other sizes.
         """
         feeds = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
         rows = next((len(feeds[name]) for name in self.inputs if name in feeds), 1)
@@ -72,6 +70,16 @@ class OnnxPolicy:
             kept = memory.copy()
             kept[(slice(None),) * (not isinstance(self.states[state][0], str)) + (ends,)] = 0.0
             self._memory[state] = kept
+
+
+def _width(entry: Any, name: str) -> int:
+    """The size of a [batch, size] tensor. Raises ConfigError."""
+    if entry.type != "tensor(float)" or len(entry.shape) != 2 or not isinstance(entry.shape[1], int):
+        raise _core.ConfigError(
+            f"{name}: {entry.name} is {entry.type} of shape {entry.shape}; pass the graph of an export: inputs of "
+            "float32 [batch, size]"
+        )
+    return int(entry.shape[1])
 
 
 def _read(path: Path) -> bytes:

@@ -8,6 +8,7 @@ from rsl_rl.models import MLPModel
 
 from polypod.export import sources, states
 from polypod.export.robot import RobotInterface
+from polypod.networks.agreement import untouched
 from polypod.networks.onnx_network import OnnxNetwork
 from polypod.observation import Treatment
 
@@ -118,14 +119,14 @@ class _Operations:
 
 
 def torchscript(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> bytes:
-    """Traces `module`; returns the archive."""
-    with warnings.catch_warnings():
+    """Traces `module`, which stays as it is; returns the archive."""
+    with untouched(module), warnings.catch_warnings():
         # torch advises against TorchScript; those who load it in C++ still want it
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", DeprecationWarning)
         # recurrent layers check sizes, which are constants here
         warnings.simplefilter("ignore", torch.jit.TracerWarning)  # type: ignore[attr-defined]
-        traced = torch.jit.trace(module.eval(), example)  # type: ignore[no-untyped-call]
+        traced = torch.jit.trace(module, example)  # type: ignore[no-untyped-call]
         buffer = io.BytesIO()
         torch.jit.save(traced, buffer)
         return buffer.getvalue()

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.extras import package
+from polypod.networks.onnx_session import OnnxSession
 
 
 def output_of(state: str) -> str:
@@ -31,15 +31,8 @@ class OnnxNetwork(torch.nn.Module):
             ConfigError: for what is no ONNX model, for other inputs and outputs, and where onnxruntime is missing.
         """
         super().__init__()
-        runtime = package("onnxruntime", "running an ONNX file", "export")
-        options = runtime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = threads
-        try:
-            self._session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime raises classes of its compiled half
-            reason = next((line for line in str(error).splitlines() if line), type(error).__name__)
-            raise _core.ConfigError(f"{name} is not loaded by onnxruntime: {reason}") from error
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        self._session = OnnxSession(data, name, "running an ONNX file", threads)
+        inputs, outputs = self._session.inputs, self._session.outputs
         given = {entry.name for entry in outputs}
         if not inputs or not all(entry.name.endswith("_in") and output_of(entry.name) in given for entry in inputs[1:]):
             raise _core.ConfigError(
@@ -47,6 +40,8 @@ class OnnxNetwork(torch.nn.Module):
                 "observation, and states that it gives back: pass policy.onnx rather than a graph that is folded for a "
                 "robot"
             )
+        if not outputs:
+            raise _core.ConfigError(f"{name} has no output; the first output of a policy is the action")
         self.states = {entry.name: _state(entry, name) for entry in inputs[1:]}
         """Sizes of what it remembers, as in `polypod.export.states`."""
         self._memory: dict[str, npt.NDArray[np.float32]] = {}
@@ -55,7 +50,7 @@ class OnnxNetwork(torch.nn.Module):
         """Names of the tensors."""
         self.num_obs = _width(inputs[0], name)
         self.num_actions = _width(outputs[0], name)
-        self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
+        self.metadata: Mapping[str, str] = self._session.metadata
         self.obs_normalizer = torch.nn.Identity()
         """What is in the graph is not known apart from it."""
 
@@ -71,10 +66,19 @@ class OnnxNetwork(torch.nn.Module):
         return actions
 
     def step(self, observations: torch.Tensor, states: Mapping[str, npt.NDArray[np.float32]]) -> list[torch.Tensor]:
-        """Actions and next states for observations and states."""
+        """Actions and next states for observations and states. Raises ConfigError for outputs of other sizes."""
         feed = {self.input: np.ascontiguousarray(observations.numpy(), dtype=np.float32)}
-        outputs = [self.output, *map(output_of, self.states)]
-        return [torch.from_numpy(output) for output in self._session.run(outputs, feed | dict(states))]
+        rows = len(observations)
+        wanted = {self.output: (rows, self.num_actions)}
+        wanted |= {output_of(name): (shape[0], rows, *shape[1:]) for name, shape in self.states.items()}
+        found = self._session.run(list(wanted), feed | dict(states))
+        for (output, shape), value in zip(wanted.items(), found, strict=True):
+            if value.shape != shape or value.dtype != np.float32:
+                raise _core.ConfigError(
+                    f"{self.name}: {output} is {value.dtype} of shape {value.shape}, but the file declares float32 of "
+                    f"shape {shape}"
+                )
+        return [torch.from_numpy(value) for value in found]
 
     def reset(self, ends: torch.Tensor | None = None) -> None:
         """Forgets what the rows of the mask have seen, [batch]; None: all, of whatever number."""

@@ -152,6 +152,13 @@ class Twin:
                 "where it is registered, or add the sensor to polypod.sim2sim.twin"
             )
         outputs = self.policy(**{name: given[name] for name in self.policy.inputs})
+        targets = outputs["joint_pos_target"]
+        if not np.isfinite(targets[active]).all():
+            row, joint = np.argwhere(~np.isfinite(targets) & active[:, None])[0]
+            raise _core.ConfigError(
+                f"the policy gives {targets[row, joint]} as target of {self.interface.joint_names[joint]}; it has "
+                "diverged: use an earlier checkpoint"
+            )
         self.actions = outputs["actions"]
         self._targets = np.roll(self._targets, 1, axis=0)
         self._targets[0] = outputs["joint_pos_target"]

@@ -16,6 +16,7 @@ from torch import nn
 from polypod import _core
 from polypod.networks.masked import ACTION_MASK, MaskedGaussian
 from polypod.rsl_rl import VecEnv
+from polypod.training import deviations
 from polypod.training.schema import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
 from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers
@@ -284,6 +285,7 @@ class Update:
         for network in self._networks:
             nn.utils.clip_grad_norm_(network.parameters(), self._algorithm.max_grad_norm)
         self.optimizer.step()
+        deviations.limit(self._alg.actor.distribution)
         self._losses += losses
 
     def _write_sums(self, sizes: tuple[int, ...]) -> None:

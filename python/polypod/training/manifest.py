@@ -28,6 +28,9 @@ MAX_BYTES = 64 << 20
 """Of a manifest."""
 MAX_WEIGHTS = 100_000_000
 """Of a network: 400 MB in float32."""
+MAX_SEED = 2**64 - 1
+MAX_ENVS = 2**31 - 1
+"""Of a simulation."""
 
 
 class TermSize(TypedDict):
@@ -149,6 +152,9 @@ def read(path: Path) -> dict[str, Any]:
     """
     manifest: Manifest = _decode(path, Manifest, "the training's run")
     policy = manifest["policy"]
+    for key, most in (("seed", MAX_SEED), ("num_envs", MAX_ENVS)):
+        if manifest.get(key, 0) > most:  # type: ignore[operator]
+            raise _core.ConfigError(f"{path}: {key} is more than {most}; copy it again from the training's run")
     _check_layout(manifest, path)
     check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
     if policy["class_name"] == "polypod.networks:UrmaModel":

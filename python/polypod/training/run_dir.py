@@ -17,6 +17,7 @@ import json
 import pickle
 import platform
 import re
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
@@ -40,6 +41,15 @@ MANIFEST = "manifest.json"
 LOCK = ".lock"
 MAX_CHECKPOINT = 4 << 30
 """Bytes of a checkpoint, at most."""
+_NETWORKS = ("actor_state_dict", "critic_state_dict", "student_state_dict", "teacher_state_dict")
+"""Of the learners, where they have them."""
+_DTYPES = (
+    *(torch.float32, torch.float64, torch.float16, torch.bfloat16),
+    *(torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64),
+)
+"""Of the tensors of a checkpoint."""
+_SQUARES = ("._var", "._std", ".count")
+"""Ends of the names of statistics that are sums or means of squares, or counts."""
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _RUN = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(.+)")
 
@@ -177,7 +187,10 @@ def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "c
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if (broken := archive.testzip()) is not None:
                 raise zipfile.BadZipFile(f"{broken} is not as it was written")
-        state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
+        with warnings.catch_warnings():
+            # of tensors that are refused below
+            warnings.simplefilter("ignore")
+            state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
     except pickle.UnpicklingError as error:  # torch's message is advice to trust the file
         raise _core.ConfigError(
             f"{path} is not a checkpoint: it asks for code, and a checkpoint holds numbers alone; use another file"
@@ -185,19 +198,64 @@ def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "c
     except Exception as error:  # torch has no common class for the ways in which a file can be broken
         reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
         raise _core.ConfigError(f"{path} is not a checkpoint: {reason}") from error
-    if not isinstance(state, dict) or not _are_weights(state.get("actor_state_dict")):
+    if not isinstance(state, dict) or not isinstance(state.get("actor_state_dict"), dict):
         raise _core.ConfigError(f"{path} is not a checkpoint of polypod: it holds no 'actor_state_dict'")
-    for name in ("actor_state_dict", "critic_state_dict"):
-        for key, value in (state.get(name) or {}).items():
-            if isinstance(value, torch.Tensor) and not bool(torch.isfinite(value).all()):
-                raise _core.ConfigError(
-                    f"{path}: {name} {key} holds a number that is not finite; use an earlier checkpoint"
-                )
+    if type(state.get("iter", 0)) is not int or not 0 <= state.get("iter", 0) < 2**63:
+        raise _core.ConfigError(f"{path}: iter is not a number of iterations; use another checkpoint")
+    for place, tensor in _tensors(state):
+        _check_plain(tensor, f"{path}: {place}")
+    for name in _NETWORKS:
+        weights = state.get(name)
+        if weights is not None:
+            _check_weights(weights, f"{path}: {name}")
     return state
 
 
-def _are_weights(state: Any) -> bool:
-    return isinstance(state, dict) and all(isinstance(key, str) for key in state)
+def _tensors(state: dict[Any, Any]) -> Iterator[tuple[str, torch.Tensor]]:
+    """All tensors of a checkpoint and where they are."""
+    inside: list[tuple[str, Any]] = [("", state)]
+    seen: set[int] = set()
+    while inside:
+        place, value = inside.pop()
+        if isinstance(value, torch.Tensor):
+            yield place, value
+        elif isinstance(value, dict | list | tuple):
+            if id(value) in seen:
+                continue
+            seen.add(id(value))
+            parts = value.items() if isinstance(value, dict) else enumerate(value)
+            inside += [(f"{place} {str(key)[:80]}".lstrip(), part) for key, part in parts]
+
+
+def _check_plain(tensor: torch.Tensor, place: str) -> None:
+    """Refuses a tensor that is not an ordinary array, before anything is computed with it.
+
+    A few bytes can stand for an array that no memory holds: one of a sparse layout, or one that repeats its numbers.
+    """
+    shape = list(tensor.shape)
+    if type(tensor) not in (torch.Tensor, torch.nn.Parameter) or tensor.layout is not torch.strided:
+        raise _core.ConfigError(f"{place} is a tensor of a kind that no checkpoint holds; use another file")
+    if tensor.dtype not in _DTYPES or tensor.device.type == "meta":
+        raise _core.ConfigError(
+            f"{place} is of {tensor.dtype} on {tensor.device.type}, which no checkpoint holds; use another file"
+        )
+    if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
+        raise _core.ConfigError(
+            f"{place} has the shape {shape}, but fewer numbers in the file than that; use another file"
+        )
+
+
+def _check_weights(weights: Any, place: str) -> None:
+    """Refuses what is no network's state, and numbers that float32 does not hold."""
+    if not isinstance(weights, dict) or not all(isinstance(key, str) for key in weights):
+        raise _core.ConfigError(f"{place} is not a network's state; use another checkpoint")
+    for key, value in weights.items():
+        if not isinstance(value, torch.Tensor) or not (value.is_floating_point() or value.dtype is torch.int64):
+            raise _core.ConfigError(f"{place} {key} holds no weights; use another checkpoint")
+        if not bool(torch.isfinite(value.float()).all()):
+            raise _core.ConfigError(f"{place} {key} holds a number that is not finite; use an earlier checkpoint")
+        if key.endswith(_SQUARES) and bool((value < 0).any()):
+            raise _core.ConfigError(f"{place} {key} holds a number below 0; use an earlier checkpoint")
 
 
 def _check_sum(path: Path, data: bytes) -> None:

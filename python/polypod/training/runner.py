@@ -18,7 +18,7 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.rsl_rl import VecEnv
-from polypod.training import run_dir
+from polypod.training import deviations, run_dir
 from polypod.training.advantages import normalize_per_robot
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
@@ -111,6 +111,8 @@ class Runner(OnPolicyRunner):
             device=device,
         )
         self.logger.begin(sim.share[0], sim.total_num_envs)
+        self._distribution = self.alg.get_policy().distribution
+        self.alg.optimizer.register_step_post_hook(lambda *_: deviations.limit(self._distribution))
         self.config = config
         self.run = run
         self.reporter = reporter
@@ -273,9 +275,11 @@ class Runner(OnPolicyRunner):
 
     def _action_std(self) -> torch.Tensor:
         """Deviations of the actions, [n]: of those that the robots have."""
-        policy = self.alg.get_policy()
-        mask = getattr(policy.distribution, "mask", None)
-        return policy.output_std if mask is None else policy.output_std[mask > 0]
+        # those after the update, which a checkpoint holds; the policy's own are of the last mini-batch
+        learnt = deviations.of(self._distribution)
+        std: torch.Tensor = self.alg.get_policy().output_std if learnt is None else learnt
+        mask = getattr(self._distribution, "mask", None)
+        return std if mask is None else std.expand_as(mask)[mask > 0]
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint, whole or not at all. All workers call it, and worker 0 writes."""
@@ -308,8 +312,10 @@ class Runner(OnPolicyRunner):
         state = run_dir.checkpoint_of(data, Path(path), map_location or self.device)
         try:
             self.alg.load(state, load_cfg or (_STUDENT_AND_TEACHER if self._distils else None), strict)
-        except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            self._check_moments()
+        except (AttributeError, RuntimeError, LookupError, TypeError, ValueError) as error:
             raise _core.ConfigError(f"{path} does not fit this run's networks: {_first_line(error)}") from error
+        self._limit_deviations(path)
         try:
             infos: dict[str, Any] = state["infos"]
             self.env.unwrapped.sim.restore(infos["sim"].cpu().numpy().tobytes())
@@ -329,6 +335,32 @@ class Runner(OnPolicyRunner):
                 "use another checkpoint, or begin anew with --init"
             ) from error
         return infos
+
+    def _check_moments(self) -> None:
+        """Raises ValueError for moments of the optimiser that are not those of its parameters."""
+        for parameter, state in self.alg.optimizer.state.items():
+            for name in ("exp_avg", "exp_avg_sq"):
+                moment = state.get(name)
+                if moment is None:
+                    continue
+                if moment.shape != parameter.shape:
+                    raise ValueError(
+                        f"optimizer_state_dict {name} of shape {list(moment.shape)} for weights of shape "
+                        f"{list(parameter.shape)}"
+                    )
+                least = float(moment.min()) if moment.numel() else 0.0
+                if not torch.isfinite(moment).all() or (name == "exp_avg_sq" and least < 0.0):
+                    raise ValueError(f"optimizer_state_dict {name} holds a number that no training leaves")
+
+    def _limit_deviations(self, path: str) -> None:
+        """Takes the deviations of a checkpoint as the policy acted with them."""
+        count, of = deviations.outside(self._distribution)
+        if count:
+            self.reporter.message(
+                f"polypod: warning: {path}: {count} of {of} deviations of the actions are out of the range that a "
+                "policy acts with, and are taken as its end (1e-6 for a deviation below)"
+            )
+            deviations.limit(self._distribution)
 
     def _of_workers(self) -> dict[str, Any]:
         """What a checkpoint holds of all workers, for worker 0: whole arrays, and the simulator as of one process."""
@@ -395,11 +427,12 @@ class Runner(OnPolicyRunner):
                 self.alg.get_policy().load_state_dict(state["actor_state_dict"])
             else:
                 self.alg.load(state, {"actor": True, "critic": True}, True)
-        except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        except (AttributeError, RuntimeError, LookupError, TypeError, ValueError) as error:
             raise _core.ConfigError(
                 f"--init {path} does not fit this run's networks, {_first_line(error)}: "
                 "use its task and its train config's sizes"
             ) from error
+        self._limit_deviations(str(path))
 
     def learn_from(self, teacher: Path) -> None:
         """Takes over the network that a distillation learns from. Raises ConfigError where it does not fit."""

@@ -156,7 +156,7 @@ def train_with(
         share=workers.share(run_config.num_envs, run_config.learner),
     )
     if terms is not None and isinstance(env, polypod.VectorEnv):
-        env = CustomTerms(env, terms.rewards, terms.terminations)
+        env = CustomTerms(env, terms.rewards, terms.terminations, source=f"--terms {options.terms}")
     workers.check_same({"the configuration of task and robots": env.sim.config_hash()}, "use the same files")
     workers.check_same({"the instruction set": env.sim.simd}, "set POLYPOD_SIMD to one that all have")
     reporter = Reporter(quiet=not workers.is_first)
