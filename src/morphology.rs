@@ -4,17 +4,21 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use bevy_ecs::prelude::Resource;
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 
 use crate::actuator_network::{NetworkKind, read_onnx};
 use crate::components::Stance;
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig};
+use crate::dynamics::math::Spatial;
 use crate::dynamics::{
-    ActuatorNetwork, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep, Parameters, State,
-    StepSettings, Topology, Workspace,
+    ActuatorNetwork, ContactKind, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep,
+    Parameters, Scalar, State, StepSettings, Topology, Workspace,
 };
 use crate::error::Error;
 use crate::robot::{self, Articulation, BodyGroup, Model, Place, Roles, Site, Slot, UNLIMITED};
+
+/// Normal of level ground.
+pub(crate) const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// One kind of robot.
 #[derive(Clone, Debug)]
@@ -147,7 +151,7 @@ impl MorphologyModel {
         let actuators = config.actuators_by_slot(&roles.slots)?;
         topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
         let nominal = Parameters::from_scalars(&topology, &parameters);
-        let lowest_foot = lowest_foot(&model, &roles, &default_position);
+        let lowest = lowest_point(&topology, &parameters, &default_position, &UP);
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
             if actuator.delay[1] > 0 {
@@ -169,7 +173,7 @@ impl MorphologyModel {
             stance: Stance {
                 default_position: default_position.iter().map(|&q| q as f32).collect(),
                 action_scale: config.action_scale as f32,
-                spawn_height: (config.reset.spawn_margin - lowest_foot) as f32,
+                spawn_height: (config.reset.spawn_margin - lowest) as f32,
             },
             body_groups,
             feet: roles.foot_body.clone(),
@@ -444,15 +448,36 @@ fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
     }
 }
 
-/// Lowest point of the foot spheres in the default pose, relative to the base, m.
-fn lowest_foot(model: &Model, roles: &Roles, q: &[f64]) -> f64 {
-    let poses = model.forward_kinematics(q);
-    (0..roles.foot_body.len())
-        .map(|leg| {
-            let link = model.bodies[roles.foot_body[leg]].link;
-            poses[link].transform_point(roles.foot_point[leg]).z - roles.foot_radius[leg]
-        })
-        .fold(f64::INFINITY, f64::min)
+/// How far the lowest point of a robot's collision shapes is above the plane with this unit normal through its base's origin, m, at
+/// these joint positions with the base level; negative below the plane, 0 without shapes.
+///
+/// Points, rims of cylinders and balls are those that the engine pushes out of the ground. A robot that is set down by this height
+/// touches the ground and is not in it.
+pub(crate) fn lowest_point(
+    topology: &Topology,
+    parameters: &Parameters<f64>,
+    position: &[f64],
+    normal: &[f64; 3],
+) -> f64 {
+    let normal = DVec3::from_array(*normal);
+    let mut work = Workspace::new(topology);
+    let (rest, base) = (vec![0.0; topology.num_joints()], Spatial::zero());
+    f64::forward_kinematics(topology, parameters, position, &rest, &base, &mut work);
+    let heights = topology.contacts.iter().enumerate().map(|(c, contact)| {
+        let link = &work.links[contact.link];
+        let axes = DMat3::from_cols_array_2d(&link.rotation).transpose();
+        let up = axes.transpose() * normal;
+        let rim = match contact.kind {
+            ContactKind::Point => 0.0,
+            ContactKind::Rim { across, .. } => {
+                let [a, b] = across.map(|u| DVec3::from_array(u).dot(up));
+                parameters.contact_rim[c] * a.hypot(b)
+            }
+        };
+        let centre = DVec3::from_array(link.position) + axes * DVec3::from_array(parameters.contact_position[c]);
+        normal.dot(centre) - parameters.contact_radius[c] - rim
+    });
+    heights.reduce(f64::min).unwrap_or(0.0)
 }
 
 /// What a deployment must know of a robot to run a policy on it; SI units, physical joint order unless said otherwise.
@@ -487,6 +512,8 @@ pub struct RobotDescription {
     pub damping: Vec<f32>,
     /// N m; the largest one where it depends on the angle.
     pub effort_limit: Vec<f32>,
+    /// rad/s: of the joint, or of its DC motor without load.
+    pub velocity_limit: Vec<f32>,
     /// rad.
     pub lower: Vec<f32>,
     /// rad.
@@ -589,6 +616,9 @@ impl MorphologyModel {
             stiffness: p.stiffness.to_vec(),
             damping: p.damping.to_vec(),
             effort_limit,
+            velocity_limit: (0..p.velocity_limit.len())
+                .map(|j| p.velocity_limit[j].min(p.motor_velocity_limit[j]))
+                .collect(),
             lower: p.lower.to_vec(),
             upper: p.upper.to_vec(),
             base_height: self.stance.spawn_height - self.config.reset.spawn_margin as f32,

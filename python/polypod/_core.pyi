@@ -38,6 +38,8 @@ class TaskEntry(TypedDict):
 class RobotEntry(TypedDict):
     name: str
     title: str
+    needs_policy: str | None
+    """Why it cannot stand in its default pose without a policy, as its config says."""
 
 class TrainEntry(TypedDict):
     name: str

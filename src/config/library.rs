@@ -340,7 +340,8 @@ impl Library {
         let merged = self.layers(Kind::Robot, document).and_then(|layers| layers.merged()).unwrap_or_default();
         let pose = merged.get("default_pose").and_then(Value::as_table).into_iter().flatten();
         let is_quadruped = pose.into_iter().all(|(joint, _)| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
-        Ok(RobotEntry { name, title, file, is_quadruped })
+        let needs_policy = merged.get("needs_policy").and_then(Value::as_str).map(str::to_owned);
+        Ok(RobotEntry { name, title, file, is_quadruped, needs_policy })
     }
 
     fn task_entry(&self, document: Document) -> Result<TaskEntry, ConfigError> {

@@ -23,6 +23,8 @@ pub struct RobotEntry {
     pub file: String,
     /// Whether all joints of its default pose are those of a quadruped's legs.
     pub is_quadruped: bool,
+    /// Why it cannot stand in its default pose without a policy, as its config says.
+    pub needs_policy: Option<String>,
 }
 
 /// A task in the library's list.

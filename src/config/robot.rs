@@ -34,6 +34,10 @@ pub struct RobotConfig {
     /// Whether the robot's own links may collide with one another. Default: no.
     #[serde(default)]
     pub self_collisions: bool,
+    /// Why the robot cannot stand in its default pose without a policy. Default: it stands. No part of a resolved task: it
+    /// says something about the robot and sets nothing.
+    #[serde(default, skip_serializing)]
+    pub needs_policy: Option<String>,
     /// Joint angles of the default pose by canonical joint, rad; each joint, in the canonical direction.
     pub default_pose: BTreeMap<String, f64>,
     /// Groups of actuators; every canonical joint is in exactly one.
@@ -251,8 +255,7 @@ pub struct ResetConfig {
     /// Share of each joint's range, about its middle, that resets stay within. Default: 1.
     #[serde(deserialize_with = "values::fraction")]
     pub soft_limit_factor: f64,
-    /// Distance between the lowest foot of the default pose and the ground, m; the least one of any collision shape in other
-    /// poses. Default: 0.02.
+    /// Least distance between the ground and any collision shape, m, in the default pose and in any other. Default: 0.02.
     #[serde(deserialize_with = "values::non_negative")]
     pub spawn_margin: f64,
 }

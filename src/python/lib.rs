@@ -53,6 +53,7 @@ fn robots(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         let dict = PyDict::new(py);
         dict.set_item("name", robot.name)?;
         dict.set_item("title", robot.title)?;
+        dict.set_item("needs_policy", robot.needs_policy)?;
         Ok(dict)
     };
     robots.into_iter().map(entry).collect()

@@ -2,17 +2,16 @@
 
 use std::path::Path;
 
-use glam::{DMat3, DVec3};
+use glam::DMat3;
 
 use super::envs::Env;
 use super::options::{SimulationOptions, check_non_negative};
 use super::rows::Rows;
 use crate::config::Library;
-use crate::dynamics::math::Spatial;
-use crate::dynamics::{ActuatorNetwork, ContactKind, MAX_DEPTH, Parameters, Scalar, Topology, Workspace};
+use crate::dynamics::{ActuatorNetwork, MAX_DEPTH, Parameters, Topology};
 use crate::engine::Kind;
 use crate::error::Error;
-use crate::morphology::ConfiguredRobot;
+use crate::morphology::{ConfiguredRobot, lowest_point};
 use crate::robot::{self, Articulation, Coupled, LoadOptions, Model};
 
 /// How the options read a URDF.
@@ -109,25 +108,6 @@ impl Robot {
     /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base
     /// level, m; 0 without candidates.
     pub(super) fn lowest_point(&self, normal: &[f64; 3]) -> f64 {
-        let normal = DVec3::from_array(*normal);
-        let mut work = Workspace::new(&self.topology);
-        let rest = vec![0.0; self.topology.num_joints()];
-        let base = Spatial::zero();
-        f64::forward_kinematics(&self.topology, &self.nominal, &self.default_position, &rest, &base, &mut work);
-        let heights = self.topology.contacts.iter().enumerate().map(|(c, contact)| {
-            let link = &work.links[contact.link];
-            let axes = DMat3::from_cols_array_2d(&link.rotation).transpose();
-            let up = axes.transpose() * normal;
-            let rim = match contact.kind {
-                ContactKind::Point => 0.0,
-                ContactKind::Rim { across, .. } => {
-                    let [a, b] = across.map(|u| DVec3::from_array(u).dot(up));
-                    self.nominal.contact_rim[c] * a.hypot(b)
-                }
-            };
-            let centre = DVec3::from_array(link.position) + axes * DVec3::from_array(self.nominal.contact_position[c]);
-            normal.dot(centre) - self.nominal.contact_radius[c] - rim
-        });
-        heights.reduce(f64::min).unwrap_or(0.0)
+        lowest_point(&self.topology, &self.nominal, &self.default_position, normal)
     }
 }

@@ -19,6 +19,11 @@ def size(core: _Size, extended: _Size) -> _Size:
     return extended if _TIER == "extended" else core
 
 
+def some(robots: list[str], core: tuple[str, ...]) -> list[str]:
+    """Names among `robots` that a test takes: those of `core`, or all in the extended tier."""
+    return size([name for name in robots if name in core], robots)
+
+
 TASK = "Velocity-Flat-HeteroQuadruped-v0"
 
 SHORT = ("sim.episode_length_s=0.4",)

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common import size
+from common import size, some
 from polypod.accuracy import engines, motion, robot
 
 ROBOT = "unitree_go2"
+CORE = ("anymal_b", "anymal_b_kinova", "box_quadruped", "phantomx", "spot", "unitree_a1", "unitree_go2w")
+"""Robots of the core tier; the extended tier takes all that stand."""
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,7 @@ def test_torques_are_compared_with_the_largest() -> None:
     assert both.torque_difference_with_friction == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("name", robot.names("velocity_flat"))
+@pytest.mark.parametrize("name", some(robot.names(standing=True), CORE))
 def test_torques_agree_where_they_are_determined(name: str) -> None:
     """Within 3 %, without dry friction: a joint at rest may hold any torque within its friction."""
     known = robot.load(name)

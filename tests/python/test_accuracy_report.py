@@ -10,7 +10,9 @@ import pytest
 
 import polypod
 from polypod.accuracy import engines, friction, motion, report, robot, standing, statics, sweeps
+from polypod.accuracy.bounds import BOUNDS, exceeded
 from polypod.accuracy.markdown import summary, tables
+from polypod.commands.accuracy import Accuracy
 
 ARTICULATED = engines.Engine(
     engine="articulated",
@@ -37,6 +39,8 @@ AVIAN = dataclasses.replace(
     steps_per_second=2e4,
 )
 ENGINES = engines.Engines("spot", ARTICULATED, AVIAN)
+RESPONSE = motion.StepResponse("spot", True, 1e-4, 2e-3, 3e-4, 4e-3, 0)
+EMPTY = report.Report("x.y", [], [], [], [], [], [], [], [], [], [])
 
 
 def test_only_the_text_between_the_marks_changes(tmp_path: Path) -> None:
@@ -67,7 +71,7 @@ def test_every_measurement_has_its_row() -> None:
     measured = report.Report(
         mujoco="x.y",
         statics=[statics.compare_statics(spot, states=2)],
-        responses=[motion.StepResponse("spot", 1e-4, 2e-4, 3e-3, 4e-3, 0)],
+        responses=[RESPONSE],
         drops=[standing.compare_drop(spot, gains=standing.FIRM)],
         standing=[standing.compare_standing(spot)],
         engines=[ENGINES],
@@ -75,11 +79,69 @@ def test_every_measurement_has_its_row() -> None:
         sweeps=[sweeps.Sweeps("spot", dict.fromkeys(sweeps.COUNTS, 4e-3), 9e-3)],
         slides=[friction.compare_slide(0.5, 1.0)],
         slopes=[friction.compare_slope(0.5, 0.3)],
+        fallen=[],
     )
+    assert not measured.broken()
     text = tables(measured)
-    assert text.count("| spot |") == 8
+    # seven tables, both engines, and what is largest of one robot's
+    assert text.count("| spot |") == 8 + 6
+    for bound in BOUNDS:
+        assert f"| {bound.quantity} |" in text
+        assert (f"| {bound.quantity} |" in summary(measured)) == bound.front_page
     assert (
         "| spot | avian | 0.4300 | -0.0300 | 1.00000 | 0.50 % | 2.50 % | 0.40 | 0.060 | 0.0005 | 20 | 20000 |" in text
     )
     assert "MuJoCo x.y" in text
     assert "MuJoCo x.y" in summary(measured)
+
+
+def test_every_bound_says_why_and_can_be_exceeded() -> None:
+    for bound in BOUNDS:
+        assert bound.reason
+        assert bound.most > 0.0
+        assert bound.holds(bound.most)
+        assert not bound.holds(1.0001 * bound.most)
+        assert not bound.holds(float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fine": 2e-3}, "spot: step responses, 0.5 ms, deviation: 2.00 mrad exceeds 1 mrad"),
+        ({"coarse": 4.1e-3}, "spot: step responses, 5 ms, share of MuJoCo's own deviation: 1.02 exceeds 1"),
+        ({"fine": float("nan")}, "spot: step responses, 0.5 ms, deviation: nan mrad exceeds 1 mrad"),
+    ],
+)
+def test_the_command_fails_and_writes_nothing_where_a_figure_exceeds_its_bound(
+    changes: dict[str, float],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    document = tmp_path / "README.md"
+    document.write_text(before := f"{report.BEGIN}\nold\n{report.END}\n")
+    spot = statics.compare_statics(robot.load("spot"), states=2)
+    held = dataclasses.replace(EMPTY, statics=[spot], responses=[RESPONSE])
+    late = dataclasses.replace(held, responses=[dataclasses.replace(RESPONSE, **changes)])
+    monkeypatch.setattr(report, "measure", lambda *_: late)
+    assert Accuracy(readme=document).run() == 1
+    assert document.read_text() == before
+    error = capsys.readouterr().err
+    assert words in error
+    assert "README.md left unchanged" in error
+    monkeypatch.setattr(report, "measure", lambda *_: held)
+    assert Accuracy(readme=document).run() == 0
+    assert "| step responses, 0.5 ms | deviation | 0.10 mrad | 1 mrad |" in document.read_text()
+
+
+def test_a_robot_that_falls_against_its_config_is_named() -> None:
+    (line,) = dataclasses.replace(EMPTY, fallen=["spot"]).broken()
+    assert "spot" in line
+    assert "needs_policy" in line
+
+
+def test_a_drop_of_soft_legs_has_no_bound_at_5_ms() -> None:
+    drop = standing.Drop("spot", 1.0, 1e-4, 0.4, 0.4, 0.0, 0.0, 0.4, 0.0, 0.41, 0.1)
+    assert not exceeded(drop)
+    assert len(exceeded(dataclasses.replace(drop, gains=standing.FIRM))) == 2

@@ -3,16 +3,14 @@
 import dataclasses
 import math
 import statistics
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 
 import polypod
 from polypod.accuracy import motion
 from polypod.accuracy.reference import GRAVITY
-from polypod.accuracy.robot import Array, Robot
+from polypod.accuracy.robot import Array, Robot, with_actuators
 from polypod.accuracy.standing import DT, FRICTION, SETTLE_TIME, hold, pitch, pose
 
 STEPS = (0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.0125, 0.016, 0.02, 0.025, 0.04, 0.05, 0.1, 0.125, 0.25)
@@ -85,11 +83,15 @@ class Engines:
         return _apart(self.articulated.torque, self.avian.torque)
 
 
-def compare_engines(robot: Robot) -> Engines:
-    """Measures both engines, and MuJoCo once for both."""
-    targets = motion.jumps(robot)
-    converged = motion.mujoco_tracks(robot, targets, motion.CONVERGED, "RK4")
-    return Engines(robot.name, *(_measure(robot, engine, targets, converged) for engine in SPEED_STEPS))
+def compare_engines(robot: Robot, reference: motion.Jumps | None = None) -> Engines:
+    """Measures both engines; `reference`: of `motion.converged_jumps`, if it is there."""
+    reference = reference or motion.converged_jumps(robot)
+
+    def measured(engine: str) -> Engine:
+        track = motion.polypod_tracks(robot, reference.targets, DT, engine, gravity=reference.gravity)
+        return _measure(robot, engine, reference.deviation(track))
+
+    return Engines(robot.name, *(measured(engine) for engine in SPEED_STEPS))
 
 
 def _apart(torque: Array, other: Array) -> float:
@@ -110,13 +112,12 @@ def stands(robot: Robot, engine: str, dt: float) -> bool:
     return calm and slow and qpos[2] > LEAST_HEIGHT * robot.base_height and upright > LEAST_UPRIGHT
 
 
-def _measure(robot: Robot, engine: str, targets: Array, converged: Array) -> Engine:
+def _measure(robot: Robot, engine: str, deviation: Array) -> Engine:
     sim = _simulation(robot, engine, DT)
     drift, every = 0.0, 0.1
     for _ in range(round(SETTLE_TIME / every)):
         hold(sim, robot, every)
         drift = max(drift, float(sim.link_drift[0]))
-    deviation = motion.polypod_tracks(robot, targets, DT, engine) - converged
     return Engine(
         engine=engine,
         height=float(sim.qpos[0, 2]),
@@ -134,13 +135,8 @@ def _measure(robot: Robot, engine: str, targets: Array, converged: Array) -> Eng
 
 def frictionless_torque(robot: Robot, engine: str) -> Array:
     """The actuators' torques on the robot as it stands after `SETTLE_TIME`, its joints without dry friction, N m."""
-    groups = dict.fromkeys(robot.actuators.groups)
-    changes = "".join(f"[actuators.{group}]\nfriction = 0.0\n" for group in groups)
-    with tempfile.TemporaryDirectory() as folder:
-        config = Path(folder) / f"{robot.name}.toml"
-        identity = f'extends = "{robot.name}"\nname = "{robot.name}"\ntitle = "without dry friction"\n'
-        config.write_text(identity + changes, encoding="utf-8")
-        sim = _simulation(robot, engine, DT, source=str(config))
+    with with_actuators(robot, {group: {"friction": 0.0} for group in robot.actuators.groups}) as config:
+        sim = _simulation(robot, engine, DT, source=config)
         hold(sim, robot, SETTLE_TIME)
     return sim.joint_torque[0]
 

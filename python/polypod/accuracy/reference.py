@@ -4,6 +4,7 @@ What is set, and why:
 
 - `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a root link without a
   joint into the world. polypod merges them too but keeps their names as contact bodies; links are compared by name.
+- Joints that the robot's config locks are taken out, at the position in which they are held.
 - A free joint on the root link, unless the base is fixed. qpos and qvel then mean what polypod's do: joints may come in
   another order, which is matched by name.
 - Position actuators with the gains of the robot's config, its armature, and their limits of effort. The URDF's own
@@ -11,6 +12,7 @@ What is set, and why:
 - Joint damping and dry friction: those of the URDF, as in polypod, unless the robot's config states others.
 - Dry friction is a soft constraint in MuJoCo: with default settings a joint at rest creeps (up to 8 mrad in a second).
   Its time constant is set to two steps and its impedance to 0.9999, which makes it Coulomb's.
+- Limits of effort, position limits and speed limits, where `bounded`: see `polypod.accuracy.limits`.
 - Shapes touch the ground alone, not each other.
 - Contacts with elliptic cones, three directions (`condim` 3), the same coefficient on both sides. The contact is made
   as stiff as the step allows: time constant 2 steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal
@@ -22,6 +24,7 @@ What is set, and why:
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +32,7 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod._core import ConfigError
+from polypod.accuracy.limits import Limits
 from polypod.accuracy.robot import Actuators, Array, Robot
 from polypod.extras import package
 
@@ -117,6 +121,8 @@ class Reference:
         fixed_base: bool = False,
         ground: Ground | None = None,
         gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
+        locked_joints: Mapping[str, float] | None = None,
+        bounded: bool = False,
     ) -> None:
         """Compiles the model.
 
@@ -129,10 +135,14 @@ class Reference:
             fixed_base: holds the root link.
             ground: what the robot can touch; None: nothing.
             gravity: m/s^2, world axes.
+            locked_joints: joints of the URDF that do not move, and their positions, rad or m.
+            bounded: whether `step` holds the limits of the actuators and of the joints.
         """
         mj = mujoco()
         spec = mj.MjSpec.from_string(urdf)
         spec.compiler.fusestatic = False
+        for name, position in (locked_joints or {}).items():
+            _lock(mj, spec, name, position)
         root = spec.worldbody.first_body()
         if not fixed_base:
             root.add_freejoint()
@@ -155,11 +165,20 @@ class Reference:
         self.q = np.array([*range(free_q), *(joint.qposadr[0] for joint in joints)], dtype=np.intp)
         self.v = np.array([*range(free_v), *(joint.dofadr[0] for joint in joints)], dtype=np.intp)
         self.num_joints = len(joints)
+        self._limits: Limits | None = None
+        if bounded and actuators is not None:
+            self._limits = Limits(mj, self.model, actuators, [joint.id for joint in joints])
 
     @classmethod
     def of(cls, robot: Robot, **options: Any) -> "Reference":
         """A robot of the library; `options` as in the constructor."""
-        return cls(robot.urdf, joint_names=robot.joint_names, actuators=robot.actuators, **options)
+        return cls(
+            robot.urdf,
+            joint_names=robot.joint_names,
+            actuators=robot.actuators,
+            locked_joints=robot.locked_joints,
+            **options,
+        )
 
     @property
     def qpos(self) -> Array:
@@ -178,18 +197,15 @@ class Reference:
         self.data.qvel[self.v] = 0.0 if qvel is None else qvel
         self._mj.mj_forward(self.model, self.data)
 
-    def step(self, targets: Array | None = None, n: int = 1, *, limited: bool = False) -> None:
-        """`n` physics steps towards position targets; `limited`: within the actuators' limits."""
+    def step(self, targets: Array | None = None, n: int = 1) -> None:
+        """`n` physics steps towards position targets."""
         if targets is not None:
             self.data.ctrl[:] = targets
-        if not limited or self.actuators is None:
+        if self._limits is None:
             self._mj.mj_step(self.model, self.data, n)
             return
-        self.model.actuator_forcelimited[:] = 1
         for _ in range(n):
-            joints = slice(-self.num_joints, None)
-            self.model.actuator_forcerange[:] = self.actuators.effort_range(self.qpos[joints], self.qvel[joints])
-            self._mj.mj_step(self.model, self.data)
+            self._limits.step(self.data)
 
     def mass_matrix(self) -> Array:
         """[nv, nv] of the present state."""
@@ -234,6 +250,22 @@ class Reference:
                 return links.index(name)
             body = int(self.model.body_parentid[body])
         return None
+
+
+def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
+    """Holds a joint of the URDF at a position: its body becomes part of its parent."""
+    joint = spec.joint(name)
+    body, axis = joint.parent, np.array(joint.axis) / np.linalg.norm(joint.axis)
+    turn, moved = np.zeros(4), np.zeros(3)
+    if joint.type == mj.mjtJoint.mjJNT_SLIDE:
+        mj.mju_rotVecQuat(moved, position * axis, np.array(body.quat))
+        body.pos = np.array(body.pos) + moved
+    else:
+        mj.mju_axisAngle2Quat(turn, axis, position)
+        turned = np.zeros(4)
+        mj.mju_mulQuat(turned, np.array(body.quat), turn)
+        body.quat = turned
+    spec.delete(joint)
 
 
 def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:

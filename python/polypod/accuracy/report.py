@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from polypod import documents
-from polypod.accuracy import reference, robot
+from polypod.accuracy import motion, reference, robot
+from polypod.accuracy.bounds import Bound, exceeded
 from polypod.accuracy.engines import Engines, compare_engines, stands
 from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
 from polypod.accuracy.motion import StepResponse, compare_step_responses
@@ -38,7 +39,7 @@ SLOPES = ((0.3, 30.0), (0.5, 20.0), (0.5, 26.0), (0.5, 27.2), (0.8, 20.0), (0.8,
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """What was measured."""
+    """All comparisons."""
 
     mujoco: str
     """MuJoCo's version."""
@@ -51,25 +52,48 @@ class Report:
     engines: list[Engines]
     slides: list[Slide]
     slopes: list[Slope]
+    fallen: list[str]
+    """Robots that fall in their default pose, although their configs do not say so."""
+
+    def results(self) -> list[object]:
+        """All comparisons."""
+        lists = (self.statics, self.responses, self.drops, self.standing, self.rests, self.sweeps, self.engines)
+        return [result for found in (*lists, self.slides, self.slopes) for result in found]
+
+    def worst(self, bound: Bound) -> tuple[str, float] | None:
+        """The largest figure of a bound, or one that is no number, and whose it is; None without any."""
+        figures = [figure for result in self.results() for figure in bound.figures(result)]
+        return max(figures, key=lambda figure: math.inf if math.isnan(figure[1]) else figure[1], default=None)
+
+    def broken(self) -> list[str]:
+        """What exceeds its bound, in words."""
+        remedy = "let its config say why only a policy can balance it, in `needs_policy`, or give it gains that hold it"
+        return exceeded(*self.results()) + [f"{name}: falls in its default pose; {remedy}" for name in self.fallen]
 
 
 def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
     """Runs every comparison for the robots named, or all; of standing for those that stand. Raises UnknownNameError."""
     robots = [robot.load(name) for name in names or robot.names()]
-    report = Report(reference.version(), [], [], [], [], [], [], [], [], [])
+    standing = robot.names(standing=True)
+    report = Report(reference.version(), [], [], [], [], [], [], [], [], [], [])
     for each in robots:
         progress(f"{each.name}: identities, step responses, sweeps")
+        converged = motion.converged_jumps(each)
         report.statics.append(compare_statics(each))
-        report.responses.append(compare_step_responses(each))
+        report.responses.append(compare_step_responses(each, converged))
         report.sweeps.append(compare_sweeps(each))
+        if each.name not in standing:
+            progress(f"{each.name} needs a policy to stand")
+            continue
         if not stands(each, "articulated", DT):
-            progress(f"{each.name} falls in its default pose; a policy has to balance it")
+            progress(f"{each.name} falls in its default pose")
+            report.fallen.append(each.name)
             continue
         progress(f"{each.name}: drop, standing, slope, engines")
         report.drops.extend(compare_drop(each, gains=gains) for gains in (1.0, FIRM))
         report.standing.append(compare_standing(each))
         report.rests.extend(compare_slope_rest(each, uphill) for uphill in ("front", "left"))
-        report.engines.append(compare_engines(each))
+        report.engines.append(compare_engines(each, converged))
     progress("a block on planes and slopes")
     report.slides.extend(compare_slide(friction, speed, direction=angle) for friction, speed, angle in SLIDES)
     report.slopes.extend(compare_slope(friction, math.radians(angle)) for friction, angle in SLOPES)

@@ -1,9 +1,13 @@
 """What both simulators are told about a robot: one URDF and one set of actuators."""
 
+import contextlib
 import dataclasses
 import functools
 import json
+import tempfile
+from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +43,8 @@ class Actuators:
     """Torque of a DC motor at standstill, N m."""
     no_load_speed: Array
     """Of a DC motor, rad/s."""
+    speed_limit: Array
+    """Largest speed of a joint that no DC motor drives, rad/s."""
     effort_tables: tuple[Array | None, ...]
     """Rows of (rad, N m) in place of the effort limit."""
     delay: Array
@@ -78,6 +84,8 @@ class Robot:
     base_height: float
     """Of the base above the lowest foot in the default pose, m."""
     actuators: Actuators
+    locked_joints: dict[str, float]
+    """Joints of the URDF that are held for good, by name, and where, rad or m."""
 
     @property
     def num_joints(self) -> int:
@@ -90,17 +98,19 @@ class Robot:
         stiffness, damping = factor * actuators.stiffness, factor * actuators.damping
         return dataclasses.replace(self, actuators=dataclasses.replace(actuators, stiffness=stiffness, damping=damping))
 
+    def without_speed_limits(self) -> "Robot":
+        """The same robot with joints that turn at any speed; torque-speed lines of motors stay."""
+        actuators = dataclasses.replace(self.actuators, speed_limit=np.full(self.num_joints, np.inf))
+        return dataclasses.replace(self, actuators=actuators)
+
 
 TASK = "velocity_flat_legged_play"
 """Has a reward set for every robot of the library."""
 
 
-def names(task: str | None = None) -> list[str]:
-    """The robots of the library, or those of a task by an alias."""
-    if task is None:
-        return [entry["name"] for entry in _core.robots()]
-    (robots,) = (entry["robots"] for entry in _core.tasks() if task in entry["aliases"])
-    return robots
+def names(*, standing: bool = False) -> list[str]:
+    """The robots of the library; `standing`: but for those whose config says that they need a policy to stand."""
+    return [entry["name"] for entry in _core.robots() if not (standing and entry["needs_policy"])]
 
 
 @functools.cache
@@ -120,10 +130,25 @@ def load(name: str) -> Robot:
     return robot
 
 
+@contextlib.contextmanager
+def with_actuators(robot: Robot, groups: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    """The path of a config that differs from the robot's in these keys of its groups of actuators."""
+    tables = (
+        f"[actuators.{group}]\n" + "".join(f"{key} = {float(value)!r}\n" for key, value in keys.items())
+        for group, keys in groups.items()
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / f"{robot.name}.toml"
+        identity = f'extends = "{robot.name}"\nname = "{robot.name}"\ntitle = "{robot.name}"\n'
+        config.write_text(identity + "".join(tables), encoding="utf-8")
+        yield str(config)
+
+
 def of(sim: _core.VecSim, name: str, source: str) -> Robot:
     """The robot `name` of a simulation, which was made from `source`: its name, or the path of its config."""
     info = json.loads(sim.robot_info())[name]
-    groups = tomllib.loads(sim.resolved_config())["robots"][name]["actuators"]
+    config = tomllib.loads(sim.resolved_config())["robots"][name]
+    groups = config["actuators"]
     slots = dict(zip(info["joint_of_slot"], info["slots"], strict=True))
     signs = dict(zip(info["joint_of_slot"], info["slot_signs"], strict=True))
     of_joint = [
@@ -138,13 +163,33 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         joint_range=np.stack([info["lower"], info["upper"]], axis=1),
         base_height=info["base_height"],
         actuators=_actuators(
-            [groups[key] for key in of_joint], tuple(of_joint), [signs[joint] for joint in range(len(of_joint))]
+            [groups[key] for key in of_joint],
+            tuple(of_joint),
+            [signs[joint] for joint in range(len(of_joint))],
+            effort_limit=_limits(info["effort_limit"]),
+            velocity_limit=_limits(info["velocity_limit"]),
         ),
+        locked_joints=config.get("locked_joints", {}),
     )
 
 
-def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[float]) -> Actuators:
-    """`signs` are -1 where a joint turns the other way round than its slot, whose direction configs are in."""
+def _limits(values: list[float | None]) -> Array:
+    """Limits of all joints; JSON has no infinity."""
+    return np.array([np.inf if value is None else value for value in values], dtype=np.float64)
+
+
+def _actuators(
+    rows: list[dict[str, Any]],
+    groups: tuple[str, ...],
+    signs: list[float],
+    effort_limit: Array,
+    velocity_limit: Array,
+) -> Actuators:
+    """Actuators of all joints from their groups' tables.
+
+    `signs` are -1 where a joint turns the other way round than its slot, whose direction configs are in. The limits are
+    those that polypod holds, wherever they are stated.
+    """
 
     def table(row: dict[str, Any], sign: float) -> Array | None:
         if not row.get("effort_table"):
@@ -163,9 +208,10 @@ def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[
         armature=column("armature", 0.0),
         joint_damping=column("joint_damping", np.nan),
         friction=column("friction", np.nan),
-        effort_limit=column("effort_limit", np.inf),
+        effort_limit=effort_limit,
         saturation_effort=np.where(motor, column("saturation_effort", np.inf), np.inf),
-        no_load_speed=np.where(motor, column("velocity_limit", np.inf), np.inf),
+        no_load_speed=np.where(motor, velocity_limit, np.inf),
+        speed_limit=np.where(motor, np.inf, velocity_limit),
         effort_tables=tuple(table(row, sign) for row, sign in zip(rows, signs, strict=True)),
         delay=np.array([row.get("delay", [0, 0]) for row in rows], dtype=np.float64),
         groups=groups,

@@ -15,7 +15,9 @@ CONTROL = 0.02
 """How long a target is held, and how far the comparison goes, s."""
 USUAL: int = inspect.signature(polypod.Simulation).parameters["solver_iterations"].default
 """Sweeps by default."""
-COUNTS = (USUAL // 2, USUAL, 2 * USUAL)
+MANY = 8 * USUAL
+"""Sweeps with which the slowest robot converges."""
+COUNTS = (USUAL // 2, USUAL, 2 * USUAL, MANY)
 """Sweeps that are compared."""
 CONVERGED = 256
 """Sweeps that they are held against."""

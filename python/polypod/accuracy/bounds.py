@@ -1,0 +1,273 @@
+"""Largest deviations that `polypod accuracy` accepts, each with its reason.
+
+The tests assert these bounds for every robot, README.md and docs/accuracy.md show them, and the command fails where a
+figure exceeds one.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from polypod.accuracy.engines import Engines
+from polypod.accuracy.friction import Slide, Slope
+from polypod.accuracy.motion import StepResponse
+from polypod.accuracy.standing import FIRM, Drop, SlopeRest, Standing
+from polypod.accuracy.statics import StaticsResult
+from polypod.accuracy.sweeps import MANY, USUAL, Sweeps
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """Largest value of one figure of a comparison."""
+
+    quantity: str
+    measured: str
+    """How the quantity is compared."""
+    result: type
+    """Comparisons that have the figure."""
+    figure: Callable[[Any], float | None]
+    """From a comparison; None where the bound does not apply to it."""
+    most: float
+    """SI units."""
+    reason: str
+    """Where `most` comes from."""
+    unit: str = ""
+    """Of the tables."""
+    scale: float = 1.0
+    """From SI units to that unit."""
+    digits: str = ".2f"
+    """Format of a figure in that unit."""
+    front_page: bool = True
+    """Whether README.md shows it."""
+
+    def figures(self, result: object) -> Iterable[tuple[str, float]]:
+        """The figure of a comparison, with the name of the robot or case; none where the bound does not apply."""
+        figure = self.figure(result) if isinstance(result, self.result) else None
+        return [] if figure is None else [(case(result), figure)]
+
+    def holds(self, figure: float) -> bool:
+        """Whether a figure is a number within the bound."""
+        return figure <= self.most
+
+    def text(self, figure: float) -> str:
+        """A figure in the tables' unit."""
+        return f"{self.scale * figure:{self.digits}}{self.unit}"
+
+    @property
+    def limit(self) -> str:
+        """The bound in the tables' unit."""
+        return f"{self.scale * self.most:.6g}{self.unit}"
+
+
+def case(result: Any) -> str:
+    """Name of what was compared: the robot, or the block."""
+    match result:
+        case Drop():
+            return f"{result.robot}, {result.gains:g} times its gains"
+        case SlopeRest():
+            return f"{result.robot}, {result.uphill} uphill"
+        case Slide():
+            direction = math.degrees(result.direction)
+            return f"block, friction {result.friction:g}, {result.speed:g} m/s, {direction:.0f} degrees"
+        case Slope():
+            return f"block, friction {result.friction:g}, slope of {math.degrees(result.angle):g} degrees"
+        case _:
+            return str(result.robot)
+
+
+def exceeded(*results: object) -> list[str]:
+    """What of these comparisons exceeds a bound, in words."""
+    return [
+        f"{name}: {bound.quantity}, {bound.measured}: {bound.text(figure)} exceeds {bound.limit}"
+        for bound in BOUNDS
+        for result in results
+        for name, figure in bound.figures(result)
+        if not bound.holds(figure)
+    ]
+
+
+def _if_firm(figure: Callable[[Drop], float]) -> Callable[[Drop], float | None]:
+    return lambda drop: figure(drop) if drop.gains >= FIRM else None
+
+
+def _error_of_sliding(slope: Slope) -> float | None:
+    return abs(slope.acceleration - slope.formula) if slope.formula > 0.0 else None
+
+
+def _way_below_the_cone(slope: Slope) -> float | None:
+    return abs(slope.distance) if slope.formula == 0.0 else None
+
+
+MILLI, DEGREES, PERCENT = 1e3, math.degrees(1.0), 100.0
+
+BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        "inertia, bias forces, kinematics, forward dynamics",
+        "relative error in `f32`",
+        StaticsResult,
+        lambda r: r.worst(),
+        most=1e-4,
+        digits=".1e",
+        reason="`f32` rounds by 6e-8, and forces on light links are differences of numbers a thousand times larger",
+    ),
+    Bound(
+        "step responses, 0.5 ms",
+        "deviation",
+        StepResponse,
+        lambda r: r.fine,
+        most=1e-3,
+        unit=" mrad",
+        scale=MILLI,
+        reason="a hundredth of the jump; of first order, half a step at the 4 rad/s that jumps reach",
+    ),
+    Bound(
+        "step responses, 5 ms",
+        "share of MuJoCo's own deviation",
+        StepResponse,
+        lambda r: r.coarse / r.mujoco_coarse,
+        most=1.0,
+        reason="`implicitfast` is of the same order at the same step",
+    ),
+    Bound(
+        "height after a drop from 0.3 m",
+        "difference, same step",
+        Drop,
+        lambda r: r.height_error,
+        most=5e-3,
+        unit=" mm",
+        scale=MILLI,
+        digits=".1f",
+        reason="feet slide as they land; MuJoCo's own answers at two steps differ as much",
+    ),
+    Bound(
+        "pitch after the drop",
+        "difference, same step",
+        Drop,
+        lambda r: r.pitch_error,
+        most=math.radians(0.5),
+        unit=" degrees",
+        scale=DEGREES,
+        reason="5 mm between front and hind feet 0.6 m apart",
+    ),
+    Bound(
+        "height after the drop, firm legs",
+        "polypod at 5 ms",
+        Drop,
+        _if_firm(lambda r: r.coarse_height_error),
+        most=5e-3,
+        unit=" mm",
+        scale=MILLI,
+        digits=".1f",
+        reason="as at the same step",
+        front_page=False,
+    ),
+    Bound(
+        "pitch after the drop, firm legs",
+        "polypod at 5 ms",
+        Drop,
+        _if_firm(lambda r: r.coarse_pitch_error),
+        most=math.radians(0.5),
+        unit=" degrees",
+        scale=DEGREES,
+        reason="as at the same step",
+        front_page=False,
+    ),
+    Bound(
+        "normal force on a standing foot",
+        "difference",
+        Standing,
+        lambda r: r.normal_error,
+        most=0.02,
+        unit=" %",
+        scale=PERCENT,
+        reason="legs are springs, and dry friction (0.2 to 1 N m on Spot and A1) leaves open where they rest",
+    ),
+    Bound(
+        "weight of a standing robot",
+        "difference of the feet's sum",
+        Standing,
+        lambda r: abs(r.normal.sum() / r.weight - 1.0),
+        most=1e-3,
+        unit=" %",
+        scale=PERCENT,
+        digits=".3f",
+        reason="after 10 s a robot sways by less than 1 mm/s^2 times ten",
+        front_page=False,
+    ),
+    Bound(
+        "creep on a slope of 20 degrees",
+        "in 10 s",
+        SlopeRest,
+        lambda r: r.creep,
+        most=1e-3,
+        unit=" mm",
+        scale=MILLI,
+        reason="the solver ends its sweeps at changes below 0.5 mm/s; at rest they average out",
+    ),
+    Bound(
+        "torques of the two engines, standing",
+        "difference, without dry friction",
+        Engines,
+        lambda r: r.torque_difference,
+        most=0.03,
+        unit=" %",
+        scale=PERCENT,
+        reason="feet come to rest within 1 mm of each other, which turns legs by a hundredth of a radian",
+        front_page=False,
+    ),
+    Bound(
+        f"error of the contact solver, {USUAL} sweeps",
+        "velocity of the base",
+        Sweeps,
+        lambda r: r.left[USUAL],
+        most=0.025,
+        unit=" mm/s",
+        scale=MILLI,
+        digits=".1f",
+        reason="a fortieth of a walk at 1 m/s, and a quarter of what the step of 5 ms costs the lightest robots",
+        front_page=False,
+    ),
+    Bound(
+        f"error of the contact solver, {MANY} sweeps",
+        "share of the step's error",
+        Sweeps,
+        lambda r: r.left[MANY] / r.step,
+        most=0.7,
+        reason="sweeps converge to less than the physics step leaves",
+        front_page=False,
+    ),
+    Bound(
+        "distance in which a block stops",
+        "error against the formula",
+        Slide,
+        lambda r: abs(r.distance / r.formula - 1.0),
+        most=0.01,
+        unit=" %",
+        scale=PERCENT,
+        reason="half a step's way, `v dt / 2`, is 0.8 % of the shortest distance",
+    ),
+    Bound(
+        "acceleration of a block that slides down a slope",
+        "error against the formula",
+        Slope,
+        _error_of_sliding,
+        most=3e-3,
+        unit=" m/s^2",
+        digits=".4f",
+        reason="the first step: `g dt / t` within the second that is measured is 10 mm/s^2 times sine",
+        front_page=False,
+    ),
+    Bound(
+        "way of a block that holds on a slope",
+        "in 1 s",
+        Slope,
+        _way_below_the_cone,
+        most=1e-5,
+        unit=" mm",
+        scale=MILLI,
+        digits=".4f",
+        reason="a step of free fall at 1 ms",
+        front_page=False,
+    ),
+)
