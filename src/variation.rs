@@ -13,10 +13,13 @@
 //! of the size.
 
 use crate::components::Stance;
-use crate::dynamics::math::{Mat3, Sym3, Vec3, dot, mul_vec, rotate_sym};
-use crate::dynamics::{Parameters, Topology};
+use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
+use crate::dynamics::{Parameters, Scalar, Topology, Workspace};
 use crate::morphology::{MorphologyModel, UP, lowest_point};
 use crate::robot::{LimbKind, Side, UNLIMITED};
+
+/// Heights that differ by less are equal, m: parameters are in `f32`.
+const ROUNDING: f64 = 1e-6;
 
 /// Factors between a body and that of its URDF; lengths and masses by part of the body, the same for all legs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,9 +113,7 @@ impl BodyScales {
             }
         }
         self.drive(&mut p);
-        let position: Vec<f64> = stance.default_position.iter().map(|&q| f64::from(q)).collect();
-        let lowest = lowest_point(&model.topology, &p, &position, &UP);
-        stance.spawn_height = (model.config.reset.spawn_margin - lowest) as f32;
+        stance.spawn_height = spawn_height(model, &p, &stance.default_position, self.size);
         body.zip_with(&p, |x, y| *x = *y as f32);
     }
 
@@ -251,4 +252,22 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: 
         }
     }
     p.box_links(topology);
+}
+
+/// Height of the base above level ground in the default pose, with the lowest point at the reset's margin above it, m.
+///
+/// A foot that is a ball is measured at its site, from which its centre differs by rounding.
+fn spawn_height(model: &MorphologyModel, p: &Parameters<f64>, position: &[f32], size: f64) -> f32 {
+    let topology = &model.topology;
+    let q: Vec<f64> = position.iter().map(|&q| f64::from(q)).collect();
+    let mut work = Workspace::new(topology);
+    f64::forward_kinematics(topology, p, &q, &vec![0.0; q.len()], &Spatial::zero(), &mut work);
+    let feet = (0..topology.sites.len()).map(|leg| {
+        let link = &work.links[topology.sites[leg]];
+        let foot = mul_vec(&link.rotation, &p.site_position[leg]);
+        link.position[2] + foot[2] - model.roles.foot_radius[leg] * size
+    });
+    let (feet, shapes) = (feet.fold(f64::INFINITY, f64::min), lowest_point(topology, p, &q, &UP));
+    let lowest = if shapes < feet - ROUNDING { shapes } else { feet };
+    (model.config.reset.spawn_margin - lowest) as f32
 }
