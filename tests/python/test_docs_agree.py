@@ -248,6 +248,13 @@ def names(pages: Pages) -> list[str]:
     return problems
 
 
+def precision(pages: Pages) -> list[str]:
+    """Only single precision does without libm: a sentence that denies it says so."""
+    sentences = [(page, text) for page in pages for text in re.split(r"(?<=[a-z`)])\. ", flat(pages[page]))]
+    said = [(page, text[-200:]) for page, text in sentences if "no libm" in text]
+    return [f"{page}: {text!r}" for page, text in said if not re.search(r"`f32`|single precision", text)]
+
+
 EMBODIED = {"unitree_sdk2"}
 """Names that begin like those of robots."""
 
@@ -458,6 +465,7 @@ def every_flag() -> set[str]:
 
 FOREIGN = {
     "--tyro-print-completion",
+    "--locked",
     "--deterministic",
     "--nocapture",
     "--nnodes",
@@ -496,6 +504,7 @@ RULES: tuple[Callable[[Pages], list[str]], ...] = (
     versions,
     trainings,
     names,
+    precision,
     missing,
     support,
     extras,
@@ -530,6 +539,7 @@ WRONG = (
     ("trainings", "docs/train.md", "| config | differs |\n|---|---|\n| `quick` | 651 iterations |"),
     ("trainings", "docs/train.md", "| config | differs |\n|---|---|\n| `quick` | of 1023 envs |"),
     ("trainings", "docs/networks.md", "| train config | robots |\n|---|---|\n| `quickest` | eight |"),
+    ("precision", "docs/reproducibility.md", "Every operation of the engine is one IEEE operation per lane; no\nlibm."),
     ("names", "docs/task.md", "`Velocity-Flat-Snake-v0`"),
     ("names", "docs/results.md", "`unitree_z9` walks."),
     ("missing", "docs/physics.md", "## Not modelled\n\n- Learned actuator networks, motor heating."),

@@ -86,14 +86,16 @@ def rows_of(text, heading):
 
 def test_seeds_of_a_group_become_a_mean_and_an_interval(tmp_path):
     for seed, error in enumerate((0.10, 0.20, 0.30)):
-        found = evaluation({"anymal_d": robot(error_vel_xy=error, fall_rate=0.01), "spot": robot(error_vel_xy=0.2)})
+        bad = robot(error_vel_xy=error, still_error_vel_yaw=0.31, fall_rate=0.01)
+        found = evaluation({"anymal_d": bad, "spot": robot(error_vel_xy=0.2)})
         write_run(tmp_path / "plain" / f"seed{seed}", {"result": found}, seed=seed)
     text, _ = results.write(results.read(tmp_path))
     table = rows_of(text, "Group plain, 3 policies")
-    assert table["robot"][1] == "velocity error (m/s)"
+    assert table["robot"][1:3] == ["velocity error (m/s)", "still (m/s)"]
+    assert table["robot"][3:5] == ["yaw rate error (rad/s)", "still (rad/s)"]
     # 4.3027 * 0.1 / sqrt(3)
     assert table["anymal_d"][:2] == ["300", "0.200 ±0.248"]
-    assert table["anymal_d"][3] == "1.0% ±0.0%"
+    assert table["anymal_d"][4:6] == ["0.310 ±0.000", "1.0% ±0.0%"]
     assert table["spot"][1] == "0.200 ±0.000"
     assert "polypod eval --checkpoint model_9.pt --num-envs 50 --episodes 2 --seed 3" in text
     assert "more of plain" not in text  # three times the same command
@@ -126,7 +128,7 @@ def test_robots_that_were_left_out_stand_apart(tmp_path):
     unseen = rows_of(text, "Robots that the policy was not trained on")
     assert unseen["spot"][0] == "80%"
     assert unseen["anymal_d"][0] == "60%"
-    assert rows_of(text, "Group leave_one_out")["spot"][3] == "0.0%"
+    assert rows_of(text, "Group leave_one_out")["spot"][5] == "0.0%"
 
 
 def test_specialists_are_what_the_others_are_compared_with(tmp_path):

@@ -16,7 +16,9 @@ from polypod.results.runs import Results, Run, final, reached, smoothed
 
 FIGURES = {
     "error_vel_xy": ("velocity error (m/s)", ".3f"),
+    "still_error_vel_xy": ("still (m/s)", ".3f"),
     "error_vel_yaw": ("yaw rate error (rad/s)", ".3f"),
+    "still_error_vel_yaw": ("still (rad/s)", ".3f"),
     "fall_rate": ("falls per episode", ".1%"),
     "tracking_reward": ("tracking reward", ".3f"),
     "power": ("power (W)", ".0f"),
