@@ -185,7 +185,7 @@ fn a_play_variant_of_nothing_is_no_task() {
 fn what_an_override_switches_on_is_known() {
     let noise = task("velocity_flat_play", &["observations.enable_noise=true"]).config;
     assert_eq!(noise.disturbances(), ["observations.enable_noise"]);
-    let push = "events.push_robot={ mode = \"interval\", interval_range_s = [1.0, 1.0], velocity_range = [-1.0, 1.0] }";
+    let push = "events.push_robot={ enabled = true, velocity_range = [-1.0, 1.0] }";
     assert_eq!(task("velocity_flat_play", &[push]).config.disturbances(), ["events.push_robot.enabled"]);
     let delay = "events.action_delay.enabled=true";
     assert_eq!(task("velocity_flat_play", &[delay]).config.disturbances(), ["events.action_delay.enabled"]);

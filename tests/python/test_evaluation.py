@@ -276,8 +276,8 @@ def test_tasks_without_a_play_variant_are_measured_without_noise_and_pushes(own_
 
 
 def test_what_a_training_changed_is_on_with_randomized_alone():
-    """An event that a training has defined again would otherwise be on in every evaluation."""
-    push = 'events.push_robot={ mode = "interval", interval_range_s = [0.1, 0.1], velocity_range = [-1.0, 1.0] }'
+    """An event that a training has switched on would otherwise be on in every evaluation."""
+    push = "events.push_robot={ enabled = true, interval_range_s = [0.1, 0.1], velocity_range = [-1.0, 1.0] }"
     arguments = {"robots": ["spot"], "num_envs": 4, "steps": 25}
     quiet = evaluation.evaluate(still, TASK, **arguments)
     found = evaluation.evaluate(still, TASK, trained=[push, "observations.enable_noise=true"], **arguments)

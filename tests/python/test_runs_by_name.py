@@ -59,7 +59,7 @@ def test_what_several_runs_end_in_is_no_name(logs):
         assert NAMES[3] in str(caught.value)
 
 
-@pytest.mark.parametrize("given", ["wo", "", "nothing", "_two", "TWO"])
+@pytest.mark.parametrize("given", ["wo", "nothing", "_two", "TWO", "-2"])
 def test_parts_of_words_are_no_names(logs, given):
     with pytest.raises(polypod.ConfigError, match="neither a checkpoint nor a run"):
         run_dir.find_checkpoint(logs, given)
