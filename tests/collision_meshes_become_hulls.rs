@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use polypod::robot::{Articulation, Geometry, LoadOptions, Model, detect, load, load_str};
+use polypod::robot::{Articulation, Geometry, LoadOptions, Model, detect, load, load_str, summed_up};
 
 fn data() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/urdf")
@@ -196,4 +196,105 @@ fn unreadable_meshes_are_left_out() {
         let warning = model.warnings[0].to_string();
         assert!(warning.contains(words) && warning.contains(name) && warning.contains("left out"), "{warning}");
     }
+}
+
+/// A COLLADA file with one geometry of these vertices and this inside its scene.
+fn scene(vertices: usize, inside: &str, nodes: &str) -> String {
+    let numbers: String = (0..vertices).map(|i| format!("{} {} {} ", i % 2, i / 2 % 2, i % 5)).collect();
+    format!(
+        "<COLLADA><library_geometries><geometry id='g'><mesh><source id='s'><float_array>{numbers}</float_array></source>\
+         <vertices><input semantic='POSITION' source='#s'/></vertices></mesh></geometry></library_geometries>\
+         <library_nodes>{nodes}</library_nodes><visual_scene>{inside}</visual_scene></COLLADA>"
+    )
+}
+
+#[test]
+fn what_a_mesh_is_multiplied_by_is_counted_before_memory_is_taken() {
+    let refused = |name: &str, text: String, words: &str| {
+        let file = Mesh::new(name, text);
+        let model = with_mesh(&file.0, &format!("filename='{name}'"));
+        assert!(model.bodies.is_empty(), "{name}");
+        assert!(model.warnings[0].problem.contains(words), "{}", model.warnings[0]);
+    };
+    let geometry = "<instance_geometry url='#g'/>";
+    let many = "more than 4194304 vertices";
+    // 4e8 vertices of 0.8 MB
+    refused("instances.dae", scene(20_000, &format!("<node>{}</node>", geometry.repeat(20_000)), ""), many);
+    // nodes that hold the one before twice
+    let doubled: String = (1..30)
+        .map(|i| format!("<node id='n{i}'>{}</node>", format!("<instance_node url='#n{}'/>", i - 1).repeat(2)))
+        .collect();
+    let nodes = format!("<node id='n0'>{geometry}</node>{doubled}");
+    refused("doubled.dae", scene(1000, "<node><instance_node url='#n29'/></node>", &nodes), many);
+    // a node of many transformations, instantiated again and again
+    let turns = format!("<node id='t'>{}</node>", "<translate>0 0 0</translate>".repeat(20_000));
+    let again = format!("<node>{}</node>", "<instance_node url='#t'/>".repeat(20_000));
+    refused("turns.dae", scene(8, &again, &turns), "too many nodes");
+    refused(
+        "matrix.dae",
+        scene(8, &format!("<node><matrix>{}</matrix></node>", "1 ".repeat(1 << 20)), ""),
+        "more than 16",
+    );
+    let attributes: String = (0..100_000).map(|i| format!(" a{i}=''")).collect();
+    refused("attributes.dae", scene(8, &format!("<node{attributes}/>"), ""), "100000 attributes");
+    // a face is a fan of triangles; vertices that no face names count as well
+    refused("fan.obj", format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nf{}\n", " 1".repeat(1_400_010)), many);
+    refused("vertices.obj", "v 0 0 0\n".repeat((4 << 20) + 1) + "f 1 2 3\n", many);
+}
+
+#[test]
+fn instances_stand_where_the_scene_puts_them() {
+    let node = |x: usize| format!("<node><translate>{x} 0 0</translate><instance_geometry url='#g'/></node>");
+    let nodes: String = (0..1000).map(node).collect();
+    let file = Mesh::new("row.dae", scene(14, &nodes, ""));
+    let model = with_mesh(&file.0, "filename='row.dae' scale='0.001 1 1'");
+    let reach = |of: fn(&DVec3) -> f64| hull(&model).iter().map(of).fold(0.0, f64::max);
+    assert!((reach(|point| point.x) - 1.0).abs() < 1e-9 && reach(|point| point.z) == 4.0, "{:?}", hull(&model));
+    assert!(model.warnings[0].problem.contains("of its 14000 vertices"), "{}", model.warnings[0]);
+}
+
+/// Hulls are kept by the contents of their files, not by the files' names.
+#[test]
+fn a_mesh_that_changes_has_a_new_hull() {
+    let cube = |size: f64| -> Vec<DVec3> {
+        (0..8u32).map(|i| size * DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect()
+    };
+    let file = Mesh::new("part.obj", obj(&cube(0.1)));
+    let size = |scale: &str| {
+        let model = with_mesh(&file.0, &format!("filename='part.obj' {scale}"));
+        hull(&model).iter().map(|point| point.max_element()).fold(0.0, f64::max)
+    };
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
+    assert!(near(size(""), 0.1) && near(size("scale='2 2 2'"), 0.2) && near(size(""), 0.1));
+    std::fs::write(file.0.join("part.obj"), obj(&cube(0.3))).unwrap();
+    assert!(near(size(""), 0.3));
+}
+
+#[test]
+fn many_meshes_are_one_warning() {
+    let link = |i: usize, mesh: &str| {
+        format!(
+            "<link name='l{i}'><collision><geometry><mesh filename='{mesh}'/></geometry></collision></link>\
+             <joint name='j{i}' type='fixed'><parent link='base'/><child link='l{i}'/></joint>"
+        )
+    };
+    let meshes = ["meshes/cube.stl", "lost_a.stl", "meshes/cube.obj", "lost_b.stl", "meshes/cube.dae"];
+    let links: String = meshes.iter().enumerate().map(|(i, mesh)| link(i, mesh)).collect();
+    let text = format!(
+        "<robot name='r'><link name='base'><inertial><mass value='1'/><inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/>\
+         </inertial></link>{links}<loop/></robot>"
+    );
+    let model = load_str(&text, &data().join("r.urdf"), &LoadOptions::default()).unwrap();
+    assert_eq!(model.warnings.len(), 6);
+    let shown: Vec<String> = summed_up(&model.warnings).iter().map(|warning| warning.finding()).collect();
+    assert_eq!(shown.len(), 3, "{shown:?}");
+    assert!(shown[0].contains("<loop>"), "{shown:?}");
+    assert!(shown[1].contains("3 meshes are taken as convex hulls, which they leave by up to 0.0 mm"), "{shown:?}");
+    assert!(
+        shown[2].contains("2 meshes are left out; the first: link \"l1\"") && shown[2].contains("lost_a.stl"),
+        "{shown:?}"
+    );
+    assert!(shown[1..].iter().all(|line| line.contains("`polypod check ") && line.contains("r.urdf` lists them")));
+    // one alone is shown as it is
+    assert_eq!(summed_up(&model.warnings[..2]), model.warnings[..2]);
 }

@@ -68,7 +68,8 @@ impl Articulation {
             .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
             .collect();
         candidates.sort_by_key(|c| c.topology.link);
-        let hidden: Vec<bool> = (0..candidates.len()).map(|i| is_hidden(&candidates, i)).collect();
+        let spheres: Vec<usize> = (0..candidates.len()).filter(|&k| candidates[k].is_sphere()).collect();
+        let hidden: Vec<bool> = (0..candidates.len()).map(|i| is_hidden(&candidates, &spheres, i)).collect();
         let mut hidden = hidden.into_iter();
         candidates.retain(|_| !hidden.next().unwrap_or(false));
         for c in &mut candidates {
@@ -137,6 +138,10 @@ impl Candidate {
         Self { topology: ContactTopology { link, body, kind: ContactKind::Point }, position, radius, rim: 0.0 }
     }
 
+    fn is_sphere(&self) -> bool {
+        self.radius > 0.0 && matches!(self.topology.kind, ContactKind::Point)
+    }
+
     fn align(&mut self, rotation: DMat3) {
         self.position = rotation * self.position;
         if let ContactKind::Rim { across, .. } = &mut self.topology.kind {
@@ -146,8 +151,9 @@ impl Candidate {
 }
 
 /// Whether a candidate lies inside a sphere of its own link, which then always touches first: a corner of the shank inside the
-/// foot. Of two equal ones of a body the first is kept.
-fn is_hidden(candidates: &[Candidate], i: usize) -> bool {
+/// foot. Of two equal ones of a body the first is kept. Candidates are in the order of their links; `spheres` are those that are
+/// one.
+fn is_hidden(candidates: &[Candidate], spheres: &[usize], i: usize) -> bool {
     let c = &candidates[i];
     let covers = |k: usize, sphere: &Candidate| {
         let apart = (c.position - sphere.position) * STRETCH;
@@ -164,10 +170,10 @@ fn is_hidden(candidates: &[Candidate], i: usize) -> bool {
         let room = sphere.radius - (furthest + c.radius);
         room > 0.0 || (room == 0.0 && k < i && sphere.topology.body == c.topology.body)
     };
-    candidates.iter().enumerate().any(|(k, sphere)| {
-        let is_sphere = sphere.radius > 0.0 && matches!(sphere.topology.kind, ContactKind::Point);
-        k != i && is_sphere && sphere.topology.link == c.topology.link && covers(k, sphere)
-    })
+    let link = |k: &usize| candidates[*k].topology.link;
+    let first = spheres.partition_point(|k| link(k) < c.topology.link);
+    let of_link = spheres[first..].iter().take_while(|k| link(k) == c.topology.link);
+    of_link.copied().any(|k| k != i && covers(k, &candidates[k]))
 }
 
 /// The places of a shape that can touch a plane first, in the frame of its link.

@@ -219,7 +219,7 @@ impl<'a> ZeroPose<'a> {
 
     /// Whether `link` is the child of `joint` or hangs on it.
     pub fn is_below(&self, link: usize, joint: usize) -> bool {
-        self.chain_to(link).contains(&joint)
+        std::iter::successors(Some(link), |link| self.model.parent(*link)).any(|link| link == joint + 1)
     }
 
     /// The joints of a chain with their axes and the position of the first, for error messages.

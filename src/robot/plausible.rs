@@ -10,7 +10,7 @@ use urdf_rs::JointType;
 use super::error::Warning;
 use super::inertia::principal_moments;
 use super::merge::mass_properties;
-use super::model::{Geometry, Model, Shape};
+use super::model::{Body, Geometry, Model, Shape};
 use super::pose::Pose;
 
 /// Longest offset and largest shape of a robot, m.
@@ -212,8 +212,9 @@ fn lengths(robot: &urdf_rs::Robot, model: &Model, found: &mut Found<'_>) {
     let reach = reach(model);
     let is_large = |size: f64| size > LARGEST_LENGTH || (reach > 0.0 && size > LONG && size > TIMES_USUAL * reach);
     let (mut meshes, mut shapes, mut tiny) = (Vec::new(), Vec::new(), Vec::new());
+    let bodies: HashMap<&str, &Body> = model.bodies.iter().map(|body| (body.name.as_str(), body)).collect();
     for link in &robot.links {
-        let Some(body) = model.bodies.iter().find(|body| body.name == link.name) else {
+        let Some(body) = bodies.get(link.name.as_str()) else {
             continue;
         };
         // shapes that were left out leave no trace, so that both are counted only if they agree

@@ -303,7 +303,7 @@ def test_meshes_are_summed_up(cli, tmp_path):
     assert f"`polypod check {file}` lists them" in done.stdout
     assert "taken as the convex hull of" not in done.stdout + done.stderr
     assert cli("check", str(file)).stdout.count("is taken as the convex hull of 8 of its 8 vertices") == 4
-    with pytest.warns(UserWarning) as caught:
+    with pytest.warns(UserWarning, match="4 meshes are taken") as caught:
         polypod.Simulation(file)
     assert [str(warning.message).count("4 meshes are taken") for warning in caught] == [1]
 
