@@ -79,6 +79,15 @@ pub struct ObstacleCollider {
     top: f32,
 }
 
+impl ObstacleCollider {
+    /// Whether the collider, which is `at` its position, may be seen through an opening of the plane.
+    fn reaches(&self, at: Vec3, [low, high]: &[[f64; 2]; 2]) -> bool {
+        let place = [at.x, at.y].map(f64::from);
+        let reach = f64::from(self.reach);
+        (0..2).all(|axis| low[axis] <= place[axis] + reach && place[axis] - reach <= high[axis])
+    }
+}
+
 /// Marks the colliders of generated terrain.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TerrainCollider {
@@ -323,8 +332,11 @@ fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldEr
     let height = if layout.is_none() && is_whole { height } else { 0.0 };
     let plane = layout.is_none().then_some((hit, height));
     if let Some((_, ground)) = plane {
-        let is_above = |index: usize| obstacles.iter().any(|(_, o, _)| o.index == index && o.top >= ground);
-        if let Some(index) = (0..scene.obstacles.len()).find(|index| !is_above(*index)) {
+        let is_seen = |index: usize| {
+            let mut parts = obstacles.iter().filter(|(_, of, _)| of.index == index);
+            parts.any(|(_, of, at)| of.top >= ground || scene.pits().iter().any(|pit| of.reaches(*at, pit)))
+        };
+        if let Some(index) = (0..scene.obstacles.len()).find(|index| !is_seen(*index)) {
             return Err(WorldError::Buried(index));
         }
     }

@@ -1,15 +1,13 @@
 //! After a reset the robot is above the ground, and all that follows from its state is that of the new state.
 
-use bevy_ecs::prelude::*;
 use polypod::components::{BasePose, BaseVelocity, Body, EnvId, EnvOrigin, Feet, JointState, Morphology};
 use polypod::config::JointPositionMode;
 use polypod::dynamics::math::{Spatial, add, mul_vec, mul_vec_transposed, quat_to_mat};
 use polypod::dynamics::{ContactSettings, Parameters, Plane, Scalar, State, Workspace, point_motion};
 use polypod::morphology::{Morphologies, MorphologyModel};
-use polypod::options::Autoreset;
 use polypod::systems::StateField;
 use polypod::world::Ground;
-use polypod::{Sim, SimOptions};
+use polypod::{Autoreset, Sim, SimOptions};
 
 use crate::common;
 

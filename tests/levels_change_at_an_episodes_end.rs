@@ -1,8 +1,7 @@
 //! The terrain curriculum reads how an episode ended: a reset is no end, and no robot is asked for more than it had time for.
 
 use polypod::components::{BasePose, EnvId, EnvOrigin, Episode};
-use polypod::options::Autoreset;
-use polypod::{Sim, SimOptions};
+use polypod::{Autoreset, Sim, SimOptions};
 
 const ENVS: usize = 40;
 

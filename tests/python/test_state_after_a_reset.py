@@ -76,8 +76,11 @@ def test_feet_of_robots_that_begin_in_motion(robot: str, autoreset: str) -> None
         robots=[robot],
         seed=1,
         autoreset=autoreset,
-        overrides={**QUIET, "sim.episode_length_s": 0.06},
-        robot_overrides={robot: MOVING},
+        overrides={
+            **QUIET,
+            "sim.episode_length_s": 0.06,
+            **{f"robot_overrides.{robot}.{key}": value for key, value in MOVING.items()},
+        },
     )
     env.reset()
     check(env, robot)
