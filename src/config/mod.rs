@@ -7,6 +7,7 @@ mod library;
 mod names;
 mod overrides;
 mod parse;
+pub mod quantities;
 mod randomization;
 mod robot;
 mod scene;
@@ -16,6 +17,7 @@ mod terrain;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
+pub(crate) use layer::Layers;
 pub use library::{Library, LoadedRobot, LoadedTask, NetworkFile, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry};
 pub use overrides::apply as apply_override;
