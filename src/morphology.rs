@@ -9,13 +9,13 @@ use glam::DMat3;
 use crate::actuator_network::{NetworkKind, read_onnx};
 use crate::agreement;
 use crate::components::Stance;
-use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig};
+use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig, table_steps};
 use crate::dynamics::{
     ActuatorNetwork, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep, Parameters, State,
     StepSettings, Topology, Workspace,
 };
 use crate::error::Error;
-use crate::robot::{self, Articulation, BodyGroup, Joint, Model, Place, Roles, Site, Slot};
+use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, Model, Place, Roles, Site, Slot};
 
 /// One kind of robot.
 #[derive(Clone, Debug)]
@@ -394,9 +394,9 @@ fn apply_actuator(
     joint.effort_table = if is_turned {
         let turned: Vec<[f64; 2]> =
             actuator.effort_table.iter().rev().map(|[angle, torque]| [-angle, *torque]).collect();
-        EffortTable::new(&turned)
+        effort_table(&turned)
     } else {
-        EffortTable::new(&actuator.effort_table)
+        effort_table(&actuator.effort_table)
     };
     // a network's torque is that of the beginning of a physics step, and has no gains
     let is_network = actuator.model.is_network();
@@ -417,13 +417,32 @@ fn apply_actuator(
         p.joint_damping[j] = damping;
     }
     // files that know no speed write 0
-    let in_urdf_or_none = if in_urdf.velocity > 0.0 { in_urdf.velocity } else { f64::INFINITY };
-    let limit = actuator.velocity_limit.unwrap_or(in_urdf_or_none);
+    let in_urdf = if in_urdf.velocity > 0.0 { in_urdf.velocity.min(FASTEST) } else { FASTEST };
+    let limit = actuator.velocity_limit.unwrap_or(in_urdf);
     if let Some(stall) = actuator.saturation_effort {
         p.saturation_effort[j] = stall;
         p.motor_velocity_limit[j] = limit;
     } else {
         p.velocity_limit[j] = limit;
+    }
+}
+
+/// A table of effort limits on an equally spaced grid that holds its rows.
+fn effort_table(rows: &[[f64; 2]]) -> Option<EffortTable> {
+    let (first, last) = (rows.first()?, rows.last()?);
+    // a config's table has a grid
+    let steps = table_steps(rows)? as f64;
+    let step = ((last[0] - first[0]) / steps).max(1e-9);
+    let limits = (0..=steps as usize).map(|i| interpolate(rows, first[0] + step * i as f64) as f32).collect();
+    Some(EffortTable { start: first[0] as f32, inverse_step: (1.0 / step) as f32, limits })
+}
+
+fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
+    let after = rows.partition_point(|row| row[0] <= x);
+    match (after.checked_sub(1).and_then(|i| rows.get(i)), rows.get(after)) {
+        (Some(a), Some(b)) => a[1] + (b[1] - a[1]) * (x - a[0]) / (b[0] - a[0]),
+        (Some(end), None) | (None, Some(end)) => end[1],
+        (None, None) => 0.0,
     }
 }
 
@@ -636,7 +655,7 @@ impl MorphologyModel {
     pub fn max_effort(&self, joint: usize, body: &Parameters<f32>) -> f32 {
         let limit = body.effort_limit[joint];
         match &self.topology.joints[joint].effort_table {
-            Some(table) => limit * table.largest(),
+            Some(table) => limit * table.limits.iter().copied().fold(0.0, f32::max),
             None => limit,
         }
     }

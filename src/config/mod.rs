@@ -23,11 +23,11 @@ pub use names::{RobotEntry, TaskEntry};
 pub use overrides::apply as apply_override;
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
-pub(crate) use robot::matches;
 pub use robot::{
     ActuatorConfig, ActuatorModel, BodiesConfig, CommandLimitsConfig, InputOrder, JointPositionMode,
     JointPositionReset, RangeConfig, ResetConfig, RobotConfig, VelocityLimitsConfig,
 };
+pub(crate) use robot::{matches, table_steps};
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
 pub use task::{

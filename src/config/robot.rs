@@ -218,6 +218,8 @@ impl ActuatorModel {
 
 /// Most rows of an effort table: as fine as 0.1 degrees over a turn and a half.
 const MAX_TABLE_ROWS: usize = 5400;
+/// Most steps of the grid that an effort table becomes: a megabyte.
+const MOST_TABLE_STEPS: u64 = 1 << 18;
 /// Least distance of two rows' angles, rad: angles of 10 rad are 1e-6 apart in single precision.
 const MIN_TABLE_STEP: f64 = 1e-5;
 /// Oldest past input of an actuator network, physics steps.
@@ -566,6 +568,10 @@ impl RobotConfig {
                 return self.invalid(&element, problem, "leave one of the two rows out, or move them apart");
             }
         }
+        if !rows.is_empty() && table_steps(rows).is_none() {
+            let problem = format!("its angles lie on no grid of at most {MOST_TABLE_STEPS} steps");
+            return self.invalid(at, problem, "round them to 0.0001 rad, or leave out rows that are close together");
+        }
         if !rows.is_empty() && rows.iter().all(|row| row[1] == 0.0) {
             let problem = "every torque of it is 0, so that the joint cannot be driven".to_owned();
             return self.invalid(at, problem, "write torques above 0, in N m");
@@ -664,6 +670,28 @@ fn named(model: ActuatorModel) -> String {
         ActuatorModel::ActuatorNetLstm => "actuator_net_lstm",
     };
     format!("\"{name}\"")
+}
+
+/// Steps of the coarsest equally spaced grid that holds the angles of an effort table, each rounded as little as the grid's size
+/// allows: to 1e-6 rad, which most files do themselves, to 1e-5 or to 1e-4. None where the grid would be too large.
+pub(crate) fn table_steps(rows: &[[f64; 2]]) -> Option<u64> {
+    let divisor = |mut a: u64, mut b: u64| {
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    let steps = |resolution: f64| {
+        let mut gaps = Vec::with_capacity(rows.len());
+        for pair in rows.windows(2) {
+            let [low, high] = [pair[0][0], pair[1][0]].map(|angle| (angle / resolution).round());
+            gaps.push((high - low).max(0.0) as u64);
+        }
+        let step = gaps.iter().copied().reduce(divisor).unwrap_or(1);
+        let count = gaps.iter().sum::<u64>() / step.max(1);
+        (!gaps.contains(&0) && count <= MOST_TABLE_STEPS).then_some(count.max(1))
+    };
+    [1e-6, 1e-5, 1e-4].into_iter().find_map(steps)
 }
 
 /// Whether `pattern`, in which `*` stands for any run of characters, is all of `name`.

@@ -60,61 +60,34 @@ pub struct JointTopology {
     pub motion: JointMotion,
     /// Direction, in link axes, which are parallel to the base's when all joints are at zero.
     pub axis: Axis,
-    /// A table of effort limits over the joint position, if the actuator has one.
+    /// A table of effort limits over the joint position, if the actuator has one: equally spaced.
     pub effort_table: Option<EffortTable>,
     /// Whether the actuator's gains act on the beginning of a physics step (as a motor controller at the step's rate
     /// would) instead of on its end.
     pub explicit: bool,
 }
 
-/// Effort limits over a joint position: exact at the given corners, linear in between, constant beyond the ends.
+/// Effort limits over a joint position, linear in between, constant beyond the ends.
 #[derive(Clone, Debug)]
 pub struct EffortTable {
-    corners: Vec<Corner>,
-}
-
-/// A corner of an [`EffortTable`], and the slope from there to the next one.
-#[derive(Clone, Copy, Debug)]
-struct Corner {
-    /// rad.
-    position: f32,
-    /// N m.
-    limit: f32,
-    /// N m/rad; 0 at the last corner.
-    slope: f32,
+    /// Position of the first entry, rad.
+    pub start: f32,
+    /// One over the distance of two entries, 1/rad.
+    pub inverse_step: f32,
+    /// Limits, N m.
+    pub limits: Vec<f32>,
 }
 
 impl EffortTable {
-    /// From rows of `[rad, N m]`. None without rows, and for positions that do not rise in single precision.
-    pub fn new(rows: &[[f64; 2]]) -> Option<Self> {
-        let rises = rows.windows(2).all(|pair| (pair[0][0] as f32) < pair[1][0] as f32);
-        let corner = |(i, &[position, limit]): (usize, &[f64; 2])| {
-            let next = rows.get(i + 1);
-            let slope = next.map_or(0.0, |next| (next[1] - limit) / (next[0] - position));
-            Corner { position: position as f32, limit: limit as f32, slope: slope as f32 }
-        };
-        (rises && !rows.is_empty()).then(|| Self { corners: rows.iter().enumerate().map(corner).collect() })
-    }
-
     /// The limit at a position, N m.
     #[inline(always)]
     pub fn limit_at(&self, position: f32) -> f32 {
-        // halves the corners among which the last one at or before the position is; a NaN ends at the first
-        let (mut first, mut count) = (0, self.corners.len());
-        while count > 1 {
-            let half = count / 2;
-            if self.corners[first + half].position <= position {
-                first += half;
-            }
-            count -= half;
-        }
-        let corner = &self.corners[first];
-        corner.slope.mul_add((position - corner.position).max(0.0), corner.limit)
-    }
-
-    /// The largest limit, N m.
-    pub fn largest(&self) -> f32 {
-        self.corners.iter().map(|corner| corner.limit).fold(0.0, f32::max)
+        let last = self.limits.len() - 1;
+        // a NaN becomes 0 in the cast
+        let x = ((position - self.start) * self.inverse_step).clamp(0.0, last as f32);
+        let i = (x as usize).min(last.saturating_sub(1));
+        let (a, b) = (self.limits[i], self.limits[(i + 1).min(last)]);
+        (b - a).mul_add(x - i as f32, a)
     }
 }
 

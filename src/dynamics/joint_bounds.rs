@@ -9,10 +9,6 @@ use super::rows::{BoundRow, ContactWork, NO_TARGET};
 use super::settings::{ContactSettings, SolverSettings};
 use super::state::{State, Workspace};
 
-/// Distance (rad or m) or speed (rad/s or m/s) at which a limit that is absent is taken to be: an infinite target would meet an
-/// impulse of zero.
-const FAR: f64 = 1e9;
-
 /// Builds the rows of every block in which a joint is near a position limit or its velocity limit, or has Coulomb friction.
 ///
 /// `free` is the joints' velocity without constraints, `[blocks]`.
@@ -100,10 +96,9 @@ fn set_limits<S: Real, B: BodyNumbers<S>>(
     let (z, no_target, near) = (S::zero(), S::splat(NO_TARGET), row.near);
     (row.lowest, row.highest, row.limit_impulse, row.push_impulse) = (no_target, -no_target, z, z);
     if row.limits {
-        let (q, far) = (state.joint_position[j], S::splat(FAR));
-        let fastest = parameters.velocity_limit(j).min(far);
+        let (q, fastest) = (state.joint_position[j], parameters.velocity_limit(j));
         // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
-        let (low, high) = ((q - parameters.lower(j)).min(far), (parameters.upper(j) - q).min(far));
+        let (low, high) = (q - parameters.lower(j), parameters.upper(j) - q);
         let push = |past| push_speed(past, settings.solver.limit_slop, settings, inverse_dt);
         let (up, down) = (push(-low), push(-high));
         let lowest = S::select(low.lt(z), up, -(low * inverse_dt)).max(-fastest);

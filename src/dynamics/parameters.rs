@@ -210,11 +210,11 @@ parameters! {
         stiffness: S, list, NONE;
         /// Actuator damping, N m s/rad, `[joints]`.
         damping: S, list, NONE;
-        /// Largest actuator effort, N m, `[joints]`; infinity without a limit. Multiplies the effort table where there is one.
+        /// Largest actuator effort, N m, `[joints]`; multiplies the effort table where there is one.
         effort_limit: S, list, NONE;
-        /// Stall effort of a DC motor, N m, `[joints]`; infinity for other actuators.
+        /// Stall effort of a DC motor, N m, `[joints]`.
         saturation_effort: S, list, NONE;
-        /// No-load speed of a DC motor, rad/s, `[joints]`; infinity for other actuators.
+        /// No-load speed of a DC motor, rad/s, `[joints]`.
         motor_velocity_limit: S, list, NONE;
         /// Reflected rotor inertia, kg m^2, `[joints]`.
         armature: S, list, NONE;
@@ -222,11 +222,11 @@ parameters! {
         joint_damping: S, list, NONE;
         /// Coulomb friction, N m, `[joints]`.
         joint_friction: S, list, NONE;
-        /// Lower position limit, rad, `[joints]`; minus infinity without one.
+        /// Lower position limit, rad, `[joints]`.
         lower: S, list, NONE;
-        /// Upper position limit, rad, `[joints]`; infinity without one.
+        /// Upper position limit, rad, `[joints]`.
         upper: S, list, NONE;
-        /// Largest joint speed, rad/s, `[joints]`; infinity without a limit.
+        /// Largest joint speed, rad/s, `[joints]`.
         velocity_limit: S, list, NONE;
         /// Centre of a contact candidate in its link's frame, m, `[contacts]`.
         contact_position: Vec3<S>, arrays, NONE;

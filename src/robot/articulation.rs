@@ -6,6 +6,8 @@ use super::colliders::add_pairs;
 use super::model::{Geometry, JointKind, Model, Shape};
 use crate::dynamics::{Axis, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology};
 
+/// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it by impulses that may be zero.
+pub const FASTEST: f64 = 1e9;
 /// Rims of cylinders are represented by this many points each.
 const RIM_POINTS: usize = 3;
 
@@ -34,7 +36,7 @@ pub struct Articulation {
 
 impl Articulation {
     /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the URDF as limits and
-    /// no actuator gains; velocity limits are left to actuators. A limit that is absent is infinite.
+    /// no actuator gains; velocity limits are left to actuators. A position or effort limit that is absent is infinite.
     ///
     /// With `self_collision` links may touch each other; it is a pose (one position per joint, rad or m) in which none
     /// is meant to: shapes that overlap there do so by design and are left alone, as are links joined by one joint.
@@ -97,7 +99,7 @@ impl Articulation {
             p.effort_limit[j] = joint.effort;
             p.saturation_effort[j] = f64::INFINITY;
             p.motor_velocity_limit[j] = f64::INFINITY;
-            p.velocity_limit[j] = f64::INFINITY;
+            p.velocity_limit[j] = FASTEST;
         }
         for (i, c) in candidates.iter().enumerate() {
             p.contact_position[i] = c.position.to_array();

@@ -23,7 +23,7 @@ mod shapes;
 mod tree;
 mod urdf;
 
-pub use articulation::{Articulation, Site, soft_limits, symmetric};
+pub use articulation::{Articulation, FASTEST, Site, soft_limits, symmetric};
 pub use check::check;
 pub use error::{Diagnosis, RobotError, Warning};
 pub(crate) use hull::triangles as hull_triangles;

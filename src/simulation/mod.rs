@@ -148,7 +148,7 @@ impl Simulation {
                 .joints
                 .iter()
                 .map(|joint| joint.effort_table.as_ref())
-                .map(|table| table.map_or(1.0, |table| f64::from(table.largest())))
+                .map(|table| table.map_or(1.0, |t| t.limits.iter().fold(0.0, |most, &x| f64::from(x).max(most))))
                 .collect(),
             fingerprint: snapshot::fingerprint(&robot, &settings, options.engine(), options.avian_substeps),
             settings,
