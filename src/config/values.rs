@@ -40,15 +40,20 @@ impl<'de, Q: Quantity> Deserialize<'de> for Of<Q> {
 fn within<Q: Quantity, E: Error>(number: f64) -> Result<f64, E> {
     let (least, most, unit) = (Shown(Q::LEAST), Shown(Q::MOST), Q::UNIT);
     let shown = Shown(number);
-    let problem = match number {
+    let (problem, remedy) = match number {
         _ if (Q::LEAST..=Q::MOST).contains(&number) => return Ok(number),
-        _ if number.is_nan() => "nan is no number".to_owned(),
-        _ if number > Q::MOST => format!("{shown} is beyond {most}{unit}"),
-        _ if Q::LEAST > 0.0 && number <= 0.0 => format!("{shown} is not positive"),
-        _ if Q::LEAST == 0.0 => format!("{shown} is negative"),
-        _ => format!("{shown} is below {least}{unit}"),
+        _ if number > Q::MOST => {
+            (format!("{shown} is beyond {most}{unit}"), format!("write a number from {least} to {most}{unit}"))
+        }
+        _ if Q::LEAST > 0.0 && number <= 0.0 => {
+            (format!("{shown} is not positive"), format!("write a number above 0, from {least} to {most}{unit}"))
+        }
+        _ if Q::LEAST == 0.0 => {
+            (format!("{shown} is negative"), format!("write a number of 0 or above, up to {most}{unit}"))
+        }
+        _ => (format!("{shown} is below {least}{unit}"), format!("write a number from {least} to {most}{unit}")),
     };
-    Err(E::custom(format!("{problem}; write a number from {least} to {most}{unit}")))
+    Err(E::custom(format!("{problem}; {remedy}")))
 }
 
 /// A number of the quantity `Q`.
