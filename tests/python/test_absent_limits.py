@@ -79,13 +79,16 @@ def test_episodes_begin_in_the_default_pose(mine, edit):
 
 
 def test_the_limit_that_is_there_holds(mine):
-    mine(without("FL_calf_joint", "upper"), "[reset]\njoint_position = { mode = 'offset', range = [-2.0, -1.9] }\n")
+    mine(without("FL_calf_joint", "upper"), "[reset]\njoint_position = { mode = 'offset', range = [-3.0, 0.0] }\n")
     env = make()
     env.reset()
     lower = json.loads(env.sim.robot_info())["mine"]["lower"]
     joints = env.sim.joint_map("mine")
     (knee,) = (column for column, (name, _) in enumerate(joints) if name == "FL_calf_joint")
-    np.testing.assert_allclose(env.state.joint_pos[:, knee], lower[joints[knee][1]], atol=1e-6)
+    positions = env.state.joint_pos[:, knee]
+    # two thirds of the draws are beyond the limit
+    assert positions.min() == np.float32(lower[joints[knee][1]])
+    assert positions.max() <= -1.5
 
 
 @pytest.mark.parametrize("edit", EDITS)
