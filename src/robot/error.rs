@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::bounds::with_short_numbers;
+
 /// One finding about a robot description, displayed as `{file}: {element}: {problem}; {remedy}`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Diagnosis {
@@ -47,7 +49,7 @@ impl Diagnosis {
         Self {
             file: file.to_path_buf(),
             element: element.into(),
-            problem: problem.into(),
+            problem: with_short_numbers(problem.into()),
             remedy: remedy.into(),
             topic: Topic::Other,
         }

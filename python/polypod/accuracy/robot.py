@@ -162,14 +162,14 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         urdf=rooted(_core.robot_urdf(source), _core.Simulation(source, threads=1, ground=None).link_names[0]),
         joint_names=tuple(info["joint_names"]),
         default_position=np.array(info["default_pose"]),
-        joint_range=np.stack([info["lower"], info["upper"]], axis=1),
+        joint_range=np.stack([_limits(info["lower"], -np.inf), _limits(info["upper"], np.inf)], axis=1),
         base_height=info["base_height"],
         actuators=_actuators(
             [groups[key] for key in of_joint],
             tuple(of_joint),
             [signs[joint] for joint in range(len(of_joint))],
-            effort_limit=_limits(info["effort_limit"]),
-            velocity_limit=_limits(info["velocity_limit"]),
+            effort_limit=_limits(info["effort_limit"], np.inf),
+            velocity_limit=_limits(info["velocity_limit"], np.inf),
         ),
         locked_joints=config.get("locked_joints", {}),
     )
@@ -222,9 +222,9 @@ def _end(joint: ElementTree.Element, tag: str) -> str | None:
     return None if end is None else end.get("link")
 
 
-def _limits(values: list[float | None]) -> Array:
+def _limits(values: list[float | None], absent: float) -> Array:
     """Limits of all joints; JSON has no infinity."""
-    return np.array([np.inf if value is None else value for value in values], dtype=np.float64)
+    return np.array([absent if value is None else value for value in values], dtype=np.float64)
 
 
 def _actuators(
