@@ -184,7 +184,7 @@ impl Cells {
             self.boxes.iter().map(|(low, high, _)| (direction * *low).max(direction * *high).element_sum()).collect();
         let first = (0..bounds.len()).max_by(|a, b| bounds[*a].total_cmp(&bounds[*b]))?;
         let mut best: Option<(f64, usize)> = None;
-        let mut search = |cell: usize, best: &mut Option<(f64, usize)>| {
+        let search = |cell: usize, best: &mut Option<(f64, usize)>| {
             for &index in &self.order[self.boxes[cell].2.clone()] {
                 let own = (points[index as usize].dot(direction), index as usize);
                 if best.is_none_or(|best| own.0.total_cmp(&best.0).then(own.1.cmp(&best.1)).is_gt()) {
