@@ -38,7 +38,7 @@ const ROOMS: [&str; 31] = [
 ];
 
 /// The files of `systems/` from the ground up; `mod` holds what they share, the schedules and sets.
-const SYSTEMS: [&str; 27] = [
+const SYSTEMS: [&str; 28] = [
     "view",
     "terms",
     "faults",
@@ -61,6 +61,7 @@ const SYSTEMS: [&str; 27] = [
     "gather",
     "reward",
     "startup",
+    "place",
     "reset",
     "observe",
     "privileged",

@@ -251,8 +251,8 @@ pub struct ResetConfig {
     /// Share of each joint's range, about its middle, that resets stay within. Default: 1.
     #[serde(deserialize_with = "values::fraction")]
     pub soft_limit_factor: f64,
-    /// Distance between the lowest foot of the default pose and the ground, m; the least one of any collision shape in other
-    /// poses. Default: 0.02.
+    /// Distance between the lowest foot of the default pose and the ground, and the least one of any collision shape in any
+    /// pose, m. Default: 0.02.
     #[serde(deserialize_with = "values::non_negative")]
     pub spawn_margin: f64,
 }
