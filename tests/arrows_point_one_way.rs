@@ -39,7 +39,7 @@ const ROOMS: [&str; 32] = [
 ];
 
 /// The files of `systems/` from the ground up; `mod` holds what they share, the schedules and sets.
-const SYSTEMS: [&str; 27] = [
+const SYSTEMS: [&str; 28] = [
     "view",
     "terms",
     "faults",
@@ -62,6 +62,7 @@ const SYSTEMS: [&str; 27] = [
     "gather",
     "reward",
     "startup",
+    "place",
     "reset",
     "observe",
     "privileged",

@@ -4,6 +4,8 @@ use polypod::components::{BaseVelocity, EnvId, Imu};
 use polypod::systems::StateField;
 use polypod::{Sim, SimOptions};
 
+use crate::common;
+
 fn still(task: &str, gravity: [f64; 3], more: &[&str]) -> Sim {
     let mut overrides: Vec<String> =
         ["observations.enable_noise=false", "events.push_robot.enabled=false", "events.reset_base.yaw=[0.0, 0.0]"]
@@ -90,7 +92,9 @@ fn weights_are_those_of_the_task() {
 #[test]
 fn upright_is_against_gravity() {
     let ends = |gravity: [f64; 3]| {
-        let mut sim = still("velocity_flat", gravity, &["terminations.bad_orientation.limit_angle=0.5"]);
+        let task =
+            common::extended_task("upright", "velocity_flat", "[terminations.bad_orientation]\nlimit_angle = 0.5");
+        let mut sim = still(&task, gravity, &[]);
         let actions = vec![0.0; sim.batch().actions.len()];
         sim.step(&actions).unwrap();
         sim.batch().terminated.clone()

@@ -5,6 +5,8 @@ use polypod::systems::StateField;
 use polypod::world::Ground;
 use polypod::{Sim, SimOptions};
 
+use crate::common;
+
 const STAIRS: &str = "scene.terrain={size=[8.0, 8.0], num_rows=10, num_cols=2, border_width=20.0, \
     max_init_terrain_level=9, sub_terrains=[{name=\"s\", type=\"TYPE\", proportion=1.0, \
     step_height_range=[0.05, 0.23], step_width=0.3, platform_width=3.0, border_width=1.0}]}";
@@ -38,8 +40,8 @@ fn step(sim: &mut Sim) {
 fn a_robot_that_stands_in_a_hollow_or_on_a_hill_has_not_sunk() {
     for shape in ["pyramid_stairs_inv", "pyramid_stairs"] {
         let ground = [STAIRS.replace("TYPE", shape), "scene.grid_cell=0.025".into()];
-        let lowest = "terminations.root_height_below_minimum.minimum_height=0.2".to_string();
-        let mut sim = still("velocity_flat", 64, &[ground.to_vec(), vec![lowest]].concat());
+        let lowest = "[terminations.root_height_below_minimum]\nminimum_height = 0.2";
+        let mut sim = still(&common::extended_task("lowest", "velocity_flat", lowest), 64, &ground);
         for _ in 0..25 {
             step(&mut sim);
             assert!(!sim.batch().terminated.contains(&true), "{shape}: a robot that stands was ended");

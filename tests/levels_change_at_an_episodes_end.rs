@@ -3,15 +3,22 @@
 use polypod::components::{BasePose, EnvId, EnvOrigin, Episode};
 use polypod::{Autoreset, Sim, SimOptions};
 
+use crate::common;
+
 const ENVS: usize = 40;
 
 fn rough(autoreset: Autoreset, more: &[&str]) -> Sim {
+    rough_with(autoreset, "", more)
+}
+
+/// The rough task with these lines, every robot in the middle of its tile and told to go at 1 m/s.
+fn rough_with(autoreset: Autoreset, lines: &str, more: &[&str]) -> Sim {
     let mut overrides: Vec<String> =
         ["events.reset_base.x=[0.0, 0.0]", "events.reset_base.y=[0.0, 0.0]"].map(String::from).to_vec();
     overrides.extend(more.iter().map(|text| text.to_string()));
     let robots = Some(vec!["unitree_go2".into()]);
-    let mut sim =
-        Sim::new(&SimOptions { autoreset, overrides, robots, ..SimOptions::new("velocity_rough", ENVS) }).unwrap();
+    let task = common::extended_task("levels", "velocity_rough", lines);
+    let mut sim = Sim::new(&SimOptions { autoreset, overrides, robots, ..SimOptions::new(task, ENVS) }).unwrap();
     sim.set_commands(Some(&[1.0, 0.0, 0.0].repeat(ENVS))).unwrap();
     sim
 }
@@ -65,7 +72,7 @@ fn a_termination_after_one_step_changes_no_level() {
     assert_eq!(levels(&mut sim), before, "a caller's");
     // the same by a termination of the task, in all ways to reset
     for autoreset in [Autoreset::SameStep, Autoreset::NextStep] {
-        let mut sim = rough(autoreset, &["terminations.root_height_below_minimum.minimum_height=9.0"]);
+        let mut sim = rough_with(autoreset, "[terminations.root_height_below_minimum]\nminimum_height = 9.0", &[]);
         let before = levels(&mut sim);
         (0..6).for_each(|_| step(&mut sim));
         assert_eq!(levels(&mut sim), before, "{autoreset:?}");
@@ -98,7 +105,7 @@ fn a_late_start_is_asked_for_less() {
 #[test]
 fn a_fall_is_asked_for_the_whole_episode_in_all_ways_to_reset() {
     for autoreset in [Autoreset::SameStep, Autoreset::NextStep, Autoreset::Disabled] {
-        let mut sim = rough(autoreset, &["terminations.bad_orientation.limit_angle=1.0"]);
+        let mut sim = rough_with(autoreset, "[terminations.bad_orientation]\nlimit_angle = 1.0", &[]);
         let before = levels(&mut sim);
         (0..60).for_each(|_| step(&mut sim));
         assert!(!sim.batch().terminated.contains(&true));

@@ -6,6 +6,8 @@ use polypod::systems::{CompiledTask, Logs, Registry, RobotView};
 use polypod::{Sim, SimOptions};
 use serde::Deserialize;
 
+use crate::common;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NoParams {}
@@ -13,7 +15,8 @@ struct NoParams {}
 /// The flat task with terms of one's own, none of which ends an episode but the last.
 fn with_terms(count: usize) -> Result<Sim, polypod::Error> {
     let mut registry = Registry::builtin();
-    let mut options = SimOptions::new("velocity_flat", 2);
+    let robots = Some(vec!["anymal_d".into()]);
+    let mut lines = String::new();
     for k in 0..count {
         // names of terms live as long as the program
         let name: &'static str = Box::leak(format!("zz_term_{k:02}").into_boxed_str());
@@ -22,9 +25,10 @@ fn with_terms(count: usize) -> Result<Sim, polypod::Error> {
             false => |_, _, _, _| false,
         };
         registry.termination(name, false, ends);
-        options.overrides.push(format!("terminations.{name}={{}}"));
+        lines += &format!("[terminations.{name}]\n");
     }
-    Sim::with_registry(&options, registry)
+    let task = common::extended_task(&format!("terms_{count}"), "velocity_flat", &lines);
+    Sim::with_registry(&SimOptions { robots, ..SimOptions::new(task, 2) }, registry)
 }
 
 #[test]

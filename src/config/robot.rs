@@ -311,7 +311,8 @@ pub struct ResetConfig {
     /// range: resets stay within the limit that it has.
     #[serde(deserialize_with = "values::fraction")]
     pub soft_limit_factor: f64,
-    /// Least distance between the ground and any collision shape, m, in the default pose and in any other. Default: 0.02.
+    /// Distance between the lowest foot of the default pose and the ground, and the least one of any collision shape in any
+    /// pose, m. Default: 0.02.
     #[serde(deserialize_with = "values::number_of::<Rise, _, _>")]
     pub spawn_margin: f64,
 }

@@ -42,6 +42,15 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
     }
 }
 
+/// The path of a task file that extends another task by these lines; `name` tells it from those of other tests.
+pub fn extended_task(name: &str, extends: &str, lines: &str) -> String {
+    let folder = std::env::temp_dir().join(format!("polypod-tests-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join(format!("{name}.toml"));
+    std::fs::write(&path, format!("extends = \"{extends}\"\nname = \"{name}\"\n{lines}\n")).unwrap();
+    path.to_str().unwrap().to_string()
+}
+
 /// The sum of the contact forces on a robot in the last physics step, along the world's z, N.
 pub fn upward_force(forces: &ContactForces) -> f64 {
     let others = forces.others.iter().map(|force| &force.net);
