@@ -33,7 +33,7 @@ impl Limits {
 
 impl std::fmt::Display for Limits {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} .. {}", rounded(self.lower), rounded(self.upper))
+        write!(f, "{} .. {}", Shown(self.lower), Shown(self.upper))
     }
 }
 
@@ -89,8 +89,8 @@ fn check_positions(
         if !soft.meet([a.min(b), a.max(b)]) {
             let problem = format!(
                 "{slot} would begin at {} to {}, outside its soft limits {soft}",
-                rounded(a.min(b)),
-                rounded(a.max(b))
+                Shown(a.min(b)),
+                Shown(a.max(b))
             );
             let remedy = "write a range that reaches between them, or raise reset.soft_limit_factor";
             return Err(invalid(loaded, "reset.joint_position.range".into(), problem, remedy));
@@ -123,11 +123,6 @@ fn check_base(loaded: &LoadedRobot, model: &Model) -> Result<(), ConfigError> {
         return Err(invalid(loaded, "randomization.base_mass_offset".into(), problem, &remedy));
     }
     Ok(())
-}
-
-/// A position without the digits that single precision adds.
-fn rounded(position: f64) -> Shown {
-    Shown(if position.abs() < 1e6 { (position * 1e6).round() / 1e6 } else { position })
 }
 
 fn invalid(loaded: &LoadedRobot, element: String, problem: String, remedy: &str) -> ConfigError {

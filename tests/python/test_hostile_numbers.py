@@ -22,7 +22,7 @@ TASKS = {
     "velocity_obstacles": (["unitree_a1"], ()),
 }
 STEPS = 50
-SHARE = size(0.06, 1.0)
+SHARE = size(0.02, 1.0)
 """Of all pairs of a key and a value."""
 
 
@@ -53,8 +53,9 @@ def check_refusal(error, path, text):
     message = str(error)
     assert "\n" not in message, text
     assert len(message) < 600, text
-    *_, key = (part for part in path if not part.isdigit())
-    assert key in message, f"{text}: {message}"
+    # two numbers that contradict each other are named by their table
+    keys = [part for part in path if not part.isdigit()][-2:]
+    assert any(key in message for key in keys), f"{text}: {message}"
     assert "None" not in message, f"{text}: {message}"
     assert not any(len(word) > 60 and word.strip("`-.,;").isdigit() for word in message.split()), message
 
