@@ -1,5 +1,7 @@
 //! Bounds of what a simulation takes: beyond them lies nothing but a mistake.
 
+use std::fmt;
+
 /// Most envs of a simulation: 2^24. A pack, an env and a row keep their numbers in 32 bits, and 2^24 envs of the smallest robots take
 /// tens of gigabytes.
 pub const MAX_ENVS: usize = 1 << 24;
@@ -11,6 +13,12 @@ pub const MAX_ACTION: f32 = 1e6;
 pub const MAX_COMMAND: f64 = 1e3;
 /// Largest component of a push, m/s: pushes of trainings are about 1, and one of 100 is no push any more.
 pub const MAX_PUSH: f32 = 100.0;
+/// Largest magnitude of any number of a config, in its unit. Beyond it products of two leave single precision.
+pub const LARGEST: f64 = 1e9;
+/// Longest physics step, s; usual are 0.001 to 0.02.
+pub const MAX_DT: f64 = 1.0;
+/// Largest component of gravity, m/s^2: four times Jupiter's.
+pub const MAX_GRAVITY: f64 = 100.0;
 /// Shortest physics step, s: far below what contacts need, far above where single precision loses the change of a position.
 pub const MIN_DT: f64 = 1e-6;
 /// Most physics steps of a control step; usual are 1 to 20.
@@ -19,6 +27,8 @@ pub const MAX_DECIMATION: u32 = 1000;
 pub const MAX_DELAY: u32 = 1000;
 /// Most control steps that an observation term remembers; usual are 1 to 20.
 pub const MAX_HISTORY: u32 = 100;
+/// Most materials that a robot may be drawn from; 64 is usual.
+pub const MAX_BUCKETS: u32 = 1_000_000;
 /// Most sweeps of the articulated engine's solver; contacts no longer change after some hundred.
 pub const MAX_SWEEPS: u32 = 10_000;
 /// Most substeps of Avian's engine; usual are 1 to 20.
@@ -28,6 +38,46 @@ pub const MAX_SUBSTEPS: u32 = 1000;
 pub(crate) const BYTES_PER_ENV: usize = 8 << 10;
 /// Bytes that a link takes in an env without a task.
 pub(crate) const BYTES_PER_LINK: usize = 256;
+
+/// A number as messages show it: with a power of ten where digits would fill the line.
+#[derive(Clone, Copy)]
+pub(crate) struct Shown(pub(crate) f64);
+
+impl fmt::Display for Shown {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(x) = self;
+        if *x == 0.0 || !x.is_finite() || (1e-4..1e6).contains(&x.abs()) {
+            write!(f, "{x}")
+        } else {
+            write!(f, "{x:e}")
+        }
+    }
+}
+
+/// The same text with its long decimal numbers as [`Shown`]: serde and Rust write 1e308 with 309 digits.
+pub(crate) fn with_short_numbers(text: String) -> String {
+    /// Digits of the longest whole number of 64 bits.
+    const LONGEST: usize = 20;
+    let is_part = |c: char| c.is_ascii_digit() || c == '.';
+    if !text.split(|c| !is_part(c)).any(|run| run.len() > LONGEST) {
+        return text;
+    }
+    let mut short = String::with_capacity(text.len());
+    let mut rest = text.as_str();
+    while let Some(start) = rest.find(is_part) {
+        let (before, from) = rest.split_at(start);
+        let (run, after) = from.split_at(from.find(|c| !is_part(c)).unwrap_or(from.len()));
+        short.push_str(before);
+        // a part of a name stays
+        let is_number = !before.ends_with(|c: char| c.is_alphanumeric() || matches!(c, '_' | '/'));
+        match run.parse() {
+            Ok(number) if is_number && run.len() > LONGEST => short.push_str(&Shown(number).to_string()),
+            _ => short.push_str(run),
+        }
+        rest = after;
+    }
+    short + rest
+}
 
 /// Whether there may be `num_envs` envs of about `bytes_per_env` bytes: problem and remedy if not.
 ///
@@ -41,4 +91,23 @@ pub(crate) fn check_num_envs(num_envs: usize, bytes_per_env: usize) -> Result<()
         let problem = format!("{num_envs} envs take about {} MiB, which this machine does not have", bytes >> 20);
         (problem, "ask for fewer envs".into())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_shown_short() {
+        for (x, text) in [(1e308, "1e308"), (-1e39, "-1e39"), (1e-320, "1e-320"), (0.25, "0.25"), (-1.0, "-1")] {
+            assert_eq!(Shown(x).to_string(), text);
+            assert_eq!(
+                with_short_numbers(format!("found `{x}`, not {x}; write 0.5")),
+                format!("found `{text}`, not {text}; write 0.5")
+            );
+        }
+        for text in ["robots/12345678901234567890123.toml", "18446744073709551615 envs", "1.2.3", ""] {
+            assert_eq!(with_short_numbers(text.to_owned()), text);
+        }
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::bounds::with_short_numbers;
 use crate::config::ConfigError;
 use crate::dynamics::lanes::SimdError;
 use crate::robot::RobotError;
@@ -68,7 +69,7 @@ pub enum Error {
 impl Error {
     /// An error about an argument.
     pub(crate) fn argument(element: &'static str, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::Argument { element, problem: problem.into(), remedy: remedy.into() }
+        Self::Argument { element, problem: with_short_numbers(problem.into()), remedy: remedy.into() }
     }
 
     /// An error about a file.

@@ -3,6 +3,7 @@
 #![warn(missing_docs)]
 
 mod actuator_network;
+mod agreement;
 pub mod app;
 pub mod batch;
 pub mod bounds;

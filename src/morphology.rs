@@ -7,14 +7,15 @@ use bevy_ecs::prelude::Resource;
 use glam::DMat3;
 
 use crate::actuator_network::{NetworkKind, read_onnx};
+use crate::agreement;
 use crate::components::Stance;
-use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig};
+use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig, table_steps};
 use crate::dynamics::{
     ActuatorNetwork, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep, Parameters, State,
     StepSettings, Topology, Workspace,
 };
 use crate::error::Error;
-use crate::robot::{self, Articulation, BodyGroup, Model, Place, Roles, Site, Slot, UNLIMITED};
+use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, Model, Place, Roles, Site, Slot};
 
 /// One kind of robot.
 #[derive(Clone, Debug)]
@@ -275,6 +276,7 @@ impl ConfiguredRobot {
         let roles = robot::detect(&model, &config.joint_roles, &config.feet)
             .map_err(|error| robot::naming_missing_meshes(error, &model))?;
         let default_pose = config.default_pose_by_slot(&roles.slots)?;
+        agreement::check(loaded, &model, &roles, &default_pose)?;
         let actuators = config.actuators_by_slot(&roles.slots)?;
         let mut default_position = vec![0.0; model.joints.len()];
         for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
@@ -289,7 +291,7 @@ impl ConfiguredRobot {
         for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
             let is_turned = roles.sign_of_slot[slot] < 0.0;
             let joint = &mut articulation.topology.joints[j];
-            apply_actuator(joint, &mut articulation.parameters, j, actuators[slot].1, is_turned);
+            apply_actuator(joint, &mut articulation.parameters, j, &model.joints[j], actuators[slot].1, is_turned);
         }
         let networks = networks(loaded, &actuators, &roles)?;
         Ok(Self { model, roles, articulation, networks, default_position })
@@ -379,11 +381,13 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
     Ok(groups)
 }
 
-/// Gives joint `j`, whose axis `is_turned` round or not, the actuator of a config, but for its delay.
+/// Gives joint `j`, whose axis `is_turned` round or not, the actuator of a config, but for its delay. Limits of effort and speed
+/// that the config leaves out are those of the URDF's joint.
 fn apply_actuator(
     joint: &mut JointTopology,
     p: &mut Parameters<f64>,
     j: usize,
+    in_urdf: &Joint,
     actuator: &ActuatorConfig,
     is_turned: bool,
 ) {
@@ -404,7 +408,7 @@ fn apply_actuator(
     p.effort_limit[j] = match (actuator.effort_limit, actuator.effort_table.is_empty()) {
         (_, false) => 1.0,
         (Some(limit), true) => limit,
-        (None, true) => UNLIMITED,
+        (None, true) => in_urdf.effort,
     };
     if let Some(friction) = actuator.friction {
         p.joint_friction[j] = friction;
@@ -412,20 +416,22 @@ fn apply_actuator(
     if let Some(damping) = actuator.joint_damping {
         p.joint_damping[j] = damping;
     }
-    let limit = actuator.velocity_limit.unwrap_or(UNLIMITED);
-    if actuator.saturation_effort.is_some() {
-        p.saturation_effort[j] = actuator.saturation_effort.unwrap_or(UNLIMITED);
+    // files that know no speed write 0
+    let in_urdf = if in_urdf.velocity > 0.0 { in_urdf.velocity.min(FASTEST) } else { FASTEST };
+    let limit = actuator.velocity_limit.unwrap_or(in_urdf);
+    if let Some(stall) = actuator.saturation_effort {
+        p.saturation_effort[j] = stall;
         p.motor_velocity_limit[j] = limit;
     } else {
         p.velocity_limit[j] = limit;
     }
 }
 
-/// A table of effort limits on an equally spaced grid, as fine as its closest rows.
+/// A table of effort limits on an equally spaced grid that holds its rows.
 fn effort_table(rows: &[[f64; 2]]) -> Option<EffortTable> {
     let (first, last) = (rows.first()?, rows.last()?);
-    let gap = rows.windows(2).map(|w| w[1][0] - w[0][0]).fold(f64::INFINITY, f64::min);
-    let steps = if gap.is_finite() { ((last[0] - first[0]) / gap).round().max(1.0) } else { 1.0 };
+    // a config's table has a grid
+    let steps = table_steps(rows)? as f64;
     let step = ((last[0] - first[0]) / steps).max(1e-9);
     let limits = (0..=steps as usize).map(|i| interpolate(rows, first[0] + step * i as f64) as f32).collect();
     Some(EffortTable { start: first[0] as f32, inverse_step: (1.0 / step) as f32, limits })
@@ -481,11 +487,11 @@ pub struct RobotDescription {
     pub stiffness: Vec<f32>,
     /// N m s/rad.
     pub damping: Vec<f32>,
-    /// N m; the largest one where it depends on the angle.
+    /// N m; the largest one where it depends on the angle, infinity (`null` in JSON) where there is no limit.
     pub effort_limit: Vec<f32>,
-    /// rad.
+    /// rad; minus infinity (`null` in JSON) where there is no limit.
     pub lower: Vec<f32>,
-    /// rad.
+    /// rad; infinity (`null` in JSON) where there is no limit.
     pub upper: Vec<f32>,
     /// Height of the base above the ground in the default pose, m.
     pub base_height: f32,
@@ -645,7 +651,7 @@ impl MorphologyModel {
         (other, sign * self.slots[slot].sign * self.slots[other].sign)
     }
 
-    /// Largest effort of a joint at any position, N m; `body` holds the numbers of a robot of this kind.
+    /// Largest effort of a joint at any position, N m, infinity without a limit; `body` holds the numbers of a robot of this kind.
     pub fn max_effort(&self, joint: usize, body: &Parameters<f32>) -> f32 {
         let limit = body.effort_limit[joint];
         match &self.topology.joints[joint].effort_table {

@@ -16,7 +16,7 @@ use crate::components::Stance;
 use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
 use crate::dynamics::{Parameters, Scalar, Topology, Workspace};
 use crate::morphology::MorphologyModel;
-use crate::robot::{LimbKind, Side, UNLIMITED};
+use crate::robot::{LimbKind, Side};
 
 /// Factors between a body and that of its URDF; lengths and masses by part of the body, the same for all legs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,7 +103,7 @@ impl BodyScales {
             p.damping[j] *= self.damping;
             let default = f64::from(stance.default_position[j]);
             let (lower, upper) = (p.lower[j], p.upper[j]);
-            if -lower < UNLIMITED && upper < UNLIMITED {
+            if lower.is_finite() && upper.is_finite() {
                 let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * self.joint_range);
                 p.lower[j] = (middle - half).min(default);
                 p.upper[j] = (middle + half).max(default);
@@ -149,8 +149,8 @@ impl BodyScales {
             (&mut p.velocity_limit, 1.0 / time),
             (&mut p.armature, torque * size),
         ] {
-            // what has no limit gets none
-            list.iter_mut().filter(|x| **x < UNLIMITED).for_each(|x| *x *= factor);
+            // infinity, no limit, stays infinity
+            list.iter_mut().for_each(|x| *x *= factor);
         }
     }
 

@@ -7,6 +7,7 @@ use super::terms::{CompiledTask, Registry};
 use super::view::EpisodeEnd;
 use super::{BlockSizes, Share};
 use crate::components::{Env, EnvOrigin, EnvRng};
+use crate::config::quantities::Gain;
 use crate::config::{Columns, Placement, values};
 use crate::rows::Rows;
 use crate::terrain::TerrainLayout;
@@ -61,7 +62,7 @@ pub(super) fn register(registry: &mut Registry) {
 #[serde(deny_unknown_fields)]
 struct LevelRules {
     /// Share of the commanded distance below which a robot moves to an easier level.
-    #[serde(default = "half", deserialize_with = "values::non_negative")]
+    #[serde(default = "half", deserialize_with = "values::number_of::<Gain, _, _>")]
     required_share: f64,
 }
 

@@ -8,6 +8,7 @@ use super::terms::{CompiledTask, Registry};
 use super::view::EventBody;
 use super::{ControlStep, PipelineSet};
 use crate::components::{BaseVelocity, Env, EnvRng, EventTimers, ExternalWrench, Morphology, Robot};
+use crate::config::quantities::{Force, Push as PushSpeed};
 use crate::config::values;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::rows::Rows;
@@ -56,6 +57,7 @@ pub(super) fn apply_interval_events(
 #[serde(deny_unknown_fields)]
 struct Push {
     /// Range of the velocity added along world x and y, m/s.
+    #[serde(deserialize_with = "values::range_of::<PushSpeed, _, _>")]
     velocity_range: [f32; 2],
 }
 
@@ -74,10 +76,10 @@ pub(super) const EXTERNAL_WRENCH: &str = "base_external_force_torque";
 #[serde(deny_unknown_fields)]
 pub(super) struct WrenchRanges {
     /// Range of each component of the force, base axes, N. Default: each robot's own.
-    #[serde(default, deserialize_with = "values::optional_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<Force, _, _>")]
     force_range: Option<[f64; 2]>,
     /// Range of each component of the torque, base axes, N m. Default: each robot's own.
-    #[serde(default, deserialize_with = "values::optional_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<Force, _, _>")]
     torque_range: Option<[f64; 2]>,
 }
 

@@ -2,6 +2,8 @@
 
 use serde::Deserialize;
 
+use crate::config::quantities::ForceThreshold;
+use crate::config::values;
 use crate::robot::BodyGroup;
 
 /// Bodies that may not touch anything.
@@ -9,6 +11,7 @@ use crate::robot::BodyGroup;
 #[serde(deny_unknown_fields)]
 pub(super) struct BodiesInContact {
     /// Normal force that counts, N.
+    #[serde(deserialize_with = "values::number_of::<ForceThreshold, _, _>")]
     pub(super) threshold: f32,
     /// Their groups.
     pub(super) bodies: Vec<BodyGroup>,

@@ -11,6 +11,7 @@ use crate::batch::Batch;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs};
 use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
 use crate::dynamics::lanes::Simd;
+use crate::engine::history_length;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
@@ -100,6 +101,9 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     let own = options.share.clone().unwrap_or(0..options.num_envs);
     let (share, counts) = Share::new(own, counts_of(robots, &task.config, options.num_envs)?);
     let num_envs = share.envs.len();
+    let most = morphologies.0.iter().map(|morphology| bytes_per_env(morphology, &compiled)).max();
+    check_num_envs(num_envs, BYTES_PER_ENV + most.unwrap_or(0))
+        .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;
     let simd = Simd::choose(options.simd)?;
     // a robot at a time, or a pack of one kind
     let pieces = match task.config.physics.engine {
@@ -116,6 +120,18 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     world.insert_resource(morphologies);
     world.insert_resource(compiled);
     Ok(())
+}
+
+/// Bytes that an env takes on top of [`BYTES_PER_ENV`] by what its task and its robot's config ask for: observations, rays, late
+/// targets and what actuator networks remember.
+fn bytes_per_env(morphology: &MorphologyModel, task: &CompiledTask) -> usize {
+    let sensors = &task.config.sensors;
+    let rays = sensors.height_scanner.as_ref().map_or(0, |scanner| scanner.counts().iter().product());
+    let late = history_length(morphology.max_delay(), task.config.sim.decimation as usize);
+    // a row of observations is held twice, and its last one of an episode once more
+    let numbers = [task.num_obs(); 3].into_iter().chain([rays, late * morphology.topology.num_joints()]);
+    let forces = morphology.feet.len() * task.config.sim.decimation as usize;
+    numbers.chain([morphology.num_remembered(), forces]).fold(0, usize::saturating_add).saturating_mul(size_of::<f32>())
 }
 
 /// The slots with these names.

@@ -4,13 +4,14 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::sense::joint_descriptors::{COUNT, MIRROR, TERM};
+use super::sense::joint_descriptors::{COUNT, MIRROR, MOST_EFFORT, TERM};
 use super::terms::{Block, CompiledTask, NoParams, ObservationTerm, Per, Registry, TermKind, TermSource, TermSpec};
 use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
 use crate::components::{Env, EnvRng, Episode, Morphology};
-use crate::config::TaskConfig;
+use crate::config::quantities::Height;
+use crate::config::{TaskConfig, values};
 use crate::dynamics::lanes::Kernel;
 use crate::morphology::{Morphologies, MorphologyModel, SlotJoint};
 use crate::options::Autoreset;
@@ -293,7 +294,7 @@ pub(super) fn register(registry: &mut Registry) {
 #[serde(deny_unknown_fields)]
 struct ScanOffset {
     /// Height of the base above level ground that is observed as 0, m.
-    #[serde(default = "half")]
+    #[serde(default = "half", deserialize_with = "values::number_of::<Height, _, _>")]
     offset: f32,
 }
 
@@ -331,7 +332,8 @@ const MORPHOLOGY_BLOCKS: [Block; 7] = [
 
 /// What body this is, each number of the order of one: total mass / 50 kg; distance of the hips along and across the
 /// base, m; upper and lower leg and offset of the hip, mean over the legs, m; radians per unit of action; then per role
-/// (HAA, HFE, KFE), mean over the legs: stiffness / 100, damping / 5, effort limit / 100, armature * 10, and the torque
+/// (HAA, HFE, KFE), mean over the legs: stiffness / 100, damping / 5, effort limit / 100 (at most 10, also of a joint without
+/// a limit), armature * 10, and the torque
 /// of one unit of action / weight / leg length; the default joint positions in canonical order, rad; the spawn height,
 /// m.
 ///
@@ -355,7 +357,7 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
     for role in 0..3 {
         let stiffness = mean(&|leg| body.stiffness[joint(role, leg)]);
         let damping = mean(&|leg| body.damping[joint(role, leg)]);
-        let effort = mean(&|leg| model.max_effort(joint(role, leg), body));
+        let effort = mean(&|leg| model.max_effort(joint(role, leg), body).min(MOST_EFFORT as f32));
         let armature = mean(&|leg| body.armature[joint(role, leg)]);
         let authority = stiffness * stance.action_scale / (mass * 9.81 * (upper + lower));
         out[7 + 5 * role..12 + 5 * role].copy_from_slice(&[

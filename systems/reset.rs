@@ -16,9 +16,11 @@ use crate::components::{
     Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
     JointTargets, Morphology, Robot, Stance,
 };
-use crate::config::JointPositionMode;
+use crate::config::quantities::{Angle, Coordinate};
+use crate::config::{JointPositionMode, values};
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
+use crate::robot::soft_limits;
 use crate::rows::Rows;
 use crate::workers::Workers;
 use crate::world::Ground;
@@ -188,10 +190,13 @@ impl EpisodeSums {
 #[serde(deny_unknown_fields)]
 struct BaseRange {
     /// Range of the base's position, m.
+    #[serde(deserialize_with = "values::range_of::<Coordinate, _, _>")]
     x: [f32; 2],
     /// See `x`.
+    #[serde(deserialize_with = "values::range_of::<Coordinate, _, _>")]
     y: [f32; 2],
     /// Range of its heading, rad.
+    #[serde(deserialize_with = "values::range_of::<Angle, _, _>")]
     yaw: [f32; 2],
 }
 
@@ -233,9 +238,8 @@ fn reset_joints(_: &NoParams, state: &mut NewState, rng: &mut EnvRng) {
             JointPositionMode::Scale => *q * drawn,
             JointPositionMode::Offset => *q + drawn,
         };
-        let (lower, upper) = (state.body.lower[j], state.body.upper[j]);
-        let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * share);
-        *q = moved.max(middle - half).min(middle + half);
+        let [lower, upper] = soft_limits([state.body.lower[j], state.body.upper[j]], share);
+        *q = moved.max(lower).min(upper);
     }
     for v in &mut state.joints.velocity {
         *v = rng.uniform(velocity);

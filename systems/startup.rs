@@ -7,7 +7,9 @@ use super::ResetRequest;
 use super::sampling::{self, Source};
 use super::terms::{BODY_VARIATION, CompiledTask, NoParams, Registry};
 use super::view::NewBody;
+use crate::bounds::MAX_BUCKETS;
 use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
+use crate::config::quantities::{Angle, BodyFactor, Power, Strength};
 use crate::config::{Distribution, Draw, Operation, values};
 use crate::dynamics::ActuatorNetwork;
 use crate::morphology::Morphologies;
@@ -90,6 +92,7 @@ pub(super) fn reset_bodies(
 #[serde(deny_unknown_fields)]
 struct Buckets {
     /// Number of equally spaced materials that are drawn from.
+    #[serde(deserialize_with = "values::count_up_to::<MAX_BUCKETS, _>")]
     num_buckets: u32,
 }
 
@@ -155,7 +158,7 @@ impl TryFrom<UncheckedJoints> for JointParameters {
 #[serde(deny_unknown_fields)]
 struct MotorStrength {
     /// Share of its torque that each motor gives. Default: each robot's own range.
-    #[serde(default, deserialize_with = "values::optional_non_negative_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<Strength, _, _>")]
     strength_range: Option<[f64; 2]>,
 }
 
@@ -164,19 +167,19 @@ struct MotorStrength {
 #[serde(deny_unknown_fields)]
 struct TaskVariation {
     /// Power to which the robots' own factors are raised: 1 as they are, 2 about twice as far from the URDF's body.
-    #[serde(default = "one", deserialize_with = "values::non_negative")]
+    #[serde(default = "one", deserialize_with = "values::number_of::<Power, _, _>")]
     range_power: f64,
     /// Factor on all lengths; the rest follows by dynamic similarity. Default: none.
-    #[serde(default, deserialize_with = "values::optional_positive_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<BodyFactor, _, _>")]
     size: Option<[f64; 2]>,
     /// Factor on the joint target per unit of action. Default: none.
-    #[serde(default, deserialize_with = "values::optional_positive_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<BodyFactor, _, _>")]
     action_scale: Option<[f64; 2]>,
     /// Factor on the angles of hip flexion and knee in the default pose. Default: none.
-    #[serde(default, deserialize_with = "values::optional_positive_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<BodyFactor, _, _>")]
     default_flexion: Option<[f64; 2]>,
     /// Angle by which the legs are spread more in the default pose, rad. Default: 0.
-    #[serde(default, deserialize_with = "values::optional_range")]
+    #[serde(default, deserialize_with = "values::optional_range_of::<Angle, _, _>")]
     default_abduction: Option<[f64; 2]>,
 }
 
@@ -298,8 +301,14 @@ fn randomize_motor_strength(p: &MotorStrength, body: &mut NewBody, rng: &mut Env
     let b = &mut *body.parameters;
     for j in 0..b.stiffness.len() {
         let share = rng.uniform(range);
-        for x in [&mut b.stiffness[j], &mut b.damping[j], &mut b.effort_limit[j], &mut b.saturation_effort[j]] {
+        for x in [&mut b.stiffness[j], &mut b.damping[j]] {
             *x *= share;
+        }
+        // none has no share
+        for x in [&mut b.effort_limit[j], &mut b.saturation_effort[j]] {
+            if x.is_finite() {
+                *x *= share;
+            }
         }
     }
 }

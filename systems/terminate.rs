@@ -10,6 +10,8 @@ use super::view::{RobotView, ViewParam};
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
 use crate::components::{Env, Episode};
+use crate::config::quantities::{Coordinate, Factor, ForceThreshold, Quantity, Tilt as TiltRange};
+use crate::config::values;
 use crate::engine::StateLimits;
 use crate::options::Autoreset;
 use crate::robot::BodyGroup;
@@ -96,6 +98,7 @@ fn is_allowed(limits: &StateLimits, view: &RobotView) -> bool {
 #[serde(deny_unknown_fields)]
 struct ContactThreshold {
     /// Normal force that ends the episode, N.
+    #[serde(deserialize_with = "values::number_of::<ForceThreshold, _, _>")]
     threshold: f32,
 }
 
@@ -106,7 +109,7 @@ struct Tilt {
     limit_angle: Angle,
 }
 
-/// An angle from 0 to pi, rad.
+/// An angle, rad.
 #[derive(Deserialize)]
 #[serde(try_from = "f64")]
 struct Angle {
@@ -117,8 +120,9 @@ impl TryFrom<f64> for Angle {
     type Error = String;
 
     fn try_from(angle: f64) -> Result<Self, String> {
-        if !(0.0..=std::f64::consts::PI).contains(&angle) {
-            return Err(format!("{angle} is not from 0 to pi, rad"));
+        let (least, most) = (TiltRange::LEAST, TiltRange::MOST);
+        if !(least..=most).contains(&angle) {
+            return Err(format!("{angle} is no such angle; write one from {least} to pi, rad"));
         }
         // a cosine in double precision is the same single number on every machine
         Ok(Self { cos: angle.cos() as f32 })
@@ -129,9 +133,10 @@ impl TryFrom<f64> for Angle {
 #[serde(deny_unknown_fields)]
 struct LeastHeight {
     /// Height of the base below which the episode ends, m. Default: `minimum_share`.
+    #[serde(default, deserialize_with = "values::optional_of::<Coordinate, _, _>")]
     minimum_height: Option<f32>,
     /// The same as a share of the robot's height in its default pose, so that robots of all sizes share a task.
-    #[serde(default = "half")]
+    #[serde(default = "half", deserialize_with = "values::number_of::<Factor, _, _>")]
     minimum_share: f32,
 }
 

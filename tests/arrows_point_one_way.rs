@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// The rooms of `src/` from the ground up, `systems/` among them. A room is a file or a folder; it uses those before it.
-const ROOMS: [&str; 31] = [
+const ROOMS: [&str; 32] = [
     "dynamics",
     "learner",
     "bounds",
@@ -21,6 +21,7 @@ const ROOMS: [&str; 31] = [
     "components",
     "batch",
     "rows",
+    "agreement",
     "morphology",
     "variation",
     "geometry_export",

@@ -168,11 +168,6 @@ fn actuators_that_make_no_sense_are_refused() {
     let root = Root::new("actuators");
     let cases = [
         (
-            "[actuators.hips]\nmodel = \"dc_motor\"\ndelay = [0, 0]",
-            "actuators.hips",
-            "saturation_effort and velocity_limit",
-        ),
-        (
             "[actuators.hips]\nmodel = \"dc_motor\"\ndelay = [0, 0]\nvelocity_limit = 1.0",
             "actuators.hips",
             "needs saturation_effort",
@@ -199,11 +194,33 @@ fn actuators_that_make_no_sense_are_refused() {
         let (error, file) = root.robot_error("spot", text);
         assert_error(&error, &file, element, problem, "");
     }
+    // a robot that leaves its speeds to the URDF
+    let spot = include_str!("../configs/robots/spot.toml").replace("name = \"spot\"", "name = \"free\"");
+    let lines: Vec<&str> = spot.lines().filter(|line| !line.starts_with("velocity_limit")).collect();
+    root.write("configs/robots/free.toml", &lines.join("\n"));
+    let (error, file) = root.robot_error("free", "[actuators.hips]\nmodel = \"dc_motor\"\ndelay = [0, 0]");
+    assert_error(&error, &file, "actuators.hips", "saturation_effort and velocity_limit", "");
     let text = "name = \"bare\"\ntitle = \"B\"\nurdf = \"r.urdf\"\nreward_set = \"a\"\naction_scale = 1.0\n\
                 [default_pose]\nLF_HAA = 0.0\n[actuators]\n";
     let file = root.write("configs/robots/bare.toml", text);
     let error = root.library().robot("bare").unwrap_err();
     assert_error(&error, &file, "default_pose", "no angle for LH_HAA, RF_HAA", "in rad");
+}
+
+#[test]
+fn effort_tables_that_single_precision_loses_are_refused() {
+    let root = Root::new("effort_tables");
+    let cases = [
+        ("[[-2.7, 10.0], [-2.699999999, 20.0], [-0.3, 30.0]]", "actuators.knees.effort_table[1]", "less than 1e-5 rad"),
+        ("[[-2.7, 10.0], [-2.6, 1e39]]", "actuators.knees.effort_table[1]", "beyond 1e6 N m"),
+        ("[[-2.7, 10.0], [1e9, 20.0]]", "actuators.knees.effort_table[1]", "beyond 1000 rad"),
+        ("[[-2.7, 0.0], [-0.3, 0.0]]", "actuators.knees.effort_table", "cannot be driven"),
+        ("[[-500.0, 1.0], [0.0, 2.0], [0.00012, 3.0]]", "actuators.knees.effort_table", "no grid"),
+    ];
+    for (table, element, problem) in cases {
+        let (error, file) = root.robot_error("spot", &format!("[actuators.knees]\neffort_table = {table}"));
+        assert_error(&error, &file, element, problem, "");
+    }
 }
 
 #[test]
@@ -343,6 +360,16 @@ fn numbers_that_no_simulation_can_use_are_refused() {
         ("sim.decimation=0", "sim.decimation", "0", "1 to 1000"),
         ("sim.dt=1e-320", "sim.dt", "too short", "1e-6"),
         ("sim.dt=inf", "sim.dt", "not finite", "finite"),
+        ("sim.dt=1e308", "sim.dt", "1e308 s is too long", "1 or below"),
+        ("sim.gravity=[0,0,1e300]", "sim.gravity[2]", "1e300 is beyond 100 m/s^2", "from -100 to 100 m/s^2"),
+        ("sim.episode_length_s=1e-320", "sim.episode_length_s", "1e-320 is below 1e-6 s", "from 1e-6 to 1e9 s"),
+        ("sim.episode_length_s=0.02", "sim.episode_length_s", "single control step", "two control steps"),
+        ("scene.grid_cell=1e308", "scene.grid_cell", "1e308 is beyond 10000 m", "from 0.001 to 10000 m"),
+        ("rewards.spot.gait.std=-1e39", "rewards.spot.gait.std", "1e39 is beyond all", "from -1e9 to 1e9"),
+        ("robot_material.static_friction=-0.5", "robot_material.static_friction", "negative", "0 or above"),
+        ("rewards.spot.gait.weight=-1e39", "rewards.spot.gait.weight", "-1e39 is below -1e6", "from -1e6 to 1e6"),
+        ("terminations.base_contact.threshold=1e308", "terminations.base_contact.threshold", "1e308", "1e9"),
+        ("robots=['']", "robots[0]", "empty", "a robot's name"),
         (
             "commands.base_velocity.lin_vel_x=[-1e30,1.0]",
             "commands.base_velocity.lin_vel_x",

@@ -230,6 +230,7 @@ fn articulation(geometry: &Geometry, origin: &Pose, mass: f64, com: DVec3, inert
             link: 0,
             shapes: vec![Shape { geometry: geometry.clone(), origin: *origin }],
         }],
+        locked: Vec::new(),
         warnings: Vec::new(),
     };
     Articulation::new(&model, true, &[], None)

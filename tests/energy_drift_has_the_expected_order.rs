@@ -40,6 +40,7 @@ fn double_pendulum(damping: f64) -> Articulation {
         links: vec![rod("base", 1.0), rod("upper", 1.5), rod("lower", 0.7)],
         joints: vec![joint("shoulder", 0, 0.0, DVec3::Y), joint("elbow", 1, 0.5, DVec3::new(0.28, 0.96, 0.0))],
         bodies: Vec::new(),
+        locked: Vec::new(),
         warnings: Vec::new(),
     };
     Articulation::new(&model, false, &[], None)

@@ -16,7 +16,7 @@ use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState,
     JointTargets,
 };
-use crate::config::{ConfigError, LoadedRobot, LoadedTask, NetworkFile, RobotConfig, TaskConfig, parse_params};
+use crate::config::{ConfigError, Layers, LoadedRobot, LoadedTask, NetworkFile, RobotConfig, TaskConfig, parse_params};
 use crate::dynamics::lanes::Simd;
 use crate::engine::{Motion, Violation};
 use crate::error::Error;
@@ -156,6 +156,7 @@ impl Dump {
             urdf_path: PathBuf::from(&self.urdf_path),
             networks: self.networks.clone(),
             resolved: self.table(&self.robot_config)?,
+            layers: Layers::default(),
         };
         config.sim.decimation = 1;
         // physics knows no terms; those of the task may not even be registered here

@@ -1,5 +1,7 @@
 //! The one error of this module.
 
+use crate::bounds::with_short_numbers;
+
 /// What sort of mistake a [`ConfigError`] reports; callers map it to their own exceptions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -44,7 +46,7 @@ impl ConfigError {
             kind: ConfigErrorKind::InvalidValue,
             file: file.into(),
             element: element.into(),
-            problem: problem.into(),
+            problem: with_short_numbers(problem.into()),
             remedy: remedy.into(),
         }
     }

@@ -19,10 +19,12 @@ pub(super) const EXTENDS: &str = "extends";
 /// Keys that tell one config from another and are therefore never inherited.
 pub(super) const IDENTITY: [&str; 3] = ["name", "aliases", "title"];
 
-/// A config's files, the one that extends no other first.
-pub(super) struct Layers(pub Vec<Layer>);
+/// A config's files, the one that extends no other first; none of a config that was not read from files.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Layers(pub(super) Vec<Layer>);
 
 /// One file, parsed, or a few keys put on top of it.
+#[derive(Clone, Debug)]
 pub(super) struct Layer {
     pub document: Document,
     pub table: Table,

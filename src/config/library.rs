@@ -47,6 +47,15 @@ pub struct LoadedRobot {
     pub networks: BTreeMap<String, NetworkFile>,
     /// The config with all layers and defaults spelled out.
     pub resolved: Table,
+    /// The files that say it.
+    pub(crate) layers: Layers,
+}
+
+impl LoadedRobot {
+    /// The same error, blamed on the file that says its element.
+    pub(crate) fn blame(&self, error: ConfigError) -> ConfigError {
+        self.layers.locate(error, &[])
+    }
 }
 
 /// A file of an actuator network.
@@ -176,7 +185,7 @@ impl Library {
         let urdf_text = String::from_utf8(urdf)
             .map_err(|_| unreadable(&urdf_path.display().to_string(), "cannot be read: it is not UTF-8".into()))?;
         let networks = self.networks(&layers, &mut config, &mut resolved)?;
-        Ok(LoadedRobot { config, urdf_text, urdf_path, networks, resolved })
+        Ok(LoadedRobot { config, urdf_text, urdf_path, networks, resolved, layers })
     }
 
     /// Reads the files of actuator networks, and states their checksums in the config.

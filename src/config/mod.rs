@@ -7,6 +7,7 @@ mod library;
 mod names;
 mod overrides;
 mod parse;
+pub mod quantities;
 mod randomization;
 mod robot;
 mod scene;
@@ -16,16 +17,17 @@ mod terrain;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
+pub(crate) use layer::Layers;
 pub use library::{Library, LoadedRobot, LoadedTask, NetworkFile, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry};
 pub use overrides::apply as apply_override;
 pub use parse::parse_params;
 pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
-pub(crate) use robot::matches;
 pub use robot::{
     ActuatorConfig, ActuatorModel, BodiesConfig, CommandLimitsConfig, InputOrder, JointPositionMode,
     JointPositionReset, RangeConfig, ResetConfig, RobotConfig, VelocityLimitsConfig,
 };
+pub(crate) use robot::{matches, table_steps};
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
 pub use task::{

@@ -5,20 +5,23 @@ use toml::{Table, Value};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::suggest::{did_you_mean, is_slip};
+use crate::bounds::{LARGEST, Shown};
 
 /// The parameters of a term as the type `T` that the term's code reads. `T` should carry `#[serde(deny_unknown_fields)]`
 /// and may use the checks of [`values`](super::values). `element` is the dotted key of the term, such as
 /// `rewards.trot.gait`; `file` the config's file or name.
 ///
 /// # Errors
-/// Unknown or missing keys, values of the wrong type or not finite: file, key and remedy are named.
+/// Unknown or missing keys, values of the wrong type, not finite or of a magnitude that no simulation can use: file, key and
+/// remedy are named.
 pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Table) -> Result<T, ConfigError> {
     let join = |path: &str| match (element, path) {
         (_, "") => element.to_owned(),
         ("", _) => path.to_owned(),
         _ => format!("{element}.{path}"),
     };
-    if let Some(path) = not_finite(params) {
+    let is_finite = |_: &str, value: &Value| value.as_float().is_none_or(f64::is_finite);
+    if let Some((path, _)) = find_number(params, is_finite) {
         return Err(ConfigError::invalid(
             file,
             join(&path),
@@ -32,7 +35,7 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
         <dyn erased_serde::Deserializer>::erase(serde_path_to_error::Deserializer::new(params.clone(), &mut track));
     let parsed = erased_serde::deserialize(&mut erased);
     drop(erased);
-    parsed.map_err(|error| {
+    let parsed = parsed.map_err(|error| {
         // A path of no segments is shown as a lone dot.
         let path = track.path().to_string();
         let path = if path == "." { "" } else { path.as_str() };
@@ -42,7 +45,20 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
         let (kind, problem, remedy) = explain(message, find(params, path).as_ref());
         let element = if path.is_empty() && element.is_empty() { "top level".to_owned() } else { join(path) };
         ConfigError::invalid(file, element, problem, remedy).of_kind(kind)
-    })
+    })?;
+    // the bounds of a quantity, which its type knows, say more than those of all numbers
+    let magnitude =
+        |value: &Value| value.as_float().or_else(|| value.as_integer().map(|x| x as f64)).map_or(0.0, f64::abs);
+    // seeds are bits
+    let is_usable = |key: &str, value: &Value| key == SEED || magnitude(value) <= LARGEST;
+    match find_number(params, is_usable) {
+        Some((path, value)) => {
+            let problem = format!("{} is beyond all that a simulation can use", Shown(magnitude(value)));
+            let remedy = format!("write a number from -{LARGEST:e} to {LARGEST:e}");
+            Err(ConfigError::invalid(file, join(&path), problem, remedy))
+        }
+        None => Ok(parsed),
+    }
 }
 
 /// The keys of a table beside those that its type names itself (`own`): the parameters of a term.
@@ -123,17 +139,59 @@ pub(super) fn segments(path: &str) -> impl Iterator<Item = &str> {
     path.split(['.', '[', ']']).filter(|segment| !segment.is_empty())
 }
 
-/// Path of the first number in `table` that is infinite or not a number.
-fn not_finite(table: &Table) -> Option<String> {
-    fn search(value: &Value, path: &str) -> Option<String> {
+/// Key of terrain's seed.
+const SEED: &str = "seed";
+
+/// Path and value of the first number in `table` that is not `allowed` under its key.
+fn find_number(table: &Table, allowed: impl Fn(&str, &Value) -> bool) -> Option<(String, &Value)> {
+    // most numbers of a large config stand in lists, and a path is only written for the one that is found
+    enum Place<'a> {
+        Key(&'a str),
+        Index(usize),
+    }
+    fn search<'a>(
+        key: &'a str,
+        value: &'a Value,
+        allowed: &impl Fn(&str, &Value) -> bool,
+        path: &mut Vec<Place<'a>>,
+    ) -> Option<&'a Value> {
         match value {
-            Value::Float(number) if !number.is_finite() => Some(path.to_owned()),
-            Value::Array(items) => {
-                items.iter().enumerate().find_map(|(index, item)| search(item, &format!("{path}[{index}]")))
-            }
-            Value::Table(inner) => inner.iter().find_map(|(key, item)| search(item, &format!("{path}.{key}"))),
+            Value::Float(_) | Value::Integer(_) => (!allowed(key, value)).then_some(value),
+            Value::Array(items) => items.iter().enumerate().find_map(|(index, item)| {
+                path.push(Place::Index(index));
+                let found = search(key, item, allowed, path);
+                if found.is_none() {
+                    path.pop();
+                }
+                found
+            }),
+            Value::Table(inner) => search_table(inner, allowed, path),
             _ => None,
         }
     }
-    table.iter().find_map(|(key, value)| search(value, key))
+    fn search_table<'a>(
+        table: &'a Table,
+        allowed: &impl Fn(&str, &Value) -> bool,
+        path: &mut Vec<Place<'a>>,
+    ) -> Option<&'a Value> {
+        table.iter().find_map(|(key, value)| {
+            path.push(Place::Key(key));
+            let found = search(key, value, allowed, path);
+            if found.is_none() {
+                path.pop();
+            }
+            found
+        })
+    }
+    let mut path = Vec::new();
+    let value = search_table(table, &allowed, &mut path)?;
+    let mut text = String::new();
+    for place in path {
+        match place {
+            Place::Key(key) if text.is_empty() => text.push_str(key),
+            Place::Key(key) => text.extend([".", key]),
+            Place::Index(index) => text.push_str(&format!("[{index}]")),
+        }
+    }
+    Some((text, value))
 }

@@ -2,20 +2,22 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::quantities::{BodyFactor, Force, FrictionCoefficient, Gain, MassOffset, Quantity, Shift, Strength};
 use super::values;
+use crate::bounds::Shown;
 
 /// Ranges of a robot's randomisation; a task's `[events]` switches each on.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RandomizationConfig {
     /// Coefficient of friction at rest. Default: 0.5 to 1.25.
-    #[serde(deserialize_with = "values::non_negative_range")]
+    #[serde(deserialize_with = "values::range_of::<FrictionCoefficient, _, _>")]
     pub static_friction: [f64; 2],
     /// Coefficient of friction when sliding. Default: 0.4 to 1.
-    #[serde(deserialize_with = "values::non_negative_range")]
+    #[serde(deserialize_with = "values::range_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: [f64; 2],
     /// Mass added to the base, kg. Default: 0.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<MassOffset, _, _>")]
     pub base_mass_offset: [f64; 2],
     /// Shift of the base's centre of mass, base frame. Default: 0.
     pub base_com_offset: BaseComOffset,
@@ -28,13 +30,13 @@ pub struct RandomizationConfig {
     /// Dry friction of each joint, N m. Default: as it is.
     pub joint_friction: Draw,
     /// Share of its torque that each motor gives. Default: all.
-    #[serde(deserialize_with = "values::non_negative_range")]
+    #[serde(deserialize_with = "values::range_of::<Strength, _, _>")]
     pub motor_strength: [f64; 2],
     /// Each component of a force on the base, base frame, N. Default: 0.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Force, _, _>")]
     pub external_force: [f64; 2],
     /// Each component of a torque on the base, base frame, N m. Default: 0.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Force, _, _>")]
     pub external_torque: [f64; 2],
     /// Fewest and most physics steps by which all targets come late, on top of the actuators' own delays. Default: none.
     #[serde(deserialize_with = "values::step_range")]
@@ -65,13 +67,13 @@ impl Default for RandomizationConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct BaseComOffset {
     /// Forward.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Shift, _, _>")]
     pub x: [f64; 2],
     /// To the left.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Shift, _, _>")]
     pub y: [f64; 2],
     /// Up.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Shift, _, _>")]
     pub z: [f64; 2],
 }
 
@@ -130,6 +132,19 @@ impl Draw {
         distribution_params: [f64; 2],
     ) -> Result<Self, String> {
         let [a, b] = distribution_params;
+        let most = match operation {
+            Operation::Scale => BodyFactor::MOST,
+            Operation::Add | Operation::Abs => Gain::MOST,
+        };
+        if let Some(beyond) = distribution_params.iter().find(|x| !(x.abs() <= most)) {
+            return Err(format!(
+                "{} is beyond {}; write numbers from -{} to {}",
+                Shown(*beyond),
+                Shown(most),
+                Shown(most),
+                Shown(most)
+            ));
+        }
         match distribution {
             Distribution::Uniform | Distribution::LogUniform if a > b => {
                 Err(format!("the lower end {a} is above the upper end {b}; write [lower, upper]"))
@@ -169,40 +184,40 @@ impl TryFrom<UncheckedDraw> for Draw {
 #[serde(deny_unknown_fields, default)]
 pub struct VariationConfig {
     /// Length of the base: all that is on it, along x.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub base_length: [f64; 2],
     /// Width of the base, along y.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub base_width: [f64; 2],
     /// Distance between abduction and flexion joint of the hip.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub hip_offset: [f64; 2],
     /// Distance between hip and knee.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub thigh_length: [f64; 2],
     /// Distance between knee and foot.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub shank_length: [f64; 2],
     /// Mass of the base.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub base_mass: [f64; 2],
     /// Mass of each link between the joints of a hip.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub hip_mass: [f64; 2],
     /// Mass of each thigh.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub thigh_mass: [f64; 2],
     /// Mass of each shank with its foot.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub shank_mass: [f64; 2],
     /// Range of each joint about its middle; the default pose stays within.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub joint_range: [f64; 2],
     /// Stiffness of all actuators.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub stiffness: [f64; 2],
     /// Damping of all actuators.
-    #[serde(deserialize_with = "values::positive_range")]
+    #[serde(deserialize_with = "values::range_of::<BodyFactor, _, _>")]
     pub damping: [f64; 2],
 }
 

@@ -1,14 +1,19 @@
 //! Robot configs: `configs/robots/*.toml`.
 
 use std::collections::BTreeMap;
+use std::marker::PhantomData;
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::bounds::MAX_DELAY;
+use crate::bounds::{MAX_DELAY, Shown};
 use crate::robot::{CANONICAL_JOINT_NAMES, Place, Side, Slot};
 
 use super::error::{ConfigError, ConfigErrorKind};
+use super::quantities::{
+    ActionScale, Angle, BaseVelocity, Damping, Factor, Friction, JointSpeedLimit, JointVelocity, Quantity, Rise,
+    RotorInertia, Stiffness, TorqueLimit,
+};
 use super::randomization::{RandomizationConfig, VariationConfig};
 use super::suggest::did_you_mean;
 use super::task::VelocityCommandConfig;
@@ -29,12 +34,13 @@ pub struct RobotConfig {
     /// The `[rewards.<set>]` table of a task that this robot is rewarded by.
     pub reward_set: String,
     /// Radians of joint target per unit of action.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<ActionScale, _, _>")]
     pub action_scale: f64,
     /// Whether the robot's own links may collide with one another. Default: no.
     #[serde(default)]
     pub self_collisions: bool,
     /// Joint angles of the default pose by canonical joint, rad; each joint, in the canonical direction.
+    #[serde(deserialize_with = "values::map_of::<Angle, _>")]
     pub default_pose: BTreeMap<String, f64>,
     /// Groups of actuators; every canonical joint is in exactly one.
     pub actuators: BTreeMap<String, ActuatorConfig>,
@@ -63,7 +69,7 @@ pub struct RobotConfig {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub package_dirs: BTreeMap<String, PathBuf>,
     /// Joint of the URDF -> position in rad or m at which it is held for good.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(deserialize_with = "values::map_of::<Angle, _>", default, skip_serializing_if = "BTreeMap::is_empty")]
     pub locked_joints: BTreeMap<String, f64>,
 }
 
@@ -76,28 +82,57 @@ pub struct ActuatorConfig {
     /// How targets become torques.
     pub model: ActuatorModel,
     /// Torque per position error, N m / rad; networks do not use it, all other models need it.
-    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<Stiffness, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub stiffness: Option<f64>,
     /// Torque per velocity error, N m s / rad; networks do not use it, all other models need it.
-    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<Damping, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub damping: Option<f64>,
-    /// Largest torque, N m. Default: no limit.
-    #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
+    /// Largest torque, N m. Default: the URDF's.
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<TorqueLimit, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub effort_limit: Option<f64>,
     /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, networks may have it, no other model has it.
-    #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<TorqueLimit, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub saturation_effort: Option<f64>,
-    /// Largest joint speed, rad/s; with `saturation_effort` it is needed: the motor's speed without load. Default: no limit.
-    #[serde(default, deserialize_with = "values::optional_positive", skip_serializing_if = "Option::is_none")]
+    /// Largest joint speed, rad/s; with `saturation_effort` it is needed: the motor's speed without load. Default: the
+    /// URDF's; none where that is 0.
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<JointSpeedLimit, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub velocity_limit: Option<f64>,
     /// Rotor inertia as seen at the joint, kg m^2. Default: 0.
-    #[serde(default, deserialize_with = "values::non_negative")]
+    #[serde(default, deserialize_with = "values::number_of::<RotorInertia, _, _>")]
     pub armature: f64,
     /// Dry friction of the joint, N m. Default: as in the URDF.
-    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<Friction, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub friction: Option<f64>,
     /// Viscous friction of the joint, N m s / rad. Default: as in the URDF.
-    #[serde(default, deserialize_with = "values::optional_non_negative", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<Damping, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub joint_damping: Option<f64>,
     /// Let the gains act on the beginning of each physics step, as a motor controller at its rate would. Default: on its
     /// end, which stays stable with any gains.
@@ -123,13 +158,25 @@ pub struct ActuatorConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub input_idx: Option<Vec<u32>>,
     /// What position errors (target less position, rad) are multiplied by; `actuator_net_mlp` alone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        deserialize_with = "values::optional_of::<Factor, _, _>",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub pos_scale: Option<f64>,
     /// What velocities (rad/s) are multiplied by; `actuator_net_mlp` alone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        deserialize_with = "values::optional_of::<Factor, _, _>",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub vel_scale: Option<f64>,
     /// What the network's output is multiplied by, N m; `actuator_net_mlp` alone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        deserialize_with = "values::optional_of::<Factor, _, _>",
+        default,
+        skip_serializing_if = "Option::is_none"
+    )]
     pub torque_scale: Option<f64>,
 }
 
@@ -169,6 +216,12 @@ impl ActuatorModel {
     }
 }
 
+/// Most rows of an effort table: as fine as 0.1 degrees over a turn and a half.
+const MAX_TABLE_ROWS: usize = 5400;
+/// Most steps of the grid that an effort table becomes: a megabyte.
+const MOST_TABLE_STEPS: u64 = 1 << 18;
+/// Least distance of two rows' angles, rad: angles of 10 rad are 1e-6 apart in single precision.
+const MIN_TABLE_STEP: f64 = 1e-5;
 /// Oldest past input of an actuator network, physics steps.
 const MAX_INPUT_AGE: u32 = 100;
 
@@ -245,14 +298,17 @@ pub struct ResetConfig {
     /// Joint angles. Default: the default pose.
     pub joint_position: JointPositionReset,
     /// Joint velocities, rad/s. Default: 0.
+    #[serde(deserialize_with = "range_config::<JointVelocity, _>")]
     pub joint_velocity: RangeConfig,
     /// Each of the six components of the base velocity, world frame, m/s and rad/s. Default: 0.
+    #[serde(deserialize_with = "range_config::<BaseVelocity, _>")]
     pub base_velocity: RangeConfig,
-    /// Share of each joint's range, about its middle, that resets stay within. Default: 1.
+    /// Share of each joint's range, about its middle, that resets stay within. Default: 1. A joint without two limits has no
+    /// range: resets stay within the limit that it has.
     #[serde(deserialize_with = "values::fraction")]
     pub soft_limit_factor: f64,
     /// Distance between the lowest foot of the default pose and the ground, m. Default: 0.02.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<Rise, _, _>")]
     pub spawn_margin: f64,
 }
 
@@ -275,7 +331,7 @@ pub struct JointPositionReset {
     /// What the drawn number does.
     pub mode: JointPositionMode,
     /// Factor, or angle in rad.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Angle, _, _>")]
     pub range: [f64; 2],
 }
 
@@ -296,6 +352,20 @@ pub struct RangeConfig {
     /// Lower and upper end.
     #[serde(deserialize_with = "values::range")]
     pub range: [f64; 2],
+}
+
+/// Reads a [`RangeConfig`] of a quantity.
+fn range_config<'de, Q: Quantity, D: Deserializer<'de>>(deserializer: D) -> Result<RangeConfig, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields, bound = "")]
+    struct Within<Q: Quantity> {
+        #[serde(deserialize_with = "values::range_of::<Q, _, _>")]
+        range: [f64; 2],
+        #[serde(skip)]
+        quantity: PhantomData<Q>,
+    }
+    let Within { range, quantity: PhantomData::<Q> } = Within::deserialize(deserializer)?;
+    Ok(RangeConfig { range })
 }
 
 impl RobotConfig {
@@ -464,17 +534,47 @@ impl RobotConfig {
                 "remove it, or set model = \"delayed_pd\"",
             );
         }
-        for (index, row) in actuator.effort_table.iter().enumerate() {
-            let element = format!("{at}.effort_table[{index}]");
-            if row[1] < 0.0 {
-                let problem = format!("the torque {} is negative", row[1]);
+        self.validate_effort_table(&format!("{at}.effort_table"), &actuator.effort_table)
+    }
+
+    fn validate_effort_table(&self, at: &str, rows: &[[f64; 2]]) -> Result<(), ConfigError> {
+        if rows.len() > MAX_TABLE_ROWS {
+            let problem = format!("has {} rows", rows.len());
+            return self.invalid(at, problem, format!("write at most {MAX_TABLE_ROWS}"));
+        }
+        for (index, &[angle, torque]) in rows.iter().enumerate() {
+            let element = format!("{at}[{index}]");
+            if torque < 0.0 {
+                let problem = format!("the torque {} is negative", Shown(torque));
                 return self.invalid(&element, problem, "write its magnitude, in N m");
             }
-            let before = index.checked_sub(1).and_then(|i| actuator.effort_table.get(i));
-            if before.is_some_and(|before| before[0] >= row[0]) {
-                let problem = format!("the angle {} is not above the row before", row[0]);
+            if torque > Friction::MOST {
+                let problem = format!("the torque {} is beyond {} N m", Shown(torque), Shown(Friction::MOST));
+                return self.invalid(&element, problem, "write it in N m");
+            }
+            if !(Angle::LEAST..=Angle::MOST).contains(&angle) {
+                let problem = format!("the angle {} is beyond {} rad", Shown(angle), Angle::MOST);
+                return self.invalid(&element, problem, "write it in rad");
+            }
+            let Some([before, _]) = index.checked_sub(1).and_then(|i| rows.get(i)) else {
+                continue;
+            };
+            if *before >= angle {
+                let problem = format!("the angle {angle} is not above the row before");
                 return self.invalid(&element, problem, "sort the rows by angle, each angle once");
             }
+            if angle - before < MIN_TABLE_STEP || *before as f32 >= angle as f32 {
+                let problem = format!("the angle {angle} is less than {MIN_TABLE_STEP:e} rad above the row before");
+                return self.invalid(&element, problem, "leave one of the two rows out, or move them apart");
+            }
+        }
+        if !rows.is_empty() && table_steps(rows).is_none() {
+            let problem = format!("its angles lie on no grid of at most {MOST_TABLE_STEPS} steps");
+            return self.invalid(at, problem, "round them to 0.0001 rad, or leave out rows that are close together");
+        }
+        if !rows.is_empty() && rows.iter().all(|row| row[1] == 0.0) {
+            let problem = "every torque of it is 0, so that the joint cannot be driven".to_owned();
+            return self.invalid(at, problem, "write torques above 0, in N m");
         }
         Ok(())
     }
@@ -570,6 +670,28 @@ fn named(model: ActuatorModel) -> String {
         ActuatorModel::ActuatorNetLstm => "actuator_net_lstm",
     };
     format!("\"{name}\"")
+}
+
+/// Steps of the coarsest equally spaced grid that holds the angles of an effort table, each rounded as little as the grid's size
+/// allows: to 1e-6 rad, which most files do themselves, to 1e-5 or to 1e-4. None where the grid would be too large.
+pub(crate) fn table_steps(rows: &[[f64; 2]]) -> Option<u64> {
+    let divisor = |mut a: u64, mut b: u64| {
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    let steps = |resolution: f64| {
+        let mut gaps = Vec::with_capacity(rows.len());
+        for pair in rows.windows(2) {
+            let [low, high] = [pair[0][0], pair[1][0]].map(|angle| (angle / resolution).round());
+            gaps.push((high - low).max(0.0) as u64);
+        }
+        let step = gaps.iter().copied().reduce(divisor).unwrap_or(1);
+        let count = gaps.iter().sum::<u64>() / step.max(1);
+        (!gaps.contains(&0) && count <= MOST_TABLE_STEPS).then_some(count.max(1))
+    };
+    [1e-6, 1e-5, 1e-4].into_iter().find_map(steps)
 }
 
 /// Whether `pattern`, in which `*` stands for any run of characters, is all of `name`.

@@ -6,12 +6,17 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::error::{ConfigError, ConfigErrorKind};
+use super::quantities::{Angle, Coordinate, FrictionCoefficient, Height, Length, Quantity};
 use super::terrain::TerrainConfig;
 use super::values;
 use crate::robot::{Surface, read_surface};
 
 /// More triangles than this are no obstacle but a scan.
 const MOST_TRIANGLES: usize = 250_000;
+/// Each step of stairs is a collider.
+const MOST_STEPS: u32 = 10_000;
+/// Lengths of an obstacle up to this are none, m.
+const SMALLEST_LENGTH: f64 = 1e-6;
 
 /// What the robots stand on.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -27,7 +32,7 @@ pub struct SceneConfig {
     /// Where obstacles stand. Default: in every env.
     pub placement: Placement,
     /// Distance of the points at which the articulated engine knows the height of terrain and obstacles, m. Default: 0.02.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub grid_cell: f64,
 }
 
@@ -59,10 +64,10 @@ impl Default for SceneConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct GroundConfig {
     /// Coefficient of friction at rest. Default: 1.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub static_friction: f64,
     /// Coefficient of friction when sliding. Default: 1.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: f64,
     /// Share of the approach speed that is given back, 0 to 1. Default: 0.
     #[serde(deserialize_with = "values::fraction")]
@@ -237,19 +242,35 @@ impl ObstacleConfig {
         }
     }
 
-    fn problem(&self) -> Option<(&'static str, &'static str)> {
-        let (position, rpy) = self.placement();
-        if !position.iter().chain(&rpy).all(|x| x.is_finite()) {
-            return Some(("its position or rpy is not finite", "write finite numbers"));
-        }
-        let lengths = match self {
+    /// Its lengths, m, or the factors of a mesh.
+    fn lengths(&self) -> [f64; 3] {
+        match self {
             Self::Box { size, .. } | Self::Ramp { size, .. } | Self::Stairs { size, .. } => *size,
             Self::Sphere { radius, .. } => [*radius; 3],
             Self::Cylinder { radius, length, .. } | Self::Capsule { radius, length, .. } => [*radius, *length, 1.0],
             Self::Heightfield { size, .. } => [size[0], size[1], 1.0],
             Self::Mesh { scale, .. } => *scale,
-        };
-        if !lengths.iter().all(|x| x.is_finite() && *x > 0.0) {
+        }
+    }
+
+    /// Whether it is larger or farther away than anything in a world of robots; heights are looked for from 100 m downwards.
+    pub(super) fn is_out_of_reach(&self) -> bool {
+        let ([x, y, z], rpy) = self.placement();
+        let within = |numbers: &[f64], most: f64| numbers.iter().all(|number| number.abs() <= most);
+        let heights: &[Vec<f64>] = if let Self::Heightfield { heights, .. } = self { heights } else { &[] };
+        !(within(&[x, y], Coordinate::MOST)
+            && within(&[z], Height::MOST)
+            && within(&rpy, Angle::MOST)
+            && within(&self.lengths(), Length::MOST)
+            && heights.iter().all(|row| within(row, Height::MOST)))
+    }
+
+    fn problem(&self) -> Option<(&'static str, &'static str)> {
+        let (position, rpy) = self.placement();
+        if !position.iter().chain(&rpy).all(|x| x.is_finite()) {
+            return Some(("its position or rpy is not finite", "write finite numbers"));
+        }
+        if !self.lengths().iter().all(|x| x.is_finite() && *x > SMALLEST_LENGTH) {
             return Some(("a length of it is not above zero", "write lengths in m, above 0"));
         }
         match self {
@@ -266,6 +287,9 @@ impl ObstacleConfig {
                 }
             }
             Self::Stairs { steps: 0, .. } => Some(("it has no steps", "write steps = 1 or more")),
+            Self::Stairs { steps, .. } if *steps > MOST_STEPS => {
+                Some(("it has more than 10 000 steps", "write fewer steps, or a ramp"))
+            }
             Self::Heightfield { heights, .. } => {
                 let columns = heights.first().map_or(0, Vec::len);
                 let rectangular = heights.iter().all(|row| row.len() == columns);

@@ -10,7 +10,10 @@ use toml::Table;
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::parse::params_beside;
-use super::scene::SceneConfig;
+use super::quantities::{
+    Bound, Duration, Extent, Factor, FrictionCoefficient, Gain, Gravity, Length, Noise, PushSpeed, Time, Weight,
+};
+use super::scene::{ObstacleConfig, SceneConfig};
 use super::suggest::{did_you_mean, is_slip};
 use super::values;
 use crate::bounds::{MAX_DECIMATION, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
@@ -75,13 +78,13 @@ pub struct SimConfig {
     #[serde(deserialize_with = "values::count_up_to::<MAX_DECIMATION, _>")]
     pub decimation: u32,
     /// Length of an episode that nothing ends earlier, s.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Duration, _, _>")]
     pub episode_length_s: f64,
     /// World frame, m/s^2. Default: 9.81 downwards.
-    #[serde(default = "earth_gravity")]
+    #[serde(deserialize_with = "values::list_of::<Gravity, _, _>", default = "earth_gravity")]
     pub gravity: [f64; 3],
     /// Distance between env origins on the square grid, m. Default: 4.
-    #[serde(default = "env_spacing", deserialize_with = "values::non_negative")]
+    #[serde(default = "env_spacing", deserialize_with = "values::number_of::<Extent, _, _>")]
     pub env_spacing: f64,
 }
 
@@ -124,7 +127,7 @@ pub struct PhysicsConfig {
     #[serde(deserialize_with = "values::count_up_to::<MAX_SUBSTEPS, _>")]
     pub avian_substeps: u32,
     /// Fastest speed at which overlapping shapes are pushed apart, m/s. Default: 1.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<PushSpeed, _, _>")]
     pub max_depenetration_velocity: f64,
     /// Share of the overlap that is pushed out in one physics step, as far as that speed allows. Default: 0.2.
     #[serde(deserialize_with = "values::fraction")]
@@ -162,10 +165,10 @@ pub enum EngineKind {
 #[serde(deny_unknown_fields)]
 pub struct MaterialConfig {
     /// Coefficient of friction at rest.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub static_friction: f64,
     /// Coefficient of friction when sliding.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: f64,
     /// Share of the approach speed that is given back, 0 to 1.
     #[serde(deserialize_with = "values::fraction")]
@@ -200,7 +203,7 @@ pub struct VelocityCommandConfig {
     #[serde(default)]
     pub heading_command: bool,
     /// Yaw rate per heading error, 1/s. Default: 0.5.
-    #[serde(default = "half", deserialize_with = "values::non_negative")]
+    #[serde(default = "half", deserialize_with = "values::number_of::<Gain, _, _>")]
     pub heading_control_stiffness: f64,
     /// Share of envs steered by heading, if any may be. Default: all.
     #[serde(default = "one", deserialize_with = "values::fraction")]
@@ -209,7 +212,7 @@ pub struct VelocityCommandConfig {
     #[serde(default, deserialize_with = "values::fraction")]
     pub rel_standing_envs: f64,
     /// Time between two draws, s.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Duration, _, _>")]
     pub resampling_time_s: f64,
 }
 
@@ -251,10 +254,10 @@ pub struct SensorsConfig {
 #[serde(deny_unknown_fields)]
 pub struct HeightScannerConfig {
     /// Edge lengths of the grid along the base's x and y, m.
-    #[serde(deserialize_with = "values::non_negative_pair")]
+    #[serde(deserialize_with = "values::list_of::<Extent, _, _>")]
     pub size: [f64; 2],
     /// Distance of two rays, m.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub resolution: f64,
 }
 
@@ -340,13 +343,17 @@ pub struct ObservationTerm {
     /// Name of the term.
     pub term: String,
     /// Half width of the uniform noise on each element, in the term's units. Default: 0.
-    #[serde(default, deserialize_with = "values::non_negative")]
+    #[serde(default, deserialize_with = "values::number_of::<Noise, _, _>")]
     pub noise: f64,
     /// What the noisy numbers are limited to, in the term's units. Default: nothing.
-    #[serde(default, deserialize_with = "values::optional_range", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "values::optional_range_of::<Bound, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub clip: Option<[f64; 2]>,
     /// Factor of the limited numbers. Default: 1.
-    #[serde(default = "one")]
+    #[serde(deserialize_with = "values::number_of::<Factor, _, _>", default = "one")]
     pub scale: f64,
     /// How many control steps it remembers: the term's last numbers, the oldest first. Default: 1, the present one alone.
     #[serde(default = "one_step", skip_serializing_if = "is_one_step")]
@@ -371,7 +378,7 @@ pub struct EventConfig {
     /// Time between two occurrences, drawn uniformly each time, s; with `mode = "interval"` and only then.
     #[serde(
         default,
-        deserialize_with = "values::optional_non_negative_range",
+        deserialize_with = "values::optional_range_of::<Time, _, _>",
         skip_serializing_if = "Option::is_none"
     )]
     pub interval_range_s: Option<[f64; 2]>,
@@ -415,6 +422,7 @@ fn curriculum_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct RewardConfig {
     /// Factor of the term's value, per second; 0 switches the term off.
+    #[serde(deserialize_with = "values::number_of::<Weight, _, _>")]
     pub weight: f64,
     /// Name of the term, where the key is not it: a set may have a term several times, for other joints say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -453,6 +461,13 @@ impl TaskConfig {
         if self.robots.is_empty() {
             return invalid("robots".into(), "the list is empty", "name at least one robot");
         }
+        if let Some(index) = self.robots.iter().position(|robot| robot.trim().is_empty()) {
+            return invalid(format!("robots[{index}]"), "the name is empty", "write a robot's name, or remove it");
+        }
+        if self.sim.max_episode_length() < 2 {
+            let problem = format!("an episode is a single control step of {} s", self.sim.step_dt());
+            return invalid("sim.episode_length_s".into(), &problem, "write the length of two control steps or more");
+        }
         let mut seen = BTreeSet::new();
         if let Some((index, robot)) = self.robots.iter().enumerate().find(|(_, robot)| !seen.insert(robot.as_str())) {
             let problem = format!("robot `{robot}` is listed twice");
@@ -479,6 +494,11 @@ impl TaskConfig {
         {
             let element = "sensors.height_scanner".to_owned();
             return invalid(element, "it has more than 10 000 rays", "make it smaller, or raise its resolution in m");
+        }
+        if let Some(obstacle) = self.scene.obstacles.iter().position(ObstacleConfig::is_out_of_reach) {
+            let problem = "it lies where no robot comes";
+            let remedy = "write positions within 10 km and 100 m in height, sizes up to 10 km, in m, and angles in rad";
+            return invalid(format!("scene.obstacles[{obstacle}]"), problem, remedy);
         }
         if let Some((element, problem, remedy)) = self.scene.problem() {
             return invalid(element, problem, remedy);

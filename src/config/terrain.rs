@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::quantities::{Difficulty, Extent, Height, Length, Proportion, Rise, Slope, Spacing, SteepSlope};
 use super::values;
 
 /// Tiles side by side in a grid about the world's origin: along x they grow harder, along y their type changes. Field names and
@@ -10,6 +11,7 @@ use super::values;
 #[serde(deny_unknown_fields)]
 pub struct TerrainConfig {
     /// Edge lengths of a tile along x and y, m.
+    #[serde(deserialize_with = "values::list_of::<Length, _, _>")]
     pub size: [f64; 2],
     /// Tiles along x: levels of difficulty.
     #[serde(deserialize_with = "values::at_least_one")]
@@ -18,19 +20,19 @@ pub struct TerrainConfig {
     #[serde(deserialize_with = "values::at_least_one")]
     pub num_cols: u32,
     /// Width of the flat border around all tiles, m.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub border_width: f64,
     /// Distance of the vertices of height fields, m. Default: 0.1.
-    #[serde(default = "horizontal_scale", deserialize_with = "values::positive")]
+    #[serde(default = "horizontal_scale", deserialize_with = "values::number_of::<Length, _, _>")]
     pub horizontal_scale: f64,
     /// What the heights of height fields are multiples of, m. Default: 0.005.
-    #[serde(default = "vertical_scale", deserialize_with = "values::positive")]
+    #[serde(default = "vertical_scale", deserialize_with = "values::number_of::<Spacing, _, _>")]
     pub vertical_scale: f64,
     /// Faces of height fields that are steeper than this become vertical, rise over run. Default: 0.75.
-    #[serde(default = "slope_threshold", deserialize_with = "values::positive")]
+    #[serde(default = "slope_threshold", deserialize_with = "values::number_of::<SteepSlope, _, _>")]
     pub slope_threshold: f64,
     /// Difficulty of the first and beyond the last row. Default: 0 to 1.
-    #[serde(default = "difficulty_range", deserialize_with = "values::range")]
+    #[serde(default = "difficulty_range", deserialize_with = "values::range_of::<Difficulty, _, _>")]
     pub difficulty_range: [f64; 2],
     /// Which envs get which column. Default: every robot meets all of them alike.
     #[serde(default)]
@@ -78,7 +80,7 @@ pub struct SubTerrainConfig {
     /// What it is called in logs.
     pub name: String,
     /// Share of the columns, in proportion to those of the other types.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Proportion, _, _>")]
     pub proportion: f64,
     /// What it looks like.
     #[serde(flatten)]
@@ -110,16 +112,16 @@ pub enum SubTerrainShape {
 #[serde(deny_unknown_fields)]
 pub struct StairsConfig {
     /// Height of a step.
-    #[serde(deserialize_with = "values::non_negative_range")]
+    #[serde(deserialize_with = "values::range_of::<Rise, _, _>")]
     pub step_height_range: [f64; 2],
     /// Depth of a step.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub step_width: f64,
     /// Edge length of the platform in the middle, at least.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub platform_width: f64,
     /// Width of the flat edge of the tile.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<Extent, _, _>")]
     pub border_width: f64,
 }
 
@@ -128,13 +130,13 @@ pub struct StairsConfig {
 #[serde(deny_unknown_fields)]
 pub struct BoxesConfig {
     /// Edge length of a block.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub grid_width: f64,
     /// Largest height and depth of a block.
-    #[serde(deserialize_with = "values::non_negative_range")]
+    #[serde(deserialize_with = "values::range_of::<Rise, _, _>")]
     pub grid_height_range: [f64; 2],
     /// Edge length of the platform in the middle; it is as high as the highest block may be.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub platform_width: f64,
 }
 
@@ -143,13 +145,13 @@ pub struct BoxesConfig {
 #[serde(deny_unknown_fields)]
 pub struct RoughConfig {
     /// Smallest and largest height.
-    #[serde(deserialize_with = "values::range")]
+    #[serde(deserialize_with = "values::range_of::<Height, _, _>")]
     pub noise_range: [f64; 2],
     /// Heights are the smallest one plus multiples of this.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Spacing, _, _>")]
     pub noise_step: f64,
     /// Width of the flat edge of the tile.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<Extent, _, _>")]
     pub border_width: f64,
 }
 
@@ -158,18 +160,20 @@ pub struct RoughConfig {
 #[serde(deny_unknown_fields)]
 pub struct SlopeConfig {
     /// Slope along the middle of a side, rise over run.
-    #[serde(deserialize_with = "values::non_negative_range")]
+    #[serde(deserialize_with = "values::range_of::<Slope, _, _>")]
     pub slope_range: [f64; 2],
     /// Edge length of the platform in the middle.
-    #[serde(deserialize_with = "values::positive")]
+    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub platform_width: f64,
     /// Width of the flat edge of the tile.
-    #[serde(deserialize_with = "values::non_negative")]
+    #[serde(deserialize_with = "values::number_of::<Extent, _, _>")]
     pub border_width: f64,
 }
 
 /// Vertices that a height field may have along a side.
 const MOST_VERTICES: f64 = 4000.0;
+/// Vertices of all tiles: with their triangles and the trees that find these they take about a gigabyte.
+const MOST_VERTICES_IN_ALL: f64 = 8e6;
 
 impl TerrainConfig {
     /// What no single value can tell: element, problem and remedy.
@@ -188,9 +192,19 @@ impl TerrainConfig {
         if self.sub_terrains.is_empty() {
             return own("sub_terrains", "there is no type of tile", "add [[scene.terrain.sub_terrains]] tables");
         }
-        self.sub_terrains.iter().enumerate().find_map(|(i, sub)| {
+        let of_type = self.sub_terrains.iter().enumerate().find_map(|(i, sub)| {
             let (problem, remedy) = sub.shape.problem(x.min(y))?;
             Some((format!("scene.terrain.sub_terrains[{i}]"), problem, remedy))
+        });
+        of_type.or_else(|| {
+            let of_column = |kind: usize| self.sub_terrains[kind].shape.num_vertices(self);
+            let all = f64::from(self.num_rows) * self.column_types().into_iter().map(of_column).sum::<f64>();
+            let remedy = "lower num_rows, num_cols or size, or make the tiles coarser";
+            if all > MOST_VERTICES_IN_ALL {
+                own("num_rows", "the tiles would have more than 8 million vertices", remedy)
+            } else {
+                None
+            }
         })
     }
 
@@ -213,6 +227,23 @@ impl TerrainConfig {
 }
 
 impl SubTerrainShape {
+    /// About how many vertices a tile has, at most.
+    fn num_vertices(&self, terrain: &TerrainConfig) -> f64 {
+        // four corners of a rectangle; a frame is four of them, and so are walls
+        const RECTANGLE: f64 = 4.0;
+        let [x, y] = terrain.size;
+        match self {
+            Self::Flat {} => RECTANGLE,
+            Self::PyramidStairs(c) | Self::PyramidStairsInv(c) => {
+                8.0 * RECTANGLE * (0.5 * x.min(y) / c.step_width + 3.0)
+            }
+            Self::Boxes(c) => 5.0 * RECTANGLE * ((x / c.grid_width) * (y / c.grid_width) + 3.0),
+            Self::RandomRough(_) | Self::HfPyramidSlope(_) | Self::HfPyramidSlopeInv(_) => {
+                (x / terrain.horizontal_scale + 2.0) * (y / terrain.horizontal_scale + 2.0)
+            }
+        }
+    }
+
     /// What is wrong with it on a tile of this edge length, and the remedy.
     fn problem(&self, size: f64) -> Option<(&'static str, &'static str)> {
         let (inner, platform) = match self {

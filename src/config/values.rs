@@ -2,10 +2,132 @@
 //! of terms alike. Each error message holds the problem and, after a semicolon, the remedy.
 
 use std::collections::BTreeMap;
+use std::marker::PhantomData;
 
 use serde::de::{Deserialize, Deserializer, Error};
 
-use crate::bounds::{MAX_COMMAND, MAX_DELAY, MIN_DT};
+use super::quantities::Quantity;
+use crate::bounds::{MAX_COMMAND, MAX_DELAY, MAX_DT, MIN_DT, Shown};
+
+/// A number as a term keeps it: `f32` or `f64`.
+pub trait Number {
+    /// Rounds to it.
+    fn of(number: f64) -> Self;
+}
+
+impl Number for f32 {
+    fn of(number: f64) -> Self {
+        number as f32
+    }
+}
+
+impl Number for f64 {
+    fn of(number: f64) -> Self {
+        number
+    }
+}
+
+/// A number within the bounds of a quantity.
+struct Of<Q>(f64, PhantomData<Q>);
+
+impl<'de, Q: Quantity> Deserialize<'de> for Of<Q> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        within::<Q, D::Error>(f64::deserialize(deserializer)?).map(|number| Self(number, PhantomData))
+    }
+}
+
+/// The number, if the quantity has it.
+fn within<Q: Quantity, E: Error>(number: f64) -> Result<f64, E> {
+    let (least, most, unit) = (Shown(Q::LEAST), Shown(Q::MOST), Q::UNIT);
+    let shown = Shown(number);
+    let (problem, remedy) = match number {
+        _ if (Q::LEAST..=Q::MOST).contains(&number) => return Ok(number),
+        _ if number > Q::MOST => {
+            (format!("{shown} is beyond {most}{unit}"), format!("write a number from {least} to {most}{unit}"))
+        }
+        _ if Q::LEAST > 0.0 && number <= 0.0 => {
+            (format!("{shown} is not positive"), format!("write a number above 0, from {least} to {most}{unit}"))
+        }
+        _ if Q::LEAST == 0.0 => {
+            (format!("{shown} is negative"), format!("write a number of 0 or above, up to {most}{unit}"))
+        }
+        _ => (format!("{shown} is below {least}{unit}"), format!("write a number from {least} to {most}{unit}")),
+    };
+    Err(E::custom(format!("{problem}; {remedy}")))
+}
+
+/// A number of the quantity `Q`.
+///
+/// # Errors
+/// Not a number, or beyond the quantity's bounds.
+pub fn number_of<'de, Q: Quantity, N: Number, D: Deserializer<'de>>(deserializer: D) -> Result<N, D::Error> {
+    Of::<Q>::deserialize(deserializer).map(|number| N::of(number.0))
+}
+
+/// A [`number_of`] that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`number_of`].
+pub fn optional_of<'de, Q: Quantity, N: Number, D: Deserializer<'de>>(deserializer: D) -> Result<Option<N>, D::Error> {
+    number_of::<Q, N, D>(deserializer).map(Some)
+}
+
+/// A [`range`] of the quantity `Q`.
+///
+/// # Errors
+/// As [`range`], or an end beyond the quantity's bounds.
+pub fn range_of<'de, Q: Quantity, N: Number, D: Deserializer<'de>>(deserializer: D) -> Result<[N; 2], D::Error> {
+    let [lower, upper] = range(deserializer)?;
+    Ok([N::of(within::<Q, D::Error>(lower)?), N::of(within::<Q, D::Error>(upper)?)])
+}
+
+/// A [`range_of`] that may be left out (with `#[serde(default)]`).
+///
+/// # Errors
+/// As [`range_of`].
+pub fn optional_range_of<'de, Q: Quantity, N: Number, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<[N; 2]>, D::Error> {
+    range_of::<Q, N, D>(deserializer).map(Some)
+}
+
+/// A list of numbers of the quantity `Q`, of fixed length.
+///
+/// # Errors
+/// Another length, or a number beyond the quantity's bounds.
+pub fn list_of<'de, Q: Quantity, L: List<Q>, D: Deserializer<'de>>(deserializer: D) -> Result<L, D::Error> {
+    L::read(deserializer)
+}
+
+/// A list of numbers of fixed length.
+pub trait List<Q>: Sized {
+    /// Reads it, element by element.
+    ///
+    /// # Errors
+    /// As [`list_of`].
+    fn read<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error>;
+}
+
+impl<Q: Quantity> List<Q> for [f64; 2] {
+    fn read<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        <[Of<Q>; 2]>::deserialize(deserializer).map(|list| list.map(|number| number.0))
+    }
+}
+
+impl<Q: Quantity> List<Q> for [f64; 3] {
+    fn read<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        <[Of<Q>; 3]>::deserialize(deserializer).map(|list| list.map(|number| number.0))
+    }
+}
+
+/// Numbers of the quantity `Q` by name.
+///
+/// # Errors
+/// A number beyond the quantity's bounds.
+pub fn map_of<'de, Q: Quantity, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, f64>, D::Error> {
+    let map = BTreeMap::<String, Of<Q>>::deserialize(deserializer)?;
+    Ok(map.into_iter().map(|(name, number)| (name, number.0)).collect())
+}
 
 /// `[lower, upper]` with `lower <= upper`.
 ///
@@ -202,14 +324,16 @@ pub fn env_shares<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap
     }
 }
 
-/// The length of a physics step, s: [`MIN_DT`] or above.
+/// The length of a physics step, s: from [`MIN_DT`] to [`MAX_DT`].
 ///
 /// # Errors
-/// Not [`positive`], or shorter.
+/// Not [`positive`], shorter or longer.
 pub fn physics_step<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     let value = positive(deserializer)?;
     if value < MIN_DT {
         Err(D::Error::custom(format!("{value:e} s is too short; write {MIN_DT:e} or above")))
+    } else if value > MAX_DT {
+        Err(D::Error::custom(format!("{} s is too long; write {MAX_DT} or below", Shown(value))))
     } else {
         Ok(value)
     }

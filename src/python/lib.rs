@@ -110,7 +110,7 @@ fn with_overrides(py: Python<'_>, config: &str, overrides: Vec<String>) -> PyRes
     for text in &overrides {
         polypod::config::apply_override(&mut config, text).map_err(|error| to_python(py, error.into()))?;
     }
-    vec_sim::written(py, serde_json::to_string(&config))
+    Ok(config.to_string())
 }
 
 #[doc = docstring!("robot_urdf")]

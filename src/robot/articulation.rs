@@ -6,8 +6,8 @@ use super::colliders::add_pairs;
 use super::model::{Geometry, JointKind, Model, Shape};
 use crate::dynamics::{Axis, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology};
 
-/// Stands for "no limit" in the engine, where an infinity could meet a zero.
-pub const UNLIMITED: f64 = 1e9;
+/// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it by impulses that may be zero.
+pub const FASTEST: f64 = 1e9;
 /// Rims of cylinders are represented by this many points each.
 const RIM_POINTS: usize = 3;
 
@@ -36,7 +36,7 @@ pub struct Articulation {
 
 impl Articulation {
     /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the URDF as limits and
-    /// no actuator gains; velocity limits are left to actuators.
+    /// no actuator gains; velocity limits are left to actuators. A position or effort limit that is absent is infinite.
     ///
     /// With `self_collision` links may touch each other; it is a pose (one position per joint, rad or m) in which none
     /// is meant to: shapes that overlap there do so by design and are left alone, as are links joined by one joint.
@@ -91,15 +91,15 @@ impl Articulation {
         }
         for (j, joint) in model.joints.iter().enumerate() {
             p.joint_offset[j] = (align[joint.parent] * joint.origin.translation).to_array();
-            p.lower[j] = joint.lower.clamp(-UNLIMITED, UNLIMITED);
-            p.upper[j] = joint.upper.clamp(-UNLIMITED, UNLIMITED);
+            p.lower[j] = joint.lower;
+            p.upper[j] = joint.upper;
             p.armature[j] = joint.armature;
             p.joint_damping[j] = joint.damping;
             p.joint_friction[j] = joint.friction;
-            p.effort_limit[j] = joint.effort.min(UNLIMITED);
-            p.saturation_effort[j] = UNLIMITED;
-            p.motor_velocity_limit[j] = UNLIMITED;
-            p.velocity_limit[j] = UNLIMITED;
+            p.effort_limit[j] = joint.effort;
+            p.saturation_effort[j] = f64::INFINITY;
+            p.motor_velocity_limit[j] = f64::INFINITY;
+            p.velocity_limit[j] = FASTEST;
         }
         for (i, c) in candidates.iter().enumerate() {
             p.contact_position[i] = c.position.to_array();
@@ -114,6 +114,16 @@ impl Articulation {
         p.box_links(&topology);
         Self { topology, parameters: p, align, shape_pairs }
     }
+}
+
+/// Limits about the middle of a joint's range, `share` of which lies between them. A joint without two limits has no range
+/// and keeps what limits it has.
+pub fn soft_limits([lower, upper]: [f32; 2], share: f32) -> [f32; 2] {
+    if !(lower.is_finite() && upper.is_finite()) {
+        return [lower, upper];
+    }
+    let (middle, half) = (0.5 * (lower + upper), 0.5 * (upper - lower) * share);
+    [middle - half, middle + half]
 }
 
 /// xx, yy, zz, xy, xz, yz of a symmetric matrix.

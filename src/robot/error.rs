@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::bounds::with_short_numbers;
+
 /// One finding about a robot description, displayed as `{file}: {element}: {problem}; {remedy}`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Diagnosis {
@@ -25,7 +27,8 @@ impl Diagnosis {
         problem: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self { file: file.to_path_buf(), element: element.into(), problem: problem.into(), remedy: remedy.into() }
+        let problem = with_short_numbers(problem.into());
+        Self { file: file.to_path_buf(), element: element.into(), problem, remedy: remedy.into() }
     }
 
     /// All but the file: `{element}: {problem}; {remedy}`.

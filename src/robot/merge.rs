@@ -7,7 +7,7 @@ use urdf_rs::JointType;
 
 use super::error::{Diagnosis, RobotError, Warning, nearest_name};
 use super::inertia::{InertiaFault, MassProperties};
-use super::model::{Joint, JointKind, Link, Model};
+use super::model::{Joint, JointKind, Link, LockedJoint, Model};
 use super::pose::Pose;
 use super::shapes::bodies;
 use super::tree::Tree;
@@ -16,6 +16,8 @@ use crate::dynamics::MAX_DEPTH;
 
 /// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
 pub(super) const LARGEST: f64 = 1e9;
+/// Position limits beyond this, rad or m, are written for "none": 159 turns.
+const FARTHEST: f64 = 1000.0;
 
 /// Makes the model of a robot whose joints form `tree`.
 ///
@@ -38,6 +40,7 @@ pub(super) fn merge(
         places: vec![None; robot.links.len()],
         parts: Vec::new(),
         joints: Vec::new(),
+        locked: Vec::new(),
         warnings,
     };
     merger.check_locks()?;
@@ -50,6 +53,7 @@ pub(super) fn merge(
         links,
         joints: merger.joints,
         bodies,
+        locked: merger.locked,
         warnings: merger.warnings,
     })
 }
@@ -64,6 +68,7 @@ struct Merger<'a> {
     /// For each merged link, the URDF links it consists of, the one that names it first.
     parts: Vec<Vec<usize>>,
     joints: Vec<Joint>,
+    locked: Vec<LockedJoint>,
     warnings: Vec<Warning>,
 }
 
@@ -86,8 +91,9 @@ impl Merger<'_> {
             if !position.is_finite() {
                 return error(format!("its position {position} is not finite"), "write rad or m".into());
             }
-            let (lower, upper) = (joint.limit.lower, joint.limit.upper);
-            if kind != JointKind::Continuous && !(lower..=upper).contains(&position) {
+            let [lower, upper] = position_limits(joint, kind);
+            self.locked.push(LockedJoint { name: name.clone(), position, lower, upper });
+            if !(lower..=upper).contains(&position) {
                 self.warnings.push(Warning::new(
                     self.file,
                     element,
@@ -210,12 +216,10 @@ impl Merger<'_> {
             )));
         }
         let axis = self.axis(joint)?;
-        let (mut lower, mut upper) = (joint.limit.lower, joint.limit.upper);
-        if kind == JointKind::Continuous {
-            (lower, upper) = (f64::NEG_INFINITY, f64::INFINITY);
-        }
+        let [lower, upper] = position_limits(joint, kind);
         let dynamics = joint.dynamics.clone().unwrap_or_default();
-        let (effort, velocity) = (joint.limit.effort, joint.limit.velocity);
+        let limit = |x: f64| if x > LARGEST { f64::INFINITY } else { x };
+        let (effort, velocity) = (limit(joint.limit.effort), limit(joint.limit.velocity));
         let value_error = |problem: String, remedy: &str| {
             let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
             Err(RobotError::Value(diagnosis))
@@ -257,7 +261,7 @@ impl Merger<'_> {
             warn("zero effort: the joint cannot be driven".into(), "write its effort limit");
         }
         if velocity == 0.0 {
-            warn("zero velocity: the joint may not move".into(), "write its velocity limit");
+            warn("zero velocity: it counts as no limit".into(), "write its velocity limit");
         }
         Ok(Joint {
             name: joint.name.clone(),
@@ -361,6 +365,15 @@ enum Motion {
     Attached(Pose),
     /// Move in this way.
     Free(JointKind),
+}
+
+/// Lower and upper position limit of a joint; infinite where there is none.
+fn position_limits(joint: &urdf_rs::Joint, kind: JointKind) -> [f64; 2] {
+    let beyond = |x: f64| if x.abs() > FARTHEST { x.signum() * f64::INFINITY } else { x };
+    match kind {
+        JointKind::Continuous => [f64::NEG_INFINITY, f64::INFINITY],
+        JointKind::Revolute | JointKind::Prismatic => [beyond(joint.limit.lower), beyond(joint.limit.upper)],
+    }
 }
 
 /// The kind of a joint with one degree of freedom.

@@ -26,8 +26,23 @@ pub struct Model {
     /// Every URDF link with collision shapes, in the file's order: a foot fixed to a shank stays
     /// a contact body of its own although its mass is part of the shank.
     pub bodies: Vec<Body>,
+    /// Joints that options lock, by name.
+    pub locked: Vec<LockedJoint>,
     /// What was assumed while reading; the caller decides where to show it.
     pub warnings: Vec<Warning>,
+}
+
+/// A joint that options hold at a position for good. Units are rad when it turns, m when it slides.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LockedJoint {
+    /// Name in the URDF.
+    pub name: String,
+    /// Where it is held.
+    pub position: f64,
+    /// Lower position limit; negative infinity when there is none.
+    pub lower: f64,
+    /// Upper position limit; infinity when there is none.
+    pub upper: f64,
 }
 
 /// A rigid link with everything that is fixed to it.
@@ -69,7 +84,7 @@ pub struct Joint {
     pub origin: Pose,
     /// Unit vector in the joint frame.
     pub axis: DVec3,
-    /// Lower position limit; negative infinity when there is none.
+    /// Lower position limit; negative infinity when there is none. The file's numbers beyond 1000 rad or m are none.
     pub lower: f64,
     /// Upper position limit; infinity when there is none.
     pub upper: f64,

@@ -34,7 +34,7 @@ use crate::dynamics::{ContactSettings, Parameters, Plane, StepSettings};
 use crate::engine::avian::EngineError;
 use crate::engine::{self, Engine, EngineChoice, Run, StateLimits};
 use crate::error::Error;
-use crate::robot::{UNLIMITED, Warning};
+use crate::robot::Warning;
 use crate::workers::{Workers, packs_of};
 use envs::{Actuation, Env, EnvRows, Envs};
 use robot::Robot;
@@ -237,7 +237,7 @@ impl Simulation {
     /// depends on the position.
     pub fn effort_limit(&self) -> Vec<f64> {
         let limits = self.robot.nominal.effort_limit.iter().zip(&self.effort_scale);
-        limits.map(|(&limit, scale)| if limit < UNLIMITED { limit * scale } else { f64::INFINITY }).collect()
+        limits.map(|(&limit, scale)| limit * scale).collect()
     }
 
     /// What was assumed while reading the URDF.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::bounds::{MAX_ENVS, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT};
+use crate::bounds::{LARGEST, MAX_DT, MAX_ENVS, MAX_GRAVITY, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT};
 use crate::config::{AVIAN_SUBSTEPS, EngineKind};
 use crate::dynamics::SWEEPS;
 use crate::dynamics::lanes::Simd;
@@ -129,15 +129,15 @@ impl SimulationOptions {
         }
         check_count("solver_iterations", self.solver_iterations, MAX_SWEEPS, "sweeps")?;
         check_count("avian_substeps", self.avian_substeps, MAX_SUBSTEPS, "substeps")?;
-        if !(self.dt >= MIN_DT && self.dt.is_finite()) {
-            let remedy = format!("pass a positive number of seconds, at least {MIN_DT:e}");
+        if !(MIN_DT..=MAX_DT).contains(&self.dt) {
+            let remedy = format!("pass a positive number of seconds, at least {MIN_DT:e} and at most {MAX_DT}");
             return Err(Error::argument("dt", format!("a step of {:e} s", self.dt), remedy));
         }
-        if self.gravity.iter().any(|g| !g.is_finite()) {
+        if self.gravity.iter().any(|g| !(-MAX_GRAVITY..=MAX_GRAVITY).contains(g)) {
             return Err(Error::argument(
                 "gravity",
                 format!("{:?}", self.gravity),
-                "pass three finite numbers in m/s^2",
+                format!("pass three finite numbers from -{MAX_GRAVITY} to {MAX_GRAVITY} m/s^2"),
             ));
         }
         if let Some(normal) = self.ground
@@ -163,9 +163,21 @@ fn check_count(element: &'static str, count: usize, most: u32, what: &str) -> Re
 }
 
 pub(super) fn check_non_negative(element: &'static str, values: &[f64]) -> Result<(), Error> {
-    match values.iter().find(|x| !(x.is_finite() && **x >= 0.0)) {
+    match values.iter().find(|x| !(0.0..=LARGEST).contains(*x)) {
         Some(bad) => {
-            Err(Error::argument(element, format!("{bad} among the values"), "pass finite numbers of at least 0"))
+            let remedy = format!("pass finite numbers of at least 0 and at most {LARGEST:e}");
+            Err(Error::argument(element, format!("{bad} among the values"), remedy))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The same of limits, which infinity leaves out.
+pub(super) fn check_not_below_zero(element: &'static str, values: &[f64]) -> Result<(), Error> {
+    match values.iter().find(|x| x.is_nan() || **x < 0.0) {
+        Some(bad) => {
+            let remedy = "pass numbers of at least 0; infinity is no limit";
+            Err(Error::argument(element, format!("{bad} among the values"), remedy))
         }
         None => Ok(()),
     }

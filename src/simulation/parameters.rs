@@ -3,12 +3,13 @@
 use glam::{DMat3, DVec3};
 
 use super::Simulation;
-use super::options::check_non_negative;
+use super::options::{check_non_negative, check_not_below_zero};
 use super::rows::{EnvIds, Rows};
+use crate::bounds::LARGEST;
 use crate::config::{ConfigError, ConfigErrorKind, did_you_mean};
 use crate::dynamics::{Parameters, SharedArray};
 use crate::error::Error;
-use crate::robot::{UNLIMITED, symmetric};
+use crate::robot::symmetric;
 
 /// A link, by name or index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -233,12 +234,17 @@ impl Simulation {
     pub fn set_effort_limit(&mut self, env_ids: Option<&[usize]>, limit: &[f64]) -> Result<(), Error> {
         let envs = EnvIds::new(env_ids, self.num_envs())?;
         let joints = self.num_joints();
-        let limit: Vec<f64> = limit.iter().map(|&x| if x > UNLIMITED { UNLIMITED } else { x }).collect();
-        check_non_negative("effort_limit", &limit)?;
-        let rows = Rows::of_joints("effort_limit", &limit, joints, envs.len())?;
+        check_not_below_zero("effort_limit", limit)?;
+        let rows = Rows::of_limits("effort_limit", limit, joints, envs.len())?;
+        let has_table = |j: usize| self.robot.topology.joints[j].effort_table.is_some();
         let scaled: Vec<f64> = (0..envs.len())
             .flat_map(|row| (0..joints).map(move |j| (row, j)))
-            .map(|(row, j)| rows.get(row, j) / self.effort_scale[j])
+            .map(|(row, j)| match rows.get(row, j) {
+                // an infinite factor would meet zeros of the table
+                limit if has_table(j) => limit.min(LARGEST) / self.effort_scale[j],
+                limit if limit > LARGEST => f64::INFINITY,
+                limit => limit,
+            })
             .collect();
         self.edit_joints(&envs, |p| &mut p.effort_limit, &Rows::per_env(&scaled, joints));
         Ok(())

@@ -47,22 +47,36 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Checks the length, 1, `width` or `rows * width`, and that all are finite.
+    /// Checks the length, 1, `width` or `rows * width`, and that all are finite in single precision.
     pub(super) fn of_joints(
         element: &'static str,
         values: &'a [f64],
         width: usize,
         rows: usize,
     ) -> Result<Self, Error> {
-        if values.len() == 1 {
-            check_finite(element, values, width)?;
-            return Ok(Self { values, width });
-        }
-        Self::vectors(element, values, width, rows)
+        let rows = Self::of_limits(element, values, width, rows)?;
+        check_finite(element, values, width)?;
+        Ok(rows)
     }
 
-    /// The same without the single number.
+    /// The same of numbers that may be infinite.
+    pub(super) fn of_limits(
+        element: &'static str,
+        values: &'a [f64],
+        width: usize,
+        rows: usize,
+    ) -> Result<Self, Error> {
+        if values.len() == 1 { Ok(Self { values, width }) } else { Self::of_length(element, values, width, rows) }
+    }
+
+    /// As [`of_joints`](Self::of_joints), without the single number.
     pub(super) fn vectors(element: &'static str, values: &'a [f64], width: usize, rows: usize) -> Result<Self, Error> {
+        let rows = Self::of_length(element, values, width, rows)?;
+        check_finite(element, values, width)?;
+        Ok(rows)
+    }
+
+    fn of_length(element: &'static str, values: &'a [f64], width: usize, rows: usize) -> Result<Self, Error> {
         if values.len() != width && values.len() != rows * width {
             return Err(Error::argument(
                 element,
@@ -70,7 +84,6 @@ impl<'a> Rows<'a> {
                 format!("pass {width}, the same in every env, or {rows} x {width}"),
             ));
         }
-        check_finite(element, values, width)?;
         Ok(Self { values, width })
     }
 
@@ -109,10 +122,17 @@ impl<'a> Rows<'a> {
 }
 
 fn check_finite(element: &'static str, values: &[f64], width: usize) -> Result<(), Error> {
-    let Some(at) = values.iter().position(|x| !x.is_finite()) else {
+    let Some(at) = values.iter().position(|x| !(*x as f32).is_finite()) else {
         return Ok(());
     };
-    let place =
-        if values.len() > width { format!("row {}, column {}", at / width, at % width) } else { format!("[{at}]") };
-    Err(Error::argument(element, format!("{} at {place}", values[at]), "pass finite numbers"))
+    let place = if values.len() > width {
+        format!("row {}, column {}", at / width.max(1), at % width.max(1))
+    } else {
+        format!("[{at}]")
+    };
+    Err(Error::argument(
+        element,
+        format!("{} at {place}", values[at]),
+        "pass numbers that are finite in single precision",
+    ))
 }

@@ -6,6 +6,8 @@ use serde::Deserialize;
 
 use super::motion_terms::is_moving;
 use super::{STANDING, norm};
+use crate::config::quantities::{ForceThreshold, Gain, Height, SpeedThreshold, Time, Width};
+use crate::config::values;
 use crate::dynamics::elementary::{exp, tanh_positive};
 use crate::systems::groups::BodiesInContact;
 use crate::systems::terms::Registry;
@@ -15,6 +17,7 @@ use crate::systems::view::RobotView;
 #[serde(deny_unknown_fields)]
 struct AirTimeThreshold {
     /// Flight that neither earns nor costs, s.
+    #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     threshold: f32,
 }
 
@@ -22,8 +25,10 @@ struct AirTimeThreshold {
 #[serde(deny_unknown_fields)]
 struct ModeTime {
     /// Longest stride that is rewarded, s.
+    #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     mode_time: f32,
     /// Planar speed from which an uncommanded robot counts as moving, m/s.
+    #[serde(deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     velocity_threshold: f32,
 }
 
@@ -31,15 +36,19 @@ struct ModeTime {
 #[serde(deny_unknown_fields)]
 struct MaxTime {
     /// Longer phases count as this long, s.
+    #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     max_time: f32,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Clearance {
+    #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
+    #[serde(deserialize_with = "values::number_of::<Gain, _, _>")]
     tanh_mult: f32,
     /// Height of a swinging foot's centre above the ground, m.
+    #[serde(deserialize_with = "values::number_of::<Height, _, _>")]
     target_height: f32,
 }
 
@@ -47,15 +56,19 @@ struct Clearance {
 #[serde(deny_unknown_fields)]
 struct Force {
     /// Normal force from which a foot stands, N.
+    #[serde(deserialize_with = "values::number_of::<ForceThreshold, _, _>")]
     threshold: f32,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Gait {
+    #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
     /// Largest difference of two feet's phase times that counts, s.
+    #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     max_err: f32,
+    #[serde(deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     velocity_threshold: f32,
 }
 

@@ -5,6 +5,8 @@
 use serde::Deserialize;
 
 use super::{STANDING, norm};
+use crate::config::quantities::{ForceThreshold, Time};
+use crate::config::values;
 use crate::dynamics::elementary::exp;
 use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
@@ -16,6 +18,7 @@ const TURNING: f32 = 0.25;
 #[serde(deny_unknown_fields)]
 struct StrideTime {
     /// Longest stride that is rewarded, s.
+    #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     threshold: f32,
 }
 
@@ -23,7 +26,7 @@ struct StrideTime {
 #[serde(deny_unknown_fields)]
 struct Force {
     /// Normal force from which a foot stands, N. Isaac Lab's default.
-    #[serde(default = "one")]
+    #[serde(default = "one", deserialize_with = "values::number_of::<ForceThreshold, _, _>")]
     threshold: f32,
 }
 

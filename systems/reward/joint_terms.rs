@@ -6,7 +6,8 @@
 use serde::Deserialize;
 
 use super::{norm, sum_of_squares};
-use crate::config::matches;
+use crate::config::quantities::SpeedThreshold;
+use crate::config::{matches, values};
 use crate::morphology::MorphologyModel;
 use crate::robot::{Place, Role, Slot};
 use crate::systems::terms::{NoParams, Registry};
@@ -35,7 +36,7 @@ struct Mean {
 #[serde(deny_unknown_fields)]
 struct StandStill {
     /// Planar speed below which the robot is told to stand, m/s. Isaac Lab's default.
-    #[serde(default = "command_threshold")]
+    #[serde(default = "command_threshold", deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     command_threshold: f32,
     joints: Option<Vec<String>>,
     #[serde(default)]
@@ -145,17 +146,17 @@ fn joint_deviation_l1(on: &OnJoints, r: &RobotView) -> f32 {
     on.of(q.len(), |joint| (q[joint] - default[joint]).abs())
 }
 
-/// How far positions lie beyond the soft limits: `reset.soft_limit_factor` of each joint's range, about its middle.
+/// How far positions lie beyond the soft limits: `reset.soft_limit_factor` of each joint's range, about its middle. A joint
+/// without two limits has no range, and its soft limits are those that it has.
 #[inline(always)]
 fn joint_pos_limits(on: &OnJoints, r: &RobotView) -> f32 {
     let (q, lower, upper) = (&r.joints.position, &r.body.lower, &r.body.upper);
     let soft = r.morphology.config.reset.soft_limit_factor as f32;
     on.of(q.len(), |joint| {
         let (lower, upper) = (lower[joint], upper[joint]);
-        let margin = 0.5 * (1.0 - soft) * (upper - lower);
-        let beyond = (lower + margin - q[joint]).max(q[joint] - upper + margin).max(0.0);
-        // a joint without limits has none to be beyond
-        if beyond.is_finite() { beyond } else { 0.0 }
+        let range = upper - lower;
+        let margin = if range.is_finite() { 0.5 * (1.0 - soft) * range } else { 0.0 };
+        (lower + margin - q[joint]).max(q[joint] - upper + margin).max(0.0)
     })
 }
 

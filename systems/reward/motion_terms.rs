@@ -5,6 +5,8 @@
 use serde::Deserialize;
 
 use super::{norm, sum_of_squares};
+use crate::config::quantities::{Factor, Gain, Height as HeightRange, SpeedThreshold, Width};
+use crate::config::values;
 use crate::dynamics::elementary::exp;
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::{NoParams, Registry};
@@ -14,16 +16,20 @@ use crate::systems::view::RobotView;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Std {
+    #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RampedStd {
+    #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
     /// Commanded speed from which the reward grows, m/s.
+    #[serde(deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     ramp_at_vel: f32,
     /// Growth per m/s.
+    #[serde(deserialize_with = "values::number_of::<Gain, _, _>")]
     ramp_rate: f32,
 }
 
@@ -31,6 +37,7 @@ struct RampedStd {
 #[serde(deny_unknown_fields)]
 struct Height {
     /// Height of the base that is asked for, m. Default: that of the robot's default pose.
+    #[serde(default, deserialize_with = "values::optional_of::<HeightRange, _, _>")]
     target_height: Option<f32>,
 }
 
@@ -38,8 +45,10 @@ struct Height {
 #[serde(deny_unknown_fields)]
 struct StandStill {
     /// Factor while the robot is to stand and stands.
+    #[serde(deserialize_with = "values::number_of::<Factor, _, _>")]
     stand_still_scale: f32,
     /// Planar speed up to which it counts as standing, m/s.
+    #[serde(deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     velocity_threshold: f32,
 }
 

@@ -25,8 +25,10 @@ pub(in crate::systems) const COUNT: usize = MIRROR.len();
 
 /// Limits of a joint that has none count as this, rad.
 const TURN: f64 = std::f64::consts::PI;
-/// Efforts and speeds beyond count as these, N m and rad/s.
-const MOST: [f64; 2] = [1000.0, 100.0];
+/// Larger effort limits count as this, N m, and so does none.
+pub(in crate::systems) const MOST_EFFORT: f64 = 1000.0;
+/// Larger speed limits count as this, rad/s, and so does none.
+const MOST_SPEED: f64 = 100.0;
 
 impl Sensor for JointDescriptors {
     type Settings = ();
@@ -83,8 +85,8 @@ impl JointDescriptors {
             }
             let limit = |x: f64| x.clamp(-TURN, TURN);
             let (lower, upper) = if slot.sign < 0.0 { (-p.upper[j], -p.lower[j]) } else { (p.lower[j], p.upper[j]) };
-            let speed = p.velocity_limit[j].min(p.motor_velocity_limit[j]).min(MOST[1]);
-            let effort = f64::from(robot.morphology.max_effort(j, robot.body)).min(MOST[0]);
+            let speed = p.velocity_limit[j].min(p.motor_velocity_limit[j]).min(MOST_SPEED);
+            let effort = f64::from(robot.morphology.max_effort(j, robot.body)).min(MOST_EFFORT);
             let numbers: [f64; COUNT] = [
                 link.position[0],
                 link.position[1],

@@ -9,6 +9,8 @@ use serde::Deserialize;
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::{TermKind, TermSpec};
+use crate::config::quantities::SpeedLimit;
+use crate::config::values;
 use crate::config::{
     ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
 };
@@ -129,6 +131,31 @@ impl ActionDelay {
     }
 }
 
+/// Parameters of [`ILLEGAL_STATE`]: [`StateLimits`] that what walks stays within.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct SpeedLimits {
+    #[serde(deserialize_with = "values::number_of::<SpeedLimit, _, _>")]
+    max_lin_vel: f32,
+    #[serde(deserialize_with = "values::number_of::<SpeedLimit, _, _>")]
+    max_ang_vel: f32,
+    #[serde(deserialize_with = "values::number_of::<SpeedLimit, _, _>")]
+    max_joint_vel: f32,
+}
+
+impl Default for SpeedLimits {
+    fn default() -> Self {
+        let StateLimits { max_lin_vel, max_ang_vel, max_joint_vel } = StateLimits::default();
+        Self { max_lin_vel, max_ang_vel, max_joint_vel }
+    }
+}
+
+impl From<SpeedLimits> for StateLimits {
+    fn from(SpeedLimits { max_lin_vel, max_ang_vel, max_joint_vel }: SpeedLimits) -> Self {
+        Self { max_lin_vel, max_ang_vel, max_joint_vel }
+    }
+}
+
 /// Name under which the guard against broken states appears among the terminations.
 const ILLEGAL_STATE: &str = "illegal_state";
 
@@ -205,7 +232,7 @@ impl CompiledTask {
         for (name, params) in &config.terminations {
             let element = format!("terminations.{name}");
             if name == ILLEGAL_STATE {
-                limits = parse_params(file, &element, params)?;
+                limits = parse_params::<SpeedLimits>(file, &element, params)?.into();
                 continue;
             }
             let (time_out, build) = find(&registry.terminations, name, file, &element, "termination")?;

@@ -1,0 +1,130 @@
+//! Compares what a robot's config and its URDF say of one thing. Errors name the config's file, the joint and its range.
+
+use crate::bounds::Shown;
+use crate::config::{ConfigError, JointPositionMode, LoadedRobot};
+use crate::robot::{Model, Roles, soft_limits};
+
+/// Limits of a joint in the direction of its slot, rad or m.
+#[derive(Clone, Copy)]
+struct Limits {
+    lower: f64,
+    upper: f64,
+}
+
+impl Limits {
+    /// Positions are often limits that were rounded to six digits.
+    const ROUNDING: f64 = 1e-5;
+
+    fn of([lower, upper]: [f64; 2], sign: f64) -> Self {
+        if sign < 0.0 { Self { lower: -upper, upper: -lower } } else { Self { lower, upper } }
+    }
+
+    /// The soft limits that resets stay within.
+    fn soft(self, share: f64) -> Self {
+        let [lower, upper] = soft_limits([self.lower as f32, self.upper as f32], share as f32).map(f64::from);
+        Self { lower, upper }
+    }
+
+    /// Whether a range of positions has something in common with them.
+    fn meet(self, [low, high]: [f64; 2]) -> bool {
+        high >= self.lower - Self::ROUNDING && low <= self.upper + Self::ROUNDING
+    }
+}
+
+impl std::fmt::Display for Limits {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} .. {}", Shown(self.lower), Shown(self.upper))
+    }
+}
+
+/// Checks a robot's config against its URDF; `default_pose` is that of its slots, canonical directions, rad.
+///
+/// # Errors
+/// A joint that is locked, stands or begins beyond its limits; an actuator without any effort; a base without mass.
+pub(crate) fn check(
+    loaded: &LoadedRobot,
+    model: &Model,
+    roles: &Roles,
+    default_pose: &[f64],
+) -> Result<(), ConfigError> {
+    check_locks(loaded, model)?;
+    check_positions(loaded, model, roles, default_pose)?;
+    check_efforts(loaded, model, roles)?;
+    check_base(loaded, model)
+}
+
+fn check_locks(loaded: &LoadedRobot, model: &Model) -> Result<(), ConfigError> {
+    for lock in &model.locked {
+        let limits = Limits::of([lock.lower, lock.upper], 1.0);
+        if !limits.meet([lock.position; 2]) {
+            let problem = format!("{} is outside the joint's limits {limits}", Shown(lock.position));
+            let remedy = "write a position between them, in rad or m";
+            return Err(invalid(loaded, format!("locked_joints.{}", lock.name), problem, remedy));
+        }
+    }
+    Ok(())
+}
+
+fn check_positions(
+    loaded: &LoadedRobot,
+    model: &Model,
+    roles: &Roles,
+    default_pose: &[f64],
+) -> Result<(), ConfigError> {
+    let reset = &loaded.config.reset;
+    let [low, high] = reset.joint_position.range;
+    for (i, (&pose, &j)) in default_pose.iter().zip(&roles.joint_of_slot).enumerate() {
+        let (slot, joint) = (roles.slots[i], &model.joints[j]);
+        let limits = Limits::of([joint.lower, joint.upper], roles.sign_of_slot[i]);
+        if !limits.meet([pose; 2]) {
+            let problem = format!("{} is outside the limits {limits} of the joint \"{}\"", Shown(pose), joint.name);
+            let remedy = "write a position between them, in rad or m, or correct the <limit> in the URDF";
+            return Err(invalid(loaded, format!("default_pose.{slot}"), problem, remedy));
+        }
+        let [a, b] = match reset.joint_position.mode {
+            JointPositionMode::Scale => [pose * low, pose * high],
+            JointPositionMode::Offset => [pose + low, pose + high],
+        };
+        let soft = limits.soft(reset.soft_limit_factor);
+        if !soft.meet([a.min(b), a.max(b)]) {
+            let problem = format!(
+                "{slot} would begin at {} to {}, outside its soft limits {soft}",
+                Shown(a.min(b)),
+                Shown(a.max(b))
+            );
+            let remedy = "write a range that reaches between them, or raise reset.soft_limit_factor";
+            return Err(invalid(loaded, "reset.joint_position.range".into(), problem, remedy));
+        }
+    }
+    Ok(())
+}
+
+fn check_efforts(loaded: &LoadedRobot, model: &Model, roles: &Roles) -> Result<(), ConfigError> {
+    let actuators = loaded.config.actuators_by_slot(&roles.slots)?;
+    for ((group, actuator), &j) in actuators.iter().zip(&roles.joint_of_slot) {
+        let joint = &model.joints[j];
+        if actuator.effort_limit.is_none() && actuator.effort_table.is_empty() && joint.effort == 0.0 {
+            let problem = format!("has no effort_limit, and the URDF's for the joint \"{}\" is 0", joint.name);
+            return Err(invalid(loaded, format!("actuators.{group}"), problem, "write effort_limit, in N m"));
+        }
+    }
+    Ok(())
+}
+
+fn check_base(loaded: &LoadedRobot, model: &Model) -> Result<(), ConfigError> {
+    /// What a base must keep of its mass, kg.
+    const LEAST: f64 = 0.01;
+    let (config, mass) = (&loaded.config, model.links.first().map_or(0.0, |base| base.mass));
+    let lightest = mass * config.variation.base_mass[0].min(1.0);
+    let offset = config.randomization.base_mass_offset[0];
+    if lightest + offset < LEAST {
+        let problem = format!("{} kg is more than the base has, which weighs {lightest:.3} kg at least", Shown(offset));
+        let remedy = format!("write a lower end above {:.3}", LEAST - lightest);
+        return Err(invalid(loaded, "randomization.base_mass_offset".into(), problem, &remedy));
+    }
+    Ok(())
+}
+
+fn invalid(loaded: &LoadedRobot, element: String, problem: String, remedy: &str) -> ConfigError {
+    loaded.blame(ConfigError::invalid(loaded.config.name.clone(), element, problem, remedy))
+}
