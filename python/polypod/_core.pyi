@@ -373,6 +373,7 @@ class VecSim:
     def robot_info(self) -> str:
         """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
 
+        A limit that a joint lacks is null in `lower`, `upper` and `effort_limit`.
         `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
         the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
         """
@@ -724,7 +725,10 @@ class Simulation:
 
     @property
     def effort_limit(self) -> npt.NDArray[np.float64]:
-        """[num_joints], largest effort at construction, N m or N; the largest one where it depends on the position."""
+        """[num_joints], largest effort at construction, N m or N; infinite where there is no limit.
+
+        Where it depends on the position, this is the largest one.
+        """
 
     @property
     def qpos(self) -> npt.NDArray[np.float64]:
@@ -920,7 +924,7 @@ def with_overrides(config: str, overrides: Sequence[str]) -> str:
         overrides: `key=value` pairs, the key dotted, the value in TOML syntax or a bare word.
 
     Returns:
-        The changed tables as JSON.
+        The changed tables as TOML.
 
     Raises:
         ConfigError: for a table or element that does not exist, and for a value that cannot be read.

@@ -32,6 +32,8 @@ BoolArray = npt.NDArray[np.bool_]
 Overrides = Mapping[str, Any] | Sequence[str]
 """Changes to a task's configuration, see `EnvOptions`."""
 
+MAX_ACTION = 1e6
+"""Largest magnitude of an action that the simulator takes."""
 RENDER_MODES = ("rgb_array",)
 _AUTORESET_MODES = {
     "same_step": AutoresetMode.SAME_STEP,
@@ -444,7 +446,8 @@ def _toml(value: Any, key: str) -> str:
 def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest actions, [num_actions] each: where targets reach the limits of a joint.
 
-    Of several robots the wider limits count. A joint without limits turns half a turn to either side.
+    Of several robots the wider limits count. Where a joint has no limit, half a turn from the default pose counts as
+    one. No bound is beyond what `step` takes.
     """
     low, high = np.zeros(sim.num_actions), np.zeros(sim.num_actions)
     for numbers in json.loads(sim.robot_info()).values():
@@ -453,9 +456,10 @@ def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
         for column, joint, sign in places:
             ends = zip((numbers["lower"][joint], numbers["upper"][joint]), (-np.pi, np.pi), strict=True)
             pose = numbers["default_pose"][joint]
-            turns = [turn if end is None or not np.isfinite(end) else end - pose for end, turn in ends]
+            turns = [turn if end is None else end - pose for end, turn in ends]
             reach = sorted(sign * turn / scale for turn in turns)
             low[column], high[column] = min(low[column], reach[0]), max(high[column], reach[1])
+    low, high = np.clip(low, -MAX_ACTION, MAX_ACTION), np.clip(high, -MAX_ACTION, MAX_ACTION)
     return low.astype(np.float32), high.astype(np.float32)
 
 

@@ -135,16 +135,32 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         urdf=_core.robot_urdf(source),
         joint_names=tuple(info["joint_names"]),
         default_position=np.array(info["default_pose"]),
-        joint_range=np.stack([info["lower"], info["upper"]], axis=1),
+        joint_range=np.stack([_limits(info["lower"], -np.inf), _limits(info["upper"], np.inf)], axis=1),
         base_height=info["base_height"],
         actuators=_actuators(
-            [groups[key] for key in of_joint], tuple(of_joint), [signs[joint] for joint in range(len(of_joint))]
+            [groups[key] for key in of_joint],
+            tuple(of_joint),
+            [signs[joint] for joint in range(len(of_joint))],
+            _limits(info["effort_limit"], np.inf),
         ),
     )
 
 
-def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[float]) -> Actuators:
-    """`signs` are -1 where a joint turns the other way round than its slot, whose direction configs are in."""
+def _limits(values: list[float | None], absent: float) -> Array:
+    return np.array([absent if value is None else value for value in values], dtype=np.float64)
+
+
+def _actuators(
+    rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[float], effort_limit: Array
+) -> Actuators:
+    """Reads the actuators of the joints.
+
+    Args:
+        rows: actuator of each joint, as the config has it.
+        groups: its group.
+        signs: -1 where a joint turns the other way round than its slot, whose direction configs are in.
+        effort_limit: N m, of the config or, where that has none, of the URDF.
+    """
 
     def table(row: dict[str, Any], sign: float) -> Array | None:
         if not row.get("effort_table"):
@@ -163,7 +179,7 @@ def _actuators(rows: list[dict[str, Any]], groups: tuple[str, ...], signs: list[
         armature=column("armature", 0.0),
         joint_damping=column("joint_damping", np.nan),
         friction=column("friction", np.nan),
-        effort_limit=column("effort_limit", np.inf),
+        effort_limit=np.array([row.get("effort_limit", own) for row, own in zip(rows, effort_limit, strict=True)]),
         saturation_effort=np.where(motor, column("saturation_effort", np.inf), np.inf),
         no_load_speed=np.where(motor, column("velocity_limit", np.inf), np.inf),
         effort_tables=tuple(table(row, sign) for row, sign in zip(rows, signs, strict=True)),

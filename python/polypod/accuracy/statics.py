@@ -71,7 +71,8 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
         [rng.uniform(-1.0, 1.0, (states, 3)), quaternion, rng.uniform(limits[:, 0], limits[:, 1], (states, joints))]
     )
     qvel = np.hstack([rng.uniform(-s, s, (states, n)) for s, n in ((1.0, 3), (3.0, 3), (5.0, joints))])
-    torque = rng.uniform(-1.0, 1.0, (states, joints)) * np.asarray(sim.effort_limit)
+    # a joint without a limit is driven by as much as the strongest of the library
+    torque = rng.uniform(-1.0, 1.0, (states, joints)) * np.minimum(sim.effort_limit, 1000.0)
     sim.set_state(qpos, qvel)
 
     links = list(sim.link_names)

@@ -5,6 +5,7 @@ The keys `run_path`, `joint_names`, `joint_stiffness`, `joint_damping`, `default
 others are polypod's. Lists are written with commas between, numbers so that float32 is read back exactly.
 """
 
+import math
 from collections.abc import Sequence
 
 from polypod.export.robot import RobotInterface
@@ -37,6 +38,7 @@ def of_robot(robot: RobotInterface) -> dict[str, str]:
     """A robot's joints, in its own order: names, gains (N m/rad, N m s/rad), pose (rad), limits (rad, N m).
 
     `action_scale` is in rad per unit of action. `action_joint_names` are the joints that the numbers of an action move.
+    A limit that a joint lacks is `-inf` or `inf`.
     """
     joints = len(robot.joint_names)
     action_joints = [robot.joint_names[joint] for joint in robot.joint_of_slot]
@@ -47,9 +49,9 @@ def of_robot(robot: RobotInterface) -> dict[str, str]:
         "joint_damping": _numbers(robot.info["damping"]),
         "default_joint_pos": _numbers(robot.info["default_pose"]),
         "action_scale": _numbers([robot.action_scale] * joints),
-        "joint_effort_limit": _numbers(robot.info["effort_limit"]),
-        "joint_pos_lower": _numbers(robot.info["lower"]),
-        "joint_pos_upper": _numbers(robot.info["upper"]),
+        "joint_effort_limit": _limits(robot.info["effort_limit"], math.inf),
+        "joint_pos_lower": _limits(robot.info["lower"], -math.inf),
+        "joint_pos_upper": _limits(robot.info["upper"], math.inf),
         "action_joint_names": _list(action_joints),
     }
 
@@ -61,6 +63,10 @@ def _list(values: Sequence[str]) -> str:
 def _number(value: float) -> str:
     # nine digits tell every float32 from its neighbours
     return f"{value:.9g}"
+
+
+def _limits(values: Sequence[float | None], absent: float) -> str:
+    return _numbers([absent if value is None else value for value in values])
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -79,7 +79,8 @@ def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
     config = parse(_load_tables(name), name)
     if not overrides:
         return config
-    tables = json.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
+    # TOML keeps the numbers that JSON has not
+    tables = tomllib.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
     return parse(tables, f"{name} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
 
 
@@ -226,19 +227,19 @@ MAX_RNN_LAYERS = 8
 MAX_SAMPLES = 50_000_000
 """Env-steps of an iteration, some 100 numbers each."""
 _POSITIVE = (
-    ("run", "num_envs", 2**24),
-    ("run", "num_steps_per_env", 100_000),
-    ("run", "save_interval", 2**31),
-    ("algorithm", "num_learning_epochs", 1000),
-    ("algorithm", "num_mini_batches", 2**24),
-    ("algorithm", "learning_rate", 1.0),
-    ("algorithm", "desired_kl", 100.0),
-    ("anneal", "desired_kl", 100.0),
-    ("algorithm", "clip_param", 10.0),
-    ("algorithm", "max_grad_norm", 1e6),
-    ("actor", "init_std", 100.0),
+    ("run", "num_envs", 1, 2**24),
+    ("run", "num_steps_per_env", 1, 100_000),
+    ("run", "save_interval", 1, 2**31),
+    ("algorithm", "num_learning_epochs", 1, 1000),
+    ("algorithm", "num_mini_batches", 1, 2**24),
+    ("algorithm", "learning_rate", 1e-12, 1.0),
+    ("algorithm", "desired_kl", 1e-12, 100.0),
+    ("anneal", "desired_kl", 1e-12, 100.0),
+    ("algorithm", "clip_param", 1e-6, 10.0),
+    ("algorithm", "max_grad_norm", 1e-12, 1e6),
+    ("actor", "init_std", 1e-6, 100.0),
 )
-"""Section, key and greatest value of numbers that are greater than 0."""
+"""Section, key, least and greatest value of numbers that are greater than 0."""
 _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("run", "max_iterations", 0, 2**31),
     ("algorithm", "gamma", 0.0, 1.0),
@@ -260,12 +261,14 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         value = sections[section][key]
         if not least <= value <= most:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be from {least:g} to {most:g}")
-    for section, key, most in _POSITIVE:
+    for section, key, least, most in _POSITIVE:
         if section not in sections:
             continue
         value = sections[section][key]
         if not value > 0:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be greater than 0")
+        if not value >= least:
+            raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be at least {least:g}")
         if not value <= most:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be at most {most:g}")
     if run.num_envs * run.num_steps_per_env > MAX_SAMPLES:
@@ -378,8 +381,11 @@ def _check_extensions(config: TrainConfig, source: str) -> None:
         check_size([*rnd.predictor_hidden_dims, rnd.num_outputs], f"{source}: [rnd] predictor_hidden_dims")
         check_size([*rnd.target_hidden_dims, rnd.num_outputs], f"{source}: [rnd] target_hidden_dims")
         sizes = [*rnd.predictor_hidden_dims, *rnd.target_hidden_dims, rnd.num_outputs]
-        if not 0.0 < rnd.weight <= 1e6 or not 0.0 < rnd.learning_rate <= 1.0 or not 1 <= min(sizes) <= MAX_LAYER:
-            raise _core.ConfigError(f"{source}: [rnd] weight, learning_rate and all sizes must be greater than 0")
+        for key, most in (("weight", 1e6), ("learning_rate", 1.0)):
+            if not 1e-12 <= (value := getattr(rnd, key)) <= most:
+                raise _core.ConfigError(f"{source}: [rnd] {key} = {value} must be from 1e-12 to {most:g}")
+        if not 1 <= min(sizes) <= MAX_LAYER:
+            raise _core.ConfigError(f"{source}: [rnd] all sizes must be greater than 0")
         if rnd.activation not in get_args(Activation):
             raise _core.ConfigError(
                 f"{source}: [rnd] activation = {rnd.activation!r} is not one of {', '.join(get_args(Activation))}"
