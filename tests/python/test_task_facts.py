@@ -115,7 +115,8 @@ def test_actuators(flat, reference):
         "unitree_go1": {"hips": go1, "knees": (25.0, 0.5, 35.55, 35.55, 30.0)},
         "unitree_go2": {"legs": (25.0, 0.5, 23.5, 23.5, 30.0)},
         "unitree_b2": {"legs": (250.0, 8.0, 200.0, 200.0, 14.0)},
-        "spot": {"hips": (60.0, 1.5, 45.0, None, None), "knees": (60.0, 1.5, None, None, None)},
+        # the reference limits no speed of Spot's
+        "spot": {"hips": (60.0, 1.5, 45.0, None, 1000.0), "knees": (60.0, 1.5, None, None, 1000.0)},
     }
     assert {name: motors(robot["actuators"]) for name, robot in flat["robots"].items()} == expected
     expected |= {name: {"legs": (40.0, 5.0, 80.0, 120.0, 7.5)} for name in ANYMALS}
