@@ -134,12 +134,13 @@ This table and those of standing, slopes and engines are of robots that stand by
 The feet begin 0.3 m above the ground. Friction is {friction:g}, targets are the default pose, torques stay within
 the actuators' limits. Joints have no speed limits here, in both simulators: a landing drives legs into them, and the
 impulse of a rigid limit between rigid contacts depends on how stiff the contacts are. The table shows the base after
-3 s: both simulators at the step *dt*, then polypod at {dt:g} ms against the same run of MuJoCo.
+3 s: both simulators at the step *dt*, then polypod at {dt:g} ms, with its speed limits as in the tasks, against the
+same run of MuJoCo.
 
 With {firm:g} times the gains the robots land and stand. With the gains of the training some land in a deep crouch and
 drag their feet. Where they end depends on the step: MuJoCo's own answers at {mujoco_coarse:g} ms differ from those at
 *dt* by up to {sensitive_height:.1f} mm and {sensitive_pitch:.1f} degrees. At 0.1 ms the simulators agree, so what
-remains at {dt:g} ms is the error of the step and not a difference between contact models.
+remains at {dt:g} ms is the error of the step and the speed limits, and not a difference between contact models.
 """
 
 _STANDING = """### Forces on standing feet
