@@ -102,7 +102,9 @@ def number(draw: random.Random, near: float = 1.0) -> float:
     if kind < 0.6:
         return near * 10.0 ** draw.gauss(0.0, 0.5) * draw.choice((1, 1, 1, -1)) if near else draw.gauss(0.0, 1.0)
     if kind < 0.85:
-        return draw.choice((1.0, -1.0)) * 10.0 ** draw.uniform(-320.0, 308.0)
+        return draw.choice((1.0, -1.0)) * 10.0 ** (
+            draw.uniform(-9.0, 9.0) if draw.random() < 0.6 else draw.uniform(-320.0, 308.0)
+        )
     return draw.choice(EXTREMES) * draw.choice((1.0, -1.0))
 
 
