@@ -303,6 +303,8 @@ def flag_value(draw: random.Random, flag: str) -> str:
 def _flags(draw: random.Random, command: str, flags: dict[str, list[str | None]]) -> list[str]:
     words: list[str] = []
     left_out = {"--ray", "--logger", "--device", "--host", "--port"}
+    if command == "bench":  # these measure for minutes, without a robot to be refused
+        left_out |= {"--workers", "--walk", "--no-walk", "--learner", "--no-learner"}
     names = [
         flag
         for flag in sorted(flags)
