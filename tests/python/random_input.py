@@ -102,7 +102,9 @@ def number(draw: random.Random, near: float = 1.0) -> float:
     if kind < 0.6:
         return near * 10.0 ** draw.gauss(0.0, 0.5) * draw.choice((1, 1, 1, -1)) if near else draw.gauss(0.0, 1.0)
     if kind < 0.85:
-        return draw.choice((1.0, -1.0)) * 10.0 ** draw.uniform(-320.0, 308.0)
+        return draw.choice((1.0, -1.0)) * 10.0 ** (
+            draw.uniform(-9.0, 9.0) if draw.random() < 0.6 else draw.uniform(-320.0, 308.0)
+        )
     return draw.choice(EXTREMES) * draw.choice((1.0, -1.0))
 
 
@@ -301,6 +303,8 @@ def flag_value(draw: random.Random, flag: str) -> str:
 def _flags(draw: random.Random, command: str, flags: dict[str, list[str | None]]) -> list[str]:
     words: list[str] = []
     left_out = {"--ray", "--logger", "--device", "--host", "--port"}
+    if command == "bench":  # these measure for minutes, without a robot to be refused
+        left_out |= {"--workers", "--walk", "--no-walk", "--learner", "--no-learner"}
     names = [
         flag
         for flag in sorted(flags)
