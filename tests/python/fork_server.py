@@ -88,9 +88,7 @@ class ForkServer:
         self.start(words, cwd, seconds, memory, user)
         return self.ended()
 
-    def call(
-        self, function: str, *, cwd: Path, seconds: float = 60.0, memory: int = 0, **arguments: Any
-    ) -> Ended:
+    def call(self, function: str, *, cwd: Path, seconds: float = 60.0, memory: int = 0, **arguments: Any) -> Ended:
         """Runs the function `module:name`, whose result is the exit code, and waits for it."""
         self.start((), cwd, seconds, memory, call={"function": function, "arguments": arguments})
         return self.ended()

@@ -238,11 +238,11 @@ def test_randomized_means_as_in_the_training():
     assert found.task == evaluation.play_task(TASK)
 
 
-OWN = '''
+OWN = """
 extends = "velocity_flat_universal"
 name = "{name}"
 experiment_name = "own"
-'''
+"""
 
 
 @pytest.fixture

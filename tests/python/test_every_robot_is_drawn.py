@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 
-import polypod
 from polypod import _core
 from polypod.play import Frame, Scene, looks, raster
 

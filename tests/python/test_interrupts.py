@@ -90,18 +90,21 @@ def test_a_command_that_is_ended_as_it_starts_leaves_nothing(tmp_path, number):
     done = subprocess.run(line, capture_output=True, text=True, timeout=100, check=False, cwd=tmp_path)
     assert done.returncode == -number
     assert not done.stderr
-    assert os.listdir(tmp_path) == []
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_error_that_a_library_makes_of_an_interrupt_is_none(capsys, monkeypatch):
-    """torch and others catch what is raised within their import."""
+    """Torch and others catch what is raised within their import."""
     import polypod.cli
     from polypod import interrupts
 
+    def wait_for_the_interrupt():
+        os.kill(os.getpid(), signal.SIGINT)
+        signal.pause()
+
     def fail(command):
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            signal.pause()
+            wait_for_the_interrupt()
         raise ImportError("initialization failed")
 
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.compat import tomllib
 from polypod.evaluation import measures
 from polypod.evaluation.policies import Policy, reset
 from polypod.evaluation.results import Evaluation, robot_result
