@@ -67,7 +67,13 @@ class Graph:
         names = {network.input: source, network.output: target}
         self.states |= network.states
         inner = self.onnx.compose.add_prefix_graph(model.graph, "network_", rename_inputs=False, rename_outputs=False)
-        _rename(inner, names)
+        for node in inner.node:
+            node.input[:] = [names.get(name, name) for name in node.input]
+            node.output[:] = [names.get(name, name) for name in node.output]
+        # the prefix is given to what a branch defines, not to what it uses of the graph around it
+        around = [entry.name for entry in model.graph.initializer]
+        around += [name for node in model.graph.node for name in node.output]
+        _rename_in_branches(inner, {name: f"network_{name}" for name in around} | names)
         self.nodes += list(inner.node)
         self.constants += list(inner.initializer)
 
@@ -112,14 +118,14 @@ class Graph:
         return model
 
 
-def _rename(graph: Any, names: Mapping[str, str]) -> None:
-    """Gives tensors other names, also where branches and loops use them."""
+def _rename_in_branches(graph: Any, names: Mapping[str, str]) -> None:
+    """Gives tensors of a graph other names where its branches and loops use them."""
     for node in graph.node:
-        node.input[:] = [names.get(name, name) for name in node.input]
-        node.output[:] = [names.get(name, name) for name in node.output]
         for attribute in node.attribute:
-            for inner in (attribute.g, *attribute.graphs):
-                _rename(inner, names)
+            for branch in (attribute.g, *attribute.graphs):
+                for inner in branch.node:
+                    inner.input[:] = [names.get(name, name) for name in inner.input]
+                _rename_in_branches(branch, names)
 
 
 def network_model(network: MLPModel | OnnxNetwork, num_obs: int, num_actions: int, metadata: Mapping[str, str]) -> Any:
