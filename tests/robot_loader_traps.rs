@@ -282,6 +282,9 @@ fn limits_make_sense() {
     );
     refused(&limit("lower='-1' upper='1' effort='-5' velocity='1'"), &["negative effort -5"]);
     refused(&limit("lower='inf' upper='inf' effort='1' velocity='1'"), &["joint \"j\"", "leave no position"]);
+    // what the file says, in few digits
+    refused(&limit("lower='2e300' upper='3e300' effort='1' velocity='1'"), &["2e300 .. 3e300", "within 1000"]);
+    refused(&limit("lower='1e300' upper='-1e300' effort='1' velocity='1'"), &["1e300", "-1e300", "swap them"]);
     refused(
         &pair("revolute", &format!("{LIMIT}<dynamics damping='1e300'/>")),
         &["joint \"j\"", "damping", "overflows"],
@@ -722,6 +725,15 @@ fn chains_are_no_longer_than_the_engine_can_solve() {
 fn numbers_that_overflow_are_refused() {
     let heavy = MASS.replace("value=\"1\"", "value=\"1e300\"");
     refused(&robot(&format!("<link name='a'>{heavy}</link>")), &["link \"a\"", "overflows"]);
+    // nothing, in single precision
+    let light = |mass: &str, moment: &str| {
+        let inertia = format!("<inertia ixx='{moment}' ixy='0' ixz='0' iyy='{moment}' iyz='0' izz='{moment}'/>");
+        robot(&format!("<link name='a'><inertial><mass value='{mass}'/>{inertia}</inertial></link>"))
+    };
+    refused(&light("1e-54", "0.01"), &["link \"a\"", "mass of 1e-54 kg", "kilograms"]);
+    refused(&light("1e-7", "1e-9"), &["link \"a\"", "mass of 1e-7 kg"]);
+    refused(&light("1", "1e-30"), &["link \"a\"", "moment below", "kg m^2"]);
+    loaded(&light("1e-4", "1e-12"));
     refused(&pair("revolute", &format!("<origin xyz='1e200 0 0'/>{LIMIT}")), &["joint \"j\"", "origin overflows"]);
     let far = "<collision><origin xyz='1e300 0 0'/><geometry><sphere radius='1'/></geometry></collision>";
     let model = warned(&with_part(far), &["link \"part\", <collision>", "overflows", "left out"]);

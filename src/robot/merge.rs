@@ -9,7 +9,7 @@ use urdf_rs::JointType;
 
 use super::base::{Base, Bases, is_better};
 use super::error::{Diagnosis, LOCK, RobotError, Topic, Warning, nearest_name};
-use super::inertia::{InertiaFault, MassProperties};
+use super::inertia::{InertiaFault, MassProperties, principal_moments};
 use super::model::{Joint, JointKind, Link, LockedJoint, Model};
 use super::plausible::implausible;
 use super::pose::Pose;
@@ -20,6 +20,10 @@ use crate::dynamics::MAX_DEPTH;
 
 /// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
 pub(super) const LARGEST: f64 = 1e9;
+/// Smallest mass of a link that moves, kg: a milligram. The engine divides by it in single precision.
+const LIGHTEST: f64 = 1e-6;
+/// Smallest principal moment of such a link, kg m^2: a millionth of that of a milligram's ball of 1 mm.
+const SMALLEST_MOMENT: f64 = 1e-18;
 /// Position limits beyond this, rad or m, are written for "none": 159 turns.
 const FARTHEST: f64 = 1000.0;
 
@@ -322,11 +326,14 @@ impl Merger<'_> {
             let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
             Err(RobotError::Value(diagnosis))
         };
+        // as the file has them
+        let (least, most) = (joint.limit.lower, joint.limit.upper);
         if lower > upper {
-            return value_error(format!("its lower limit {lower} is above its upper limit {upper}"), "swap them");
+            return value_error(format!("its lower limit {least} is above its upper limit {most}"), "swap them");
         }
         if lower == f64::INFINITY || upper == f64::NEG_INFINITY {
-            return value_error(format!("its limits {lower} .. {upper} leave no position"), "write rad or m");
+            let problem = format!("its limits {least} .. {most} leave no position within {FARTHEST}");
+            return value_error(problem, "write rad or m");
         }
         for (name, value) in
             [("effort", effort), ("velocity", velocity), ("damping", dynamics.damping), ("friction", dynamics.friction)]
@@ -442,7 +449,17 @@ impl Merger<'_> {
                 "give it an <inertial>, or make the joint above it fixed",
             );
         }
+        if whole.mass < LIGHTEST {
+            let problem =
+                format!("its mass of {:e} kg is below {LIGHTEST:e}, which single precision loses", whole.mass);
+            return error(problem, "write kilograms, or make the joint above it fixed");
+        }
         match whole.inertia_fault() {
+            None if principal_moments(&whole.inertia)[0] < SMALLEST_MOMENT => {
+                let problem =
+                    format!("its inertia has a moment below {SMALLEST_MOMENT:e} kg m^2, which single precision loses");
+                error(problem, "write the inertia about the centre of mass, in kg m^2")
+            }
             Some(fault @ InertiaFault::NotPositiveDefinite(_)) => {
                 error(describe(fault), "write the inertia about the centre of mass, in kg m^2")
             }

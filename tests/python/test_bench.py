@@ -151,3 +151,11 @@ def test_kinds_are_two_known_ones_or_more(cli, kinds) -> None:
     done = cli("bench", "--kinds", kinds, "--num-envs", "4")
     assert done.returncode == 2
     assert "nobody" in done.stderr or "two different robots" in done.stderr
+
+
+@pytest.mark.parametrize("flags", [("--workers", "1"), ("--walk",), ("--learner",), ("--kinds", "all")])
+def test_a_robot_that_nothing_is_measured_on_is_refused(cli, flags) -> None:
+    done = cli("bench", "--robot", "spot", *flags)
+    assert done.returncode == 2
+    assert "--robot" in done.stderr
+    assert done.stderr.count("\n") == 1

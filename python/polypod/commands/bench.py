@@ -52,7 +52,13 @@ class Bench:
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
-        if self.learner or self.walk or self.workers is not None:
+        trains = self.learner or self.walk or self.workers is not None
+        if (trains or self.kinds is not None) and self.robot != type(self).robot:
+            raise _core.ConfigError(
+                "--robot is the robot of the physics figures; trainings take the robots of --train-config, and --kinds "
+                "names its own: leave it out"
+            )
+        if trains:
             return self._train()
         if self.kinds is not None:
             return self._kinds()
