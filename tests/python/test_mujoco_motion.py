@@ -53,16 +53,19 @@ def test_standing_feet_carry_what_mujocos_carry(name: str) -> None:
 
 
 def test_a_joint_at_its_speed_limit_turns_at_that_speed() -> None:
-    """Against the formula: from rest to the limit, then the limit times the time, in both simulators."""
+    """Against the formula: a target far away is approached at the limit, in both simulators."""
     robot = load("anymal_b_kinova")
-    joint = robot.joint_names.index("j2n6s300_joint_1") if "j2n6s300_joint_1" in robot.joint_names else 12
+    joint = int(np.argmin(robot.actuators.speed_limit))
     limit = robot.actuators.speed_limit[joint]
-    assert 0.6 < limit < 0.7
-    target = robot.default_position + 1.0 * np.eye(robot.num_joints)[[joint]]
-    for track in (polypod_tracks(robot, target, 0.0005), mujoco_tracks(robot, target, 0.0005, "implicitfast")):
-        speed = np.diff(track[0, :, joint]) / motion.COARSE
-        assert speed.max() <= limit * (1.0 + 1e-3)
-        assert np.median(speed[20:120]) == pytest.approx(limit, rel=1e-3)
+    assert limit == pytest.approx(0.628319)
+    target = robot.default_position + np.eye(robot.num_joints)[[joint]]
+    ours = polypod_tracks(robot, target, motion.FINE)
+    mujocos = mujoco_tracks(robot, target, motion.FINE, "implicitfast")
+    # `f32` rounds the angle of 4.7 rad by up to 8e-4 of a step's way; MuJoCo's rows give way a little
+    for track, tolerance in ((ours, 8e-4), (mujocos, 5e-3)):
+        speed = np.diff(track[0, 20:120, joint]) / motion.COARSE
+        assert speed == pytest.approx(np.full(speed.shape, limit), rel=tolerance)
+    assert np.abs(ours - mujocos).max() < 1e-3
 
 
 WHIP = (
