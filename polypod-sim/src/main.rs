@@ -31,5 +31,5 @@ fn main() -> ExitCode {
 }
 
 fn is_bad_input(error: &anyhow::Error) -> bool {
-    error.is::<PolicyError>() || error.is::<polypod::Error>()
+    error.is::<PolicyError>() || error.is::<polypod::Error>() || error.is::<polypod::config::ConfigError>()
 }

@@ -246,6 +246,7 @@ pub fn tree(joints: RangeInclusive<usize>, floating: impl Strategy<Value = bool>
                 links: vec![model_link("base".into(), &base)],
                 joints: Vec::new(),
                 bodies: Vec::new(),
+                locked: Vec::new(),
                 warnings: Vec::new(),
             };
             for (j, spec) in specs.iter().enumerate() {
