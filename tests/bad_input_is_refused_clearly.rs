@@ -80,7 +80,7 @@ fn arguments_out_of_range() {
     );
     assert_argument(&error(|o| o.num_envs = 1), "num_envs", &["1 envs for 2 robots", "at least 2"]);
     assert_argument(&error(|o| o.num_envs = 0), "num_envs", &["at least 2"]);
-    assert_argument(&error(|o| o.threads = Some(0)), "threads", &["0", "at least one"]);
+    assert_argument(&error(|o| o.threads = Some(0)), "threads", &["0 threads", "1 to 1024"]);
     for num_envs in [usize::MAX, 1 << 40, 1 << 31, (1 << 24) + 1] {
         assert_argument(&error(|o| o.num_envs = num_envs), "num_envs", &[&num_envs.to_string(), "16777216"]);
     }
@@ -158,7 +158,7 @@ fn the_command_line_refuses_bad_input_with_one_line_and_exit_code_2() {
         (&["rollout", "--robots", "spot,spot"], &["`spot`", "twice"]),
         (&["rollout", "--task", "velocity_flatt"], &["velocity_flatt", "did you mean"]),
         (&["rollout", "--num-envs", "3"], &["num_envs", "at least 8"]),
-        (&["rollout", "--threads", "0"], &["threads", "at least one"]),
+        (&["rollout", "--threads", "0"], &["threads", "1 to 1024"]),
         (&["rollout", "--set", "sim.decimatoin=2"], &["sim.decimatoin", "did you mean `decimation`?"]),
         (&["rollout", "--num-envs", "18446744073709551615"], &["num_envs", "16777216"]),
         (&["rollout", "--set", "sim.decimation=1000000000"], &["sim.decimation", "1 to 1000"]),

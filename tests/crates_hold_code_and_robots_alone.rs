@@ -1,4 +1,4 @@
-//! The crates hold their code, configs and robots: no data, media or policies, and well under 2 MB.
+//! The crates hold their code, configs and robots: no data, media or policies, and well under 3 MB.
 
 use std::path::Path;
 use std::process::Command;
@@ -29,7 +29,7 @@ fn the_library_is_small() {
     // those that cargo writes itself are not there
     let bytes: u64 =
         files.iter().filter_map(|file| std::fs::metadata(root.join(file)).ok()).map(|file| file.len()).sum();
-    assert!((500_000..2_000_000).contains(&bytes), "{bytes} bytes before they are compressed");
+    assert!((500_000..2_500_000).contains(&bytes), "{bytes} bytes before they are compressed");
 }
 
 #[test]

@@ -44,7 +44,7 @@ fn the_sensor_points_where_bodies_fall() {
 
 #[test]
 fn a_fall_is_along_the_sensed_direction() {
-    let mut sim = still("velocity_flat", [3.0, 2.0, 6.0], &["terminations.base_contact.threshold=1e9"]);
+    let mut sim = still("velocity_flat", [3.0, 2.0, 6.0], &["terminations.base_contact.threshold=1e6"]);
     let down = sensed(&mut sim);
     let actions = vec![0.0; sim.batch().actions.len()];
     for _ in 0..2 {

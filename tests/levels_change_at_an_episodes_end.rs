@@ -83,7 +83,7 @@ fn a_termination_after_one_step_changes_no_level() {
 fn a_late_start_is_asked_for_less() {
     // 100 of 1000 steps left, in which a robot told to go at 1 m/s has 2 s
     let after = |walked: f32| {
-        let mut sim = rough(Autoreset::SameStep, &["terminations.base_contact.threshold=1e9"]);
+        let mut sim = rough(Autoreset::SameStep, &["terminations.base_contact.threshold=1e6"]);
         let before = levels(&mut sim);
         let last = i64::from(sim.task().max_episode_length);
         sim.set_episode_lengths(&[last - 100; ENVS]).unwrap();

@@ -143,8 +143,20 @@ fn step(articulation: &Articulation) -> Result<(), TestCaseError> {
     prop_assert!(topology.max_depth() <= MAX_DEPTH);
     let parameters = Parameters::<f32>::from_scalars(topology, &articulation.parameters);
     let mut probe = parameters.clone();
+    // a limit that is absent is infinite, and nothing else is
+    for limits in [
+        &mut probe.lower,
+        &mut probe.upper,
+        &mut probe.effort_limit,
+        &mut probe.saturation_effort,
+        &mut probe.motor_velocity_limit,
+    ] {
+        prop_assert!(limits.iter().all(|limit| !limit.is_nan()), "{parameters:?}");
+        limits.fill(0.0);
+    }
+    let present = probe.clone();
     let mut all_finite = true;
-    probe.zip_with(&parameters, |_, number| all_finite &= number.is_finite());
+    probe.zip_with(&present, |_, number| all_finite &= number.is_finite());
     prop_assert!(all_finite, "{parameters:?}");
     let settings =
         StepSettings { dt: 0.005, decimation: 1, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use polypod::robot::{LoadOptions, Model, RobotError, check, load_str};
+use polypod::robot::{Coupled, LoadOptions, Model, RobotError, check, load_str};
 use polypod::{Control, Simulation, SimulationOptions};
 
 use super::folder::put;
@@ -13,12 +13,14 @@ const FEW_LINKS: usize = 24;
 /// Describes the robot as `polypod-sim check` does, and steps it.
 pub fn run(data: &[u8]) -> bool {
     let path = put("robot.urdf", Some(data));
-    let described = check(&path, &LoadOptions::default());
+    // as `check` and simulations do, which hold joints that mimic others
+    let options = LoadOptions { coupled: Coupled::Held, ..LoadOptions::default() };
+    let described = check(&path, &options);
     let Ok(text) = std::str::from_utf8(data) else {
         assert!(described.is_err());
         return false;
     };
-    match load_str(text, &path, &LoadOptions::default()) {
+    match load_str(text, &path, &options) {
         Ok(model) => {
             assert!(described.is_ok_and(|text| text.contains("\nwarnings: ")));
             sound(&model, &path);

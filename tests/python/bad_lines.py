@@ -75,6 +75,7 @@ _SEEDS = COUNTS[:9]
 _COMMON = {"--robots": NAMES, "--set": OVERRIDES, "--seed": _SEEDS}
 _WITH_TASK = _COMMON | {"--task": NAMES, "--threads": COUNTS}
 _PACKAGES = ["", "=", "a", "a=", "=b", "a=/dev/zero"]
+_LOCKS = [*_PACKAGES, "fl_hx=x", "fl_hx=nan", "fl_hx=1e999", "fl_hx=100", "nothing=0", "=0"]
 
 _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "eval": (
@@ -129,7 +130,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     ),
     "train workers": (("--ray", "nowhere:1"), {"--workers": COUNTS}),
     "sweep": ((Positional("sweep.toml"),), {"": FILES, "--out": OUTPUTS, "--ray": ["nowhere:1"]}),
-    "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
+    "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES, "--lock": _LOCKS}),
     "robot": (
         ("new", Positional(URDF), "--out", "/nothing/spot.toml"),
         {
@@ -138,6 +139,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
             "--out": OUTPUTS,
             "--package-dir": _PACKAGES,
             "--foot": [*_PACKAGES, "LF=nothing", "XX=base"],
+            "--role": [*_PACKAGES, "LF_HFE=nothing", "XX=fl_hx", "LF_HAA=fl_hy"],
+            "--lock": _LOCKS,
         },
     ),
     "bodies": (
@@ -187,7 +190,7 @@ _SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--dump-dir": OUTPUTS},
     ),
     "inspect": (("--robot", "spot"), {"--robot": NAMES}),
-    "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES}),
+    "check": ((Positional(URDF),), {"": FILES, "--package-dir": _PACKAGES, "--lock": _LOCKS}),
     "replay": ((Positional("manifest.json"),), {"": [*FILES, "/dev/zero"], "--simd": NAMES}),
     "play": (
         ("--policy", str(FLAT_POLICY.parent / "exported" / "policy.onnx"), "--num-envs", "8", "--steps", "1"),

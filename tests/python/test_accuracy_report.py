@@ -68,23 +68,24 @@ def test_an_unknown_robot_is_named() -> None:
 
 def test_every_measurement_has_its_row() -> None:
     spot = robot.load("spot")
+    drop = standing.compare_drop(spot, gains=standing.FIRM)
     measured = report.Report(
         mujoco="x.y",
         statics=[statics.compare_statics(spot, states=2)],
         responses=[RESPONSE],
-        drops=[standing.compare_drop(spot, gains=standing.FIRM)],
+        drops=[drop, dataclasses.replace(drop, gains=1.0)],
         standing=[standing.compare_standing(spot)],
         engines=[ENGINES],
         rests=[standing.SlopeRest("spot", "front", 1e-5, 2e-5)],
         sweeps=[sweeps.Sweeps("spot", dict.fromkeys(sweeps.COUNTS, 4e-3), 9e-3)],
         slides=[friction.compare_slide(0.5, 1.0)],
-        slopes=[friction.compare_slope(0.5, 0.3)],
+        slopes=[friction.compare_slope(0.5, 0.3), friction.compare_slope(0.3, 0.5)],
         fallen=[],
     )
     assert not measured.broken()
     text = tables(measured)
-    # seven tables, one of them with both engines, and the bounds of eight figures
-    assert text.count("| spot |") == 8 + 8
+    # seven tables, one of them with both engines and one with two drops, and the bounds of eight figures
+    assert text.count("| spot |") == 9 + 8
     for bound in BOUNDS:
         assert f"| {bound.quantity} |" in text
         assert (f"| {bound.quantity} |" in summary(measured)) == bound.front_page

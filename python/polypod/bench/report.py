@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from polypod import _core, provenance
-from polypod.accuracy import reference, robot
+from polypod.accuracy import reference
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
 from polypod.drawing import pyplot_for, save
@@ -121,7 +121,7 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
         result["scaling_threads"][threads] = rate(num_envs=options.num_envs, threads=threads)
         threads *= 2
     result["scaling_robots"] = {}
-    names = robot.names("velocity_flat")
+    names = _core.task_robots("velocity_flat")
     for count in (1, 2, 4, 8):
         progress(f"{count} different robots")
         result["scaling_robots"][count] = rate(num_envs=options.num_envs, threads=step_threads, robots=names[:count])
@@ -135,7 +135,7 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
 
 def task_of(name: str) -> str:
     """The flat task if it has the robot, else the one that has a reward set for every robot of the library."""
-    return "velocity_flat" if name in robot.names("velocity_flat") else "velocity_flat_legged"
+    return "velocity_flat" if name in _core.task_robots("velocity_flat") else "velocity_flat_legged"
 
 
 def table(result: Mapping[str, Any]) -> str:

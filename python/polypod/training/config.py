@@ -216,7 +216,14 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
         return float(value)
     elif type(value) is expected:
         return value
-    raise _core.ConfigError(f"{where} = {value!r} must be of type {getattr(expected, '__name__', expected)}")
+    raise _core.ConfigError(f"{where} = {value!r} must be of type {_named(expected)}")
+
+
+def _named(expected: Any) -> str:
+    """A type in words; a value that may be left out is of the types that it has where it is given."""
+    if isinstance(expected, types.UnionType):
+        return " or ".join(_named(some) for some in get_args(expected) if some is not type(None))
+    return str(getattr(expected, "__name__", expected))
 
 
 CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.")
