@@ -35,4 +35,4 @@ def test_train_and_evaluate_a_robot_of_ones_own(cli, tmp_path):
 
 def test_train_and_evaluate_on_a_task_of_ones_own(cli, tmp_path):
     (tmp_path / "mine.toml").write_text('extends = "velocity_flat"\nname = "My-Task-v0"\nrobots = ["spot"]\n')
-    assert trained_and_evaluated(cli, tmp_path, "--task", "mine.toml")["task"] == "My-Task-v0"
+    assert trained_and_evaluated(cli, tmp_path, "--task", "mine.toml")["task"] == "My-Task-Play-v0"

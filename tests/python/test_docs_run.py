@@ -232,6 +232,8 @@ def check_command(words: list[str], page: str) -> None:
             assert arguments == ["clone", repository["repository"]], shlex.join(words)
         case "cd":
             assert f"/{arguments[0]} && cd {arguments[0]}" in page, "only into what was just cloned"
+        case ".venv/bin/pytest":
+            assert all((ROOT / file).is_file() for file in arguments), shlex.join(words)
         case "cp" | "mkdir" | "tar" | "ray" | "pip" | "uvx" | "podman" | ".venv/bin/tensorboard":
             pass
         case ".venv/bin/python" | "python":

@@ -42,7 +42,8 @@ STUBS = of_stub()
 
 def public_members() -> list[str]:
     """Names of what `_core` has, sorted: pyo3 has them in another order in every process."""
-    names = [name for name in vars(_core) if not name.startswith("_")]
+    # a constant is a number, which carries no docstring
+    names = [name for name, value in vars(_core).items() if not name.startswith("_") and callable(value)]
     classes = [name for name in names if inspect.isclass(getattr(_core, name))]
     members = [
         f"{name}.{member}" for name in classes for member in vars(getattr(_core, name)) if not member.startswith("_")
