@@ -136,7 +136,7 @@ impl Draw {
             Operation::Scale => BodyFactor::MOST,
             Operation::Add | Operation::Abs => Gain::MOST,
         };
-        if let Some(beyond) = distribution_params.iter().find(|x| !(x.abs() <= most)) {
+        if let Some(beyond) = distribution_params.iter().find(|x| x.is_nan() || x.abs() > most) {
             return Err(format!(
                 "{} is beyond {}; write numbers from -{} to {}",
                 Shown(*beyond),

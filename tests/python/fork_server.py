@@ -127,7 +127,7 @@ def _serve() -> None:
 
 
 def _become_polypod(
-    words: list[str], call: dict[str, Any] | None, folder: str, seconds: float, memory: int, user: int | None
+    words: list[str], folder: str, seconds: float, memory: int, user: int | None, call: dict[str, Any] | None = None
 ) -> None:
     import polypod.__main__
 

@@ -178,7 +178,7 @@ def test_a_student_learns_what_its_teacher_does(tmp_path, monkeypatch):
         (['train.obs_groups.actor=["critic"]'], "a policy sees the group policy alone"),
         (["train.actor.class_name=RNNModel"], "rnn_type is missing"),
         (["train.actor.rnn_type=gru"], "rnn_type is of recurrent networks"),
-        (["train.rnd={weight=0.0}"], "must be greater than 0"),
+        (["train.rnd={weight=0.0}"], "must be from 1e-12"),
         (["train.rnd={wait=1.0}"], "unknown key 'wait'; did you mean 'weight'"),
         (['train.distillation={teacher="none.pt", gradient_length=4}'], "cannot read"),
         (['train.distillation={teacher="none.pt", loss_type="l1"}'], "not one of mse, huber"),
