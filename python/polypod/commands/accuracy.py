@@ -34,7 +34,7 @@ class Accuracy:
             kept = f"; {' and '.join(map(str, documents))} left unchanged" if documents else ""
             print(f"beyond the bounds of python/polypod/accuracy/bounds.py{kept}:", *broken, sep="\n", file=sys.stderr)
             return 1
-        for document, text in ((self.out, tables), (self.readme, summary)):
-            if document is not None:
-                report.replace_block(document, text)
+        for written, text in ((self.out, tables), (self.readme, summary)):
+            if written is not None:
+                report.replace_block(written, text)
         return 0

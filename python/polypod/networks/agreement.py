@@ -9,6 +9,7 @@ import contextlib
 import copy
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -88,7 +89,9 @@ def untouched(module: torch.nn.Module) -> Iterator[None]:
     moved = [(tensor, tensor.data, tensor.grad) for tensor in tensors if tensor.device.type != "cpu"]
     # a compiled part has no tables, and replaces none of its tensors
     parts = [part for part in module.modules() if not isinstance(part, torch.jit.ScriptModule)]
-    places = [(table, dict(table)) for part in parts for table in (part._parameters, part._buffers)]
+    places: list[tuple[Any, dict[str, Any]]] = [
+        (table, dict(table)) for part in parts for table in (part._parameters, part._buffers)
+    ]
     learnt = [(tensor, tensor.requires_grad) for tensor in tensors]
     buffers = [(buffer, buffer.detach().clone()) for buffer in module.buffers()]
     devices = sorted({tensor.device.index or 0 for tensor, _, _ in moved if tensor.device.type == "cuda"})

@@ -69,7 +69,7 @@ class OnnxNetwork(torch.nn.Module):
         """Actions and next states for observations and states. Raises ConfigError for outputs of other sizes."""
         feed = {self.input: np.ascontiguousarray(observations.numpy(), dtype=np.float32)}
         rows = len(observations)
-        wanted = {self.output: (rows, self.num_actions)}
+        wanted: dict[str, tuple[int, ...]] = {self.output: (rows, self.num_actions)}
         wanted |= {output_of(name): (shape[0], rows, *shape[1:]) for name, shape in self.states.items()}
         found = self._session.run(list(wanted), feed | dict(states))
         for (output, shape), value in zip(wanted.items(), found, strict=True):

@@ -156,8 +156,8 @@ def render(
         robots = [robot for robot, distance in zip(robots, away, strict=True) if distance < relief.RADIUS]
     sunk: list[Mesh] = []
     for place in scene.obstacle_places(frame):
-        for part in scene.obstacles:
-            placed = part.moved(place, (1.0, 0.0, 0.0, 0.0))
+        for obstacle in scene.obstacles:
+            placed = obstacle.moved(place, (1.0, 0.0, 0.0, 0.0))
             if scene.ground is None:
                 placed, below = placed.split()
                 sunk.append(below)
