@@ -78,7 +78,7 @@ def case(result: Any) -> str:
 
 
 def exceeded(*results: object) -> list[str]:
-    """What of these comparisons exceeds a bound, in words."""
+    """Names the figures of these comparisons that exceed a bound, in words."""
     return [
         f"{name}: {bound.quantity}, {bound.measured}: {bound.text(figure)} exceeds {bound.limit}"
         for bound in BOUNDS

@@ -45,7 +45,7 @@ class StepResponse:
 
 @dataclasses.dataclass(frozen=True)
 class Jumps:
-    """What a robot is asked to follow, and how it does with ever smaller steps."""
+    """Targets of a robot, and its answers at ever smaller steps."""
 
     targets: Array
     """[jumps, joints]: one joint after the other is off its default position, rad."""

@@ -66,7 +66,7 @@ class Report:
         return max(figures, key=lambda figure: math.inf if math.isnan(figure[1]) else figure[1], default=None)
 
     def broken(self) -> list[str]:
-        """What exceeds its bound, in words."""
+        """Names the figures that exceed their bounds, in words."""
         remedy = "let its config say why only a policy can balance it, in `needs_policy`, or give it gains that hold it"
         return exceeded(*self.results()) + [f"{name}: falls in its default pose; {remedy}" for name in self.fallen]
 
