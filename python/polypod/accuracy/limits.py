@@ -24,7 +24,7 @@ from polypod.accuracy.robot import Actuators, Array
 SPARE_SPEED = 20.0
 """Speed that a joint may gain in a step without passing its position limit unnoticed, rad/s or m/s."""
 SPARE_ACCELERATION = 1000.0
-"""Largest acceleration of a joint by motors and gravity, rad/s^2 or m/s^2. A contact may give it any speed within a step."""
+"""Largest acceleration of a joint by motors and gravity, rad/s^2 or m/s^2. A contact may give it more."""
 SUBSTEPS = 10
 """Steps of `implicitfast` in place of one of `RK4`."""
 EVERYWHERE = 1e9
