@@ -144,7 +144,10 @@ def urdf_changed(draw: random.Random, text: str) -> bytes:
         elif kind == 6 and element.attrib:
             del element.attrib[draw.choice(list(element.attrib))]
         elif kind == 7:
-            draw.choice(parents).append(child)
+            place = draw.choice(parents)
+            # within itself it would make a circle, which no text can hold
+            if place not in child.iter():
+                place.append(child)
         elif kind == 8:
             links = [link.get("name", "") for link in root.iter("link")] or [""]
             for end in draw.sample(["parent", "child"], draw.choice((1, 2))):

@@ -89,6 +89,14 @@ def test_a_tensor_that_is_no_array_of_weights(kind, cli, tmp_path):
     assert "size mismatch" in message or KEY in message
 
 
+@pytest.mark.filterwarnings("ignore:.*nested tensors.*")
+def test_a_nested_tensor_is_refused_before_its_shape_is_read():
+    """It has none. torch 2.11 reads one as weights, torch 2.15 does not."""
+    nested = torch.nested.nested_tensor([torch.zeros(2), torch.zeros(3)])
+    with pytest.raises(polypod.ConfigError, match="a kind that no checkpoint holds"):
+        run_dir._check_plain(nested, KEY)
+
+
 @pytest.mark.filterwarnings("error")  # a warning is a line more
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("kind", ["sparse", "repeated"])

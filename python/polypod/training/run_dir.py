@@ -232,8 +232,8 @@ def _check_plain(tensor: torch.Tensor, place: str) -> None:
 
     A few bytes can stand for an array that no memory holds: one of a sparse layout, or one that repeats its numbers.
     """
-    shape = list(tensor.shape)
-    if type(tensor) not in (torch.Tensor, torch.nn.Parameter) or tensor.layout is not torch.strided:
+    is_ordinary = type(tensor) in (torch.Tensor, torch.nn.Parameter) and not tensor.is_nested
+    if not is_ordinary or tensor.layout is not torch.strided:
         raise _core.ConfigError(f"{place} is a tensor of a kind that no checkpoint holds; use another file")
     if tensor.dtype not in _DTYPES or tensor.device.type == "meta":
         raise _core.ConfigError(
@@ -241,7 +241,7 @@ def _check_plain(tensor: torch.Tensor, place: str) -> None:
         )
     if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
         raise _core.ConfigError(
-            f"{place} has the shape {shape}, but fewer numbers in the file than that; use another file"
+            f"{place} has the shape {list(tensor.shape)}, but fewer numbers in the file than that; use another file"
         )
 
 
