@@ -144,6 +144,7 @@ class Viewer:
         """Moves everything to where it is in a frame."""
         self._shown = frame
         self._turn_names()
+        self._first_shot = self._opening()
         scan = self.player.sim.height_scan() if self.shows_scan else None
         with self._server.atomic():
             # a page that gets a frame in pieces gets the robots' places first
@@ -167,7 +168,7 @@ class Viewer:
             return
         self._target = self._middle()
         self._world.position = -self._target
-        position, target = self._opening()
+        self._first_shot = position, target = self._opening()
         camera = self._server.initial_camera
         camera.position, camera.look_at, camera.fov = position, target, FIELD_OF_VIEW
         for client in self._server.get_clients().values():
@@ -310,9 +311,12 @@ class Viewer:
             self._face = float(np.arctan2(back[1], back[0]))
 
     def _welcome(self, client: Any) -> None:
-        """A new page begins with what is followed in its middle."""
+        """A new page begins with what is followed in its middle.
+
+        viser calls this in a thread of its own, while another player may be opened: the shot is computed elsewhere.
+        """
         with contextlib.suppress(AssertionError):
-            client.camera.position, client.camera.look_at = self._opening()
+            client.camera.position, client.camera.look_at = self._first_shot
 
 
 def _url(host: str, port: int) -> str:
