@@ -27,7 +27,7 @@ class Train:
     train_config: Name = None
     """Name of a train config (`polypod list train_configs`), or the path of a .toml. Default: flat."""
     learner: Annotated[Learner | None, arg(metavar="{auto,native,rsl_rl}")] = None
-    """What learns: the native learner, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons, and rsl_rl for
+    """The learner: the native one, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons, and rsl_rl for
     all other networks and for --terms. Default: the train config's. A resumed run may go on with the other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
     """Where the curves go. wandb and neptune need their package and account; TensorBoard's files are written too."""

@@ -18,7 +18,7 @@ _ELEMENTS = {"vector": ("x", "y", "z"), "pseudovector": ("x", "y", "z"), "planar
 
 
 def of_observation(terms: Sequence[Term], action_names: Sequence[str], run_path: str, step_dt: float) -> dict[str, str]:
-    """What holds for all robots: the columns of the observation and of the action.
+    """Entries for all robots: the columns of the observation and of the action.
 
     `observation_clips` holds `low:high` per term, or nothing where it has no limits; `observation_offsets` is
     subtracted first, `observation_scales` multiplies last. `observation_columns` and `action_names` have a name per

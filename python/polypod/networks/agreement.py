@@ -81,7 +81,7 @@ def difference(given: Sequence[npt.NDArray[np.float32]], wanted: Sequence[Expect
 def untouched(module: torch.nn.Module) -> Iterator[None]:
     """Lends a module for evaluation on the CPU, and gives it back as it was, also after an error.
 
-    What is put back: the mode of each of its parts, devices, gradients, the values of buffers, and torch's random
+    It puts back the mode of each of its parts, devices, gradients, the values of buffers, and torch's random
     streams.
     """
     modes = [(part, part.training) for part in module.modules()]

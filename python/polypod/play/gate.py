@@ -1,4 +1,4 @@
-"""Who may use the page, and what it may send: checked in one place, before viser reads anything.
+"""Checks who uses the page and what it sends, in one place, before viser reads anything.
 
 A browser lets every web page open a WebSocket to this machine. Three rules keep strangers out:
 

@@ -239,7 +239,7 @@ class _Canvas:
             self._queue.append((float(depth.mean()), points, color, 0))
 
     def pit(self, outline: Array, solids: Sequence[Mesh], color: Color) -> None:
-        """What is seen of solids below the ground through an opening [n, 3] in it, drawn at once."""
+        """Draws the solids below the ground that are seen through an opening [n, 3] in it."""
         pixels, depth = self.lens.project(outline)
         if depth.min() <= NEAR:
             return
