@@ -5,13 +5,15 @@
 use crate::components::EnvRng;
 use crate::config::{Distribution, Draw, Operation};
 
-/// A value after a draw; not below 0.
-pub(super) fn apply(draw: &Draw, value: f32, rng: &mut EnvRng) -> f32 {
+/// A joint's value after a draw; not below 0. `effort` is the joint's largest, N m.
+pub(super) fn apply(draw: &Draw, value: f32, effort: f32, rng: &mut EnvRng) -> f32 {
     let x = number(draw, rng);
     let new = match draw.operation {
         Operation::Add => value + x,
         Operation::Scale => value * x,
         Operation::Abs => x,
+        Operation::AddEffortShare if effort.is_finite() => x.mul_add(effort, value),
+        Operation::AddEffortShare => value,
     };
     new.max(0.0)
 }

@@ -11,7 +11,7 @@ use crate::bounds::MAX_BUCKETS;
 use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
 use crate::config::quantities::{Angle, BodyFactor, Power, Strength};
 use crate::config::{Distribution, Draw, Operation, values};
-use crate::dynamics::ActuatorNetwork;
+use crate::dynamics::{ActuatorNetwork, Parameters, SharedArray};
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
 use crate::rows::Rows;
@@ -131,16 +131,17 @@ impl TryFrom<UncheckedGains> for ActuatorGains {
     }
 }
 
-/// Draws for armature and dry friction of each joint: the robots' own, or the task's.
+/// Draws for armature, dry friction and viscous friction of each joint: the robots' own, or the task's.
 #[derive(Deserialize)]
 #[serde(try_from = "UncheckedJoints")]
-struct JointParameters(Source<[Option<Draw>; 2]>);
+struct JointParameters(Source<[Option<Draw>; 3]>);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct UncheckedJoints {
     armature_distribution_params: Option<[f64; 2]>,
     friction_distribution_params: Option<[f64; 2]>,
+    viscous_friction_distribution_params: Option<[f64; 2]>,
     operation: Option<Operation>,
     distribution: Option<Distribution>,
 }
@@ -149,7 +150,8 @@ impl TryFrom<UncheckedJoints> for JointParameters {
     type Error = String;
 
     fn try_from(p: UncheckedJoints) -> Result<Self, String> {
-        let params = [p.armature_distribution_params, p.friction_distribution_params];
+        let params =
+            [p.armature_distribution_params, p.friction_distribution_params, p.viscous_friction_distribution_params];
         sampling::of_task(params, p.operation, p.distribution).map(Self)
     }
 }
@@ -267,30 +269,37 @@ fn randomize_actuator_gains(p: &ActuatorGains, body: &mut NewBody, rng: &mut Env
         Source::Robot => [Some(own.stiffness), Some(own.damping)],
         Source::Task(draws) => *draws,
     };
-    each_joint(stiffness, &mut body.parameters.stiffness, rng);
-    each_joint(damping, &mut body.parameters.damping, rng);
+    each_joint(stiffness, body, |p| &mut p.stiffness, rng);
+    each_joint(damping, body, |p| &mut p.damping, rng);
     // networks have no gains, whatever was drawn
     for &joint in body.morphology.networks.iter().flat_map(ActuatorNetwork::joints) {
         (body.parameters.stiffness[joint], body.parameters.damping[joint]) = (0.0, 0.0);
     }
 }
 
-/// Armature and dry friction of each joint for itself.
+/// Armature, dry friction and viscous friction of each joint for itself.
 fn randomize_joint_parameters(p: &JointParameters, body: &mut NewBody, rng: &mut EnvRng) {
     let own = &body.morphology.config.randomization;
-    let [armature, friction] = match &p.0 {
-        Source::Robot => [Some(own.armature), Some(own.joint_friction)],
+    let [armature, friction, viscous] = match &p.0 {
+        Source::Robot => [Some(own.armature), Some(own.joint_friction), own.joint_damping],
         Source::Task(draws) => *draws,
     };
-    each_joint(armature, &mut body.parameters.armature, rng);
-    each_joint(friction, &mut body.parameters.joint_friction, rng);
+    each_joint(armature, body, |p| &mut p.armature, rng);
+    each_joint(friction, body, |p| &mut p.joint_friction, rng);
+    each_joint(viscous, body, |p| &mut p.joint_damping, rng);
 }
 
-fn each_joint(draw: Option<Draw>, values: &mut [f32], rng: &mut EnvRng) {
-    if let Some(draw) = draw {
-        for value in values {
-            *value = sampling::apply(&draw, *value, rng);
-        }
+/// A list of numbers of joints.
+type JointList = fn(&mut Parameters<f32>) -> &mut SharedArray<f32>;
+
+fn each_joint(draw: Option<Draw>, body: &mut NewBody, list: JointList, rng: &mut EnvRng) {
+    let Some(draw) = draw else {
+        return;
+    };
+    for joint in 0..body.morphology.topology.num_joints() {
+        let effort = body.morphology.max_effort(joint, body.parameters);
+        let value = &mut list(body.parameters)[joint];
+        *value = sampling::apply(&draw, *value, effort, rng);
     }
 }
 

@@ -436,6 +436,35 @@ fn other_distributions_and_operations_are_isaac_labs() {
 }
 
 #[test]
+fn joints_get_viscous_friction_in_proportion_to_their_effort() {
+    let event = "events.randomize_joint_parameters";
+    let params = format!("{event}.viscous_friction_distribution_params=[0.0, 0.06]");
+    let operation = format!("{event}.operation=add_effort_share");
+    for robot in ["unitree_go2", "solo12"] {
+        let options = options(robot, &["randomize_joint_parameters"], &[&params, &operation], 4);
+        let mut sim = Sim::new(&options).unwrap();
+        let model = sim.morphologies()[0].clone();
+        let (nominal, bodies) = (&model.nominal, bodies(&mut sim));
+        let columns = [0, 5, 11].map(|j| {
+            let effort = model.max_effort(j, nominal);
+            let share = |b: &Body| f64::from((b.0.joint_damping[j] - nominal.joint_damping[j]) / effort);
+            column(format!("{robot}, viscous friction {j}"), [0.0, 0.06], bodies.iter().map(share).collect())
+        });
+        columns.iter().for_each(assert_uniform);
+        assert_independent(&columns);
+        let kept = |b: &Body| b.0.armature == nominal.armature && b.0.joint_friction == nominal.joint_friction;
+        assert!(bodies.iter().all(kept), "{robot}: quantities without a range were drawn");
+    }
+    // a robot's own range, in its unit
+    let own = "robot_overrides.unitree_go2.randomization.joint_damping";
+    let more = [format!("{own}.operation=abs"), format!("{own}.distribution_params=[0.1, 0.3]")];
+    let more = [more[0].as_str(), more[1].as_str()];
+    let mut sim = Sim::new(&options("unitree_go2", &["randomize_joint_parameters"], &more, 4)).unwrap();
+    let drawn = bodies(&mut sim).iter().map(|b| f64::from(b.0.joint_damping[7])).collect();
+    assert_uniform(&column("viscous friction", [0.1, 0.3], drawn));
+}
+
+#[test]
 fn body_events_at_resets_start_from_what_startup_left() {
     let event = "events.randomize_actuator_gains";
     let mode = format!("{event}.mode=reset");

@@ -29,6 +29,9 @@ pub struct RandomizationConfig {
     pub armature: Draw,
     /// Dry friction of each joint, N m. Default: as it is.
     pub joint_friction: Draw,
+    /// Viscous friction of each joint, N m s/rad. Default: as it is, and nothing is drawn.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joint_damping: Option<Draw>,
     /// Share of its torque that each motor gives. Default: all.
     #[serde(deserialize_with = "values::range_of::<Strength, _, _>")]
     pub motor_strength: [f64; 2],
@@ -54,6 +57,7 @@ impl Default for RandomizationConfig {
             damping: Draw::default(),
             armature: Draw::default(),
             joint_friction: Draw::default(),
+            joint_damping: None,
             motor_strength: [1.0, 1.0],
             external_force: [0.0, 0.0],
             external_torque: [0.0, 0.0],
@@ -77,7 +81,7 @@ pub struct BaseComOffset {
     pub z: [f64; 2],
 }
 
-/// What a drawn number does to a value; names and meaning are Isaac Lab's.
+/// What a drawn number does to a value; names and meaning are Isaac Lab's, but for `add_effort_share`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Operation {
@@ -88,6 +92,9 @@ pub enum Operation {
     Scale,
     /// Replaces it.
     Abs,
+    /// Times the joint's largest effort it is added: one range fits small and large robots. A joint whose effort is unlimited keeps
+    /// its value.
+    AddEffortShare,
 }
 
 /// How a number is drawn; names and meaning are Isaac Lab's.
@@ -111,7 +118,8 @@ pub struct Draw {
     pub operation: Operation,
     /// How it is drawn. Default: uniform.
     pub distribution: Distribution,
-    /// Lower and upper end, or mean and standard deviation; in the value's unit unless it is a factor.
+    /// Lower and upper end, or mean and standard deviation; in the value's unit, for `scale` without one, and for
+    /// `add_effort_share` in the value's unit per N m.
     pub distribution_params: [f64; 2],
 }
 
@@ -133,7 +141,7 @@ impl Draw {
     ) -> Result<Self, String> {
         let [a, b] = distribution_params;
         let most = match operation {
-            Operation::Scale => BodyFactor::MOST,
+            Operation::Scale | Operation::AddEffortShare => BodyFactor::MOST,
             Operation::Add | Operation::Abs => Gain::MOST,
         };
         if let Some(beyond) = distribution_params.iter().find(|x| x.is_nan() || x.abs() > most) {
