@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from polypod import _core
 from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, thread_count, write_json
@@ -10,7 +10,7 @@ from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, chec
 
 @dataclasses.dataclass(frozen=True)
 class Eval:
-    """Measure a trained policy: no noise, no pushes, one full episode per env."""
+    """Measure a trained policy and say which robots walk: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
@@ -24,10 +24,12 @@ class Eval:
     episodes: int = 1
     """Episodes per env."""
     steps: Count = None
-    """Control steps per episode. Default: a whole one."""
+    """Control steps per episode. Default: 20 s, or a whole one."""
+    commands: Literal["walking", "task"] = "walking"
+    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; or commands as
+    the task draws them."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
-    """Let each episode hold one command of so many forward and left velocities and yaw rates. Default: commands as the
-    task draws them."""
+    """Instead, let each episode hold one command of so many forward and left velocities and yaw rates."""
     randomized: bool = False
     """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
@@ -67,6 +69,7 @@ class Eval:
             threads=threads,
             overrides=list(self.set),
             grid=self.grid,
+            commands=self.commands,
             randomized=self.randomized,
         )
         summary = summarize(evaluations)

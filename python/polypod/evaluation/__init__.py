@@ -2,9 +2,10 @@
 
 from polypod.evaluation.checkpoints import command, evaluate_checkpoint, evaluate_checkpoints
 from polypod.evaluation.policies import Policy, load_network, load_policy
-from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult, walks
+from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult
 from polypod.evaluation.rollout import ENVS_PER_ROBOT, evaluate, play_task, undisturbed
 from polypod.evaluation.seeds import CONFIDENCE, Interval, Summary, summarize
+from polypod.evaluation.walking import Walking, walks, why_not
 
 __all__ = [
     "CONFIDENCE",
@@ -17,6 +18,7 @@ __all__ = [
     "RobotResult",
     "Summary",
     "TileResult",
+    "Walking",
     "command",
     "evaluate",
     "evaluate_checkpoint",
@@ -27,4 +29,5 @@ __all__ = [
     "summarize",
     "undisturbed",
     "walks",
+    "why_not",
 ]

@@ -65,6 +65,8 @@ def command(evaluation: Evaluation) -> str:
         "eval",
         *(word for name, value in options.items() if value is not None for word in (name, value)),
     ]
+    if evaluation.commands == "task":
+        words += ["--commands", "task"]
     if evaluation.grid is not None:
         words += ["--grid", *map(str, evaluation.grid)]
     if evaluation.randomized:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.evaluation.walking import Walking
 from polypod.provenance import Measured
 
 Array = npt.NDArray[np.float64]
@@ -15,12 +16,6 @@ Array = npt.NDArray[np.float64]
 FOLLOWS = 0.5, 0.2
 """An episode succeeds if the robot stays up and its planar velocity error, averaged over the episode, is at most this
 share of a standing robot's, or this much (m/s)."""
-
-
-WALKS = {"error_vel_xy": 0.20, "fall_rate": 0.05}
-"""Largest planar velocity error, m/s, and share of falls of a robot that walks; it has to turn, too, see `TURNS`."""
-TURNS = 0.7, 0.1
-"""A robot turns if its yaw rate error is at most this share of a standing robot's, or this much (rad/s)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,6 +75,8 @@ class RobotResult:
     """By type of tile, easiest level first; empty where the ground is no generated terrain."""
     commands: list[CommandResult] = dataclasses.field(default_factory=list)
     """By command; empty without a grid of commands."""
+    walking: Walking | None = None
+    """What the definition of walking is judged by; None where the commands were not those of its schedule."""
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
         """Share of the successful episodes on tiles of a type and level, or of all; NaN without any."""
@@ -114,7 +111,7 @@ class Evaluation:
     randomized: bool
     """Whether there was any noise, push or randomisation."""
     grid: tuple[int, int, int] | None
-    """Commands along each axis, where each episode held one; None: drawn as the task draws them."""
+    """Commands along each axis, where each episode held one; None: see `commands`."""
     robots: dict[str, RobotResult]
     checkpoint: dict[str, Any] | None = None
     """Where the policy came from: file, iteration, and the task, robots and seed of its training."""
@@ -122,6 +119,9 @@ class Evaluation:
     """Date, machine and commit; None in files of builds that did not write it."""
     disturbances: list[str] = dataclasses.field(default_factory=list)
     """Keys of the noise, the pushes and the randomisation that were on, see `polypod._core.disturbances`."""
+    commands: str = "task"
+    """How commands came about: "walking" for the schedule of `polypod.evaluation.walking`, "grid", or "task" for
+    commands as the task draws them. Files of builds that did not write it hold the latter two."""
 
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON: None stands for a number that is not finite."""
@@ -133,21 +133,16 @@ class Evaluation:
         """What `as_dict` gave. Raises KeyError or TypeError for anything else."""
         robots = {name: _robot_from(robot) for name, robot in content["robots"].items()}
         grid = tuple(content["grid"]) if content["grid"] is not None else None
-        return cls(**{**content, "grid": grid, "robots": robots})
-
-
-def walks(robot: RobotResult) -> bool:
-    """Whether a robot walks: it follows planar velocities, it turns, and it stays up."""
-    share, slack = TURNS
-    turns = robot.error_vel_yaw <= max(share * robot.still_error_vel_yaw, slack)
-    return turns and all(getattr(robot, key) <= bound for key, bound in WALKS.items())
+        commands = content.get("commands", "task" if grid is None else "grid")
+        return cls(**{**content, "grid": grid, "commands": commands, "robots": robots})
 
 
 def _robot_from(content: Mapping[str, Any]) -> RobotResult:
     numbers = {key: math.nan for key in FIGURES if content[key] is None}
     terrain = {kind: [TileResult(**tile) for tile in tiles] for kind, tiles in content["terrain"].items()}
     commands = [CommandResult(**{**entry, "command": tuple(entry["command"])}) for entry in content["commands"]]
-    return RobotResult(**{**content, **numbers, "terrain": terrain, "commands": commands})
+    walking = Walking.from_dict(content["walking"]) if content.get("walking") is not None else None
+    return RobotResult(**{**content, **numbers, "terrain": terrain, "commands": commands, "walking": walking})
 
 
 def finite(content: Any) -> Any:

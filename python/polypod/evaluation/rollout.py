@@ -1,13 +1,15 @@
 """Running a policy for the figures of an evaluation."""
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.evaluation import measures
+from polypod.evaluation import measures, walking
 from polypod.evaluation.policies import Policy, reset
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.registration import num_robots
@@ -18,6 +20,9 @@ MAX_GRID = 1_000_000
 """Commands of a grid."""
 MAX_STEPS = 10_000_000
 """Control steps of all episodes together: hours, even of few envs."""
+
+Commands = Literal["walking", "task"]
+"""How commands come about: the schedule of `walking`, or drawn as the task draws them."""
 
 Grid = tuple[int, int, int]
 """How many forward velocities, left velocities and yaw rates, each evenly over a robot's range."""
@@ -53,8 +58,11 @@ def evaluate(
     randomized: bool = False,
     slots: Sequence[str] = (),
     trained: Sequence[str] = (),
+    commands: Commands = "walking",
 ) -> Evaluation:
     """Runs a policy in a task's Play variant.
+
+    By default the commands are those that walking is judged by, see `polypod.evaluation.walking`.
 
     Args:
         policy: see `Policy`.
@@ -63,15 +71,18 @@ def evaluate(
         num_envs: number of envs; None: `ENVS_PER_ROBOT` per robot.
         episodes: full episodes per env.
         steps: control steps per episode, when a whole one is too long; an env that still stands then has not fallen.
+            None: a whole one, with the commands of `walking` at most 20 s of it.
         seed: of the first episode; each further one takes the next.
         threads: worker threads; None: one per core.
         overrides: `key=value` pairs for the task's configuration; they come last, and may switch on any noise or event.
-        grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None:
-            commands are drawn as the task draws them.
+        grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None: see
+            `commands`.
         randomized: with the noise, the pushes and the randomisation of the training.
         slots: names of the policy's actions, where it knows more robots than are here.
         trained: `key=value` pairs that the policy was trained with; their noise and events are on with `randomized`
             alone.
+        commands: "walking" for the schedule that walking is judged by, "task" for commands as the task draws them;
+            without effect with a grid.
 
     Raises:
         ConfigError: for an unknown task or robot, for counts below one, and for more than `MAX_STEPS` control steps.
@@ -79,6 +90,8 @@ def evaluate(
     for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
         if count is not None and count < 1:
             raise _core.ConfigError(f"{name} = {count} must be at least 1")
+    if commands not in get_args(Commands):
+        raise _core.ConfigError(f"commands = {commands!r}; use one of {', '.join(get_args(Commands))}")
     if grid is not None and np.prod(grid, dtype=object) > MAX_GRID:
         raise _core.ConfigError(f"grid = {grid} has more than {MAX_GRID:,} commands; choose fewer")
     name = play_task(task)
@@ -97,24 +110,32 @@ def evaluate(
         autoreset="disabled",
         slots=list(slots),
     )
-    length = min(steps or sim.max_episode_length, sim.max_episode_length)
+    is_scheduled = grid is None and commands == "walking"
+    longest = walking.episode_steps(sim.step_dt) if is_scheduled else sim.max_episode_length
+    length = min(steps or longest, sim.max_episode_length)
     if episodes * length > MAX_STEPS:
         raise _core.ConfigError(
             f"episodes = {episodes} of {length} control steps are more than {MAX_STEPS:,} steps; "
             "choose smaller --episodes or --steps"
         )
-    commands = _commands(sim, grid) if grid is not None else None
-    runs = []
+    on_grid = _commands(sim, grid) if grid is not None else None
+    runs, records = [], []
     for episode in range(episodes):
         sim.reset(seed + episode)
-        if commands is not None:
+        record, first = None, None
+        if on_grid is not None:
+            first = _held(sim, on_grid, episode)
+        elif is_scheduled:
+            record = walking.Record(walking.schedule_of(sim, length, seed + episode), sim.step_dt)
+            records.append(record)
+            first = record.schedule.at(0)
+        if first is not None:
             # a seed releases the commands, so they are pinned after it; the second reset shows them from the beginning
-            held = _held(sim, commands, episode)
-            sim.set_command(held)
+            sim.set_command(first)
             sim.reset()
         levels, kinds = sim.terrain_tiles()
-        sums = {**_episode(sim, policy, length), "level": levels.astype(np.float64)}
-        runs.append(sums if commands is None else {**sums, "command": held.astype(np.float64)})
+        sums = {**_episode(sim, policy, length, record), "level": levels.astype(np.float64)}
+        runs.append(sums if on_grid is None or first is None else {**sums, "command": first.astype(np.float64)})
     disturbances = _core.disturbances(name, changes)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
     masses = {robot: info["mass"] for robot, info in json.loads(sim.robot_info()).items()}
@@ -123,7 +144,9 @@ def evaluate(
     for robot in sim.robots:
         envs = slice(*sim.env_ids(robot))
         of_robot = {key: value[:, envs] for key, value in figures.items()}
-        results[robot] = robot_result(of_robot, length, sim.step_dt, masses[robot] * gravity, kinds[envs])
+        found = robot_result(of_robot, length, sim.step_dt, masses[robot] * gravity, kinds[envs])
+        asked = walking.kinds_of(sim.command_ranges()[robot])
+        results[robot] = dataclasses.replace(found, walking=walking.figures(records, envs, asked) if records else None)
     return Evaluation(
         task=sim.task_name,
         num_envs=sim.num_envs,
@@ -134,20 +157,27 @@ def evaluate(
         duration_s=length * sim.step_dt,
         randomized=bool(disturbances),
         grid=grid,
+        commands="grid" if grid is not None else commands,
         robots=results,
         disturbances=disturbances,
     )
 
 
-def _episode(sim: _core.VecSim, policy: Policy, length: int) -> dict[str, measures.Array]:
-    """Sums over each env's first episode of what `measures.of_step` gives."""
+def _episode(
+    sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None
+) -> dict[str, measures.Array]:
+    """Sums over each env's first episode of what `measures.of_step` gives; `record` says and sees the commands."""
     sums: dict[str, measures.Array] = {}
     running = np.ones(sim.num_envs, dtype=np.bool_)
     reset(policy)
-    for _ in range(length):
+    for step in range(length):
+        if record is not None and step and record.schedule.changes_at(step):
+            sim.set_command(record.schedule.at(step))
         sim.step(policy(sim.observation))
         for key, value in measures.of_step(sim).items():
             sums[key] = sums.get(key, 0.0) + np.where(running, value, 0.0)
+        if record is not None:
+            record.add(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated)
         done = sim.terminated | sim.truncated
         running &= ~done
         if not running.any():

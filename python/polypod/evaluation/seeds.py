@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
+from polypod.evaluation import walking
 from polypod.evaluation.results import FIGURES, Evaluation, finite
+
+WALKING = tuple(name for name in walking.FIGURES if name not in FIGURES)
+"""Names of the figures of walking that a robot has beside `results.FIGURES`."""
 
 CONFIDENCE = 0.95
 """Of an interval: the share of intervals, computed like this, that hold the true mean."""
@@ -27,7 +31,10 @@ class Interval:
 
 @dataclasses.dataclass(frozen=True)
 class Summary:
-    """Several evaluations as one: per robot an interval for each of `results.FIGURES`."""
+    """Several evaluations as one: per robot an interval for each of `results.FIGURES`.
+
+    Of evaluations with the schedule of walking also for each of `WALKING`.
+    """
 
     evaluations: list[Evaluation]
     robots: dict[str, dict[str, Interval]]
@@ -58,16 +65,19 @@ def summarize(evaluations: Sequence[Evaluation]) -> Summary:
         raise _core.ConfigError("there is no evaluation to summarise")
     first = evaluations[0]
     for other in evaluations[1:]:
-        for key in ("task", "robots", "duration_s", "randomized", "grid"):
+        for key in ("task", "robots", "duration_s", "randomized", "grid", "commands"):
             ours, theirs = (getattr(each, key) for each in (first, other))
             if key == "robots":
                 ours, theirs = list(ours), list(theirs)
             if ours != theirs:
                 raise _core.ConfigError(f"evaluations to compare differ in {key}: {ours} and {theirs}")
-    robots = {
-        robot: {key: interval([getattr(each.robots[robot], key) for each in evaluations]) for key in FIGURES}
-        for robot in first.robots
-    }
+    robots = {}
+    for robot in first.robots:
+        results = [each.robots[robot] for each in evaluations]
+        walks = [result.walking for result in results if result.walking is not None]
+        robots[robot] = {key: interval([getattr(result, key) for result in results]) for key in FIGURES}
+        if len(walks) == len(results):
+            robots[robot] |= {key: interval([getattr(figures, key) for figures in walks]) for key in WALKING}
     return Summary(list(evaluations), robots)
 
 

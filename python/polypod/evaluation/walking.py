@@ -158,6 +158,11 @@ class Schedule:
         return self.commands[step // self.steps_per_segment]
 
 
+def episode_steps(step_dt: float) -> int:
+    """Control steps of an episode of `EPISODE_S`, for control steps of `step_dt`, s."""
+    return math.ceil(EPISODE_S / step_dt - 1e-9)
+
+
 def schedule_of(sim: _core.VecSim, steps: int, seed: int) -> Schedule:
     """`Schedule.draw` for all robots of a simulation, in the order of its envs."""
     ranges, envs = sim.command_ranges(), {robot: sim.env_ids(robot) for robot in sim.robots}

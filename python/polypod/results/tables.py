@@ -9,7 +9,7 @@ import numpy as np
 
 from polypod import _core
 from polypod.documents import table
-from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command
+from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command, walking
 from polypod.evaluation.seeds import Interval, interval
 from polypod.provenance import Measured, sentence
 from polypod.results.runs import Results, Run, final, reached, smoothed
@@ -32,6 +32,17 @@ SMOOTHING = 10
 """Iterations over which a curve is averaged before it counts as having reached a score."""
 _LEGEND = f"±: {CONFIDENCE:.0%} interval over the policies of a group, by Student's t."
 _WIDTH = 100
+_DRAWN = {
+    "task": "commands as the task draws them",
+    "walking": f"a new command every {walking.SEGMENT_S:g} s, with pure turns, side-steps and stops",
+}
+WALKING = {
+    "turn_reached": ("turn", ".0%"),
+    "side_reached": ("side-step", ".0%"),
+    "drift_xy": ("drift (m/s)", ".3f"),
+    "drift_yaw": ("drift (rad/s)", ".3f"),
+}
+"""Figures of `polypod.evaluation.walking` that stand beside `FIGURES`."""
 COMPARED = {
     "error_vel_xy": ("err xy", ".3f"),
     "error_vel_yaw": ("err yaw", ".3f"),
@@ -39,7 +50,7 @@ COMPARED = {
 }
 """Figures that stand side by side for several groups."""
 
-Condition = tuple[str, bool, tuple[int, int, int] | None, float, tuple[str, ...]]
+Condition = tuple[str, bool, tuple[int, int, int] | None, float, tuple[str, ...], str]
 
 
 def document(results: Results, score: float, baseline: str | None) -> str:
@@ -121,6 +132,7 @@ def condition_of(evaluation: Evaluation) -> Condition:
         evaluation.grid,
         evaluation.duration_s,
         tuple(evaluation.overrides),
+        evaluation.commands,
     )
 
 
@@ -129,19 +141,20 @@ def _conditions(runs: Sequence[Run]) -> list[Condition]:
 
 
 def _title(condition: Condition) -> str:
-    task, randomized, grid, _, overrides = condition
+    task, randomized, grid, _, overrides, commands = condition
     parts = [f"`{task}`"]
     parts += [f"{'x'.join(map(str, grid))} commands"] if grid else []
+    parts += ["walking"] if commands == "walking" else []
     parts += ["randomised"] if randomized else []
     parts += [f"{len(overrides)} change{'s' * (len(overrides) > 1)} to the task"] if overrides else []
     return ", ".join(parts)
 
 
 def _conditions_of(condition: Condition) -> str:
-    _, randomized, grid, duration, overrides = condition
+    _, randomized, grid, duration, overrides, commands = condition
     parts = [f"Episodes of {duration:g} s"]
     parts.append("noise, pushes and randomisation as in training" if randomized else "no noise, no pushes")
-    parts.append("each holds one command of the grid" if grid else "commands as the task draws them")
+    parts.append("each holds one command of the grid" if grid else _DRAWN[commands])
     parts += [f"`{change}`" for change in overrides]
     return ", ".join(parts) + "."
 
@@ -239,12 +252,14 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
 
     if len(found) == 1:
         (group,) = found
-        head = ["robot", "episodes", *(label for label, _ in FIGURES.values())]
+        judged = all(result.walking is not None for results in found[group].values() for result in results)
+        extra = [*(label for label, _ in WALKING.values()), "walks"] if judged else []
+        head = ["robot", "episodes", *(label for label, _ in FIGURES.values()), *extra]
         rows = []
         for robot, results in found[group].items():
             episodes = str(sum(result.episodes for result in results))
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
-            rows.append([robot, episodes, *figures])
+            rows.append([robot, episodes, *figures, *(_walking(results) if judged else [])])
         return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
     rows = [
         [robot, *(_cell(values(group, robot, key), form) for group in found for key, (_, form) in COMPARED.items())]
@@ -256,6 +271,14 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
         _wrapped(f"Velocity error (m/s), yaw rate error (rad/s) and falls per episode of {groups}:"),
         table(["robot", *heads], rows),
     ]
+
+
+def _walking(results: Sequence[RobotResult]) -> list[str]:
+    """The cells of `WALKING`, and whether the robot walks or under how many policies."""
+    found = [result.walking for result in results if result.walking is not None]
+    walked = sum(map(walking.walks, found))
+    verdict = ("yes" if walked else "no") if len(found) == 1 else f"{walked} of {len(found)}"
+    return [*(_cell([getattr(each, key) for each in found], form) for key, (_, form) in WALKING.items()), verdict]
 
 
 def _seeds(robots: dict[str, list[RobotResult]]) -> str:

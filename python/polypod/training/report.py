@@ -9,7 +9,7 @@ from datetime import timedelta
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from polypod.evaluation import CONFIDENCE, Evaluation, Interval, Summary
+from polypod.evaluation import CONFIDENCE, Evaluation, Interval, RobotResult, Summary, walking
 from polypod.tables import Rows, console_of_output
 
 _PLAIN_INTERVAL_S = 10.0
@@ -97,29 +97,20 @@ class Reporter:
         table.print(self.console)
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Prints the figures of the deterministic policy per robot."""
+        """Prints the figures of the deterministic policy per robot, and which robots walk."""
+        is_judged = evaluation.commands == "walking"
+        units = "turn: share of a pure turn; drift: when told to stop" if is_judged else "power in W, slip in m/s"
         self.message(
             f"deterministic policy, {_conditions(evaluation)} "
-            "(errors in m/s and rad/s; still: the error of a robot that stands still; power in W, slip in m/s)"
+            f"(errors in m/s and rad/s; still: the error of a robot that stands still; {units})"
         )
-        table = Rows(
-            "robot", *("reward/s", "err xy", "still", "err yaw", "still", "falls", "length", "power", "CoT", "slip")
-        )
-        for robot, result in evaluation.robots.items():
-            table.add_row(
-                robot,
-                f"{result.reward_per_s:.2f}",
-                f"{result.error_vel_xy:.3f}",
-                f"{result.still_error_vel_xy:.3f}",
-                f"{result.error_vel_yaw:.3f}",
-                f"{result.still_error_vel_yaw:.3f}",
-                f"{result.fall_rate:.1%}",
-                f"{result.episode_length_s:.1f} s",
-                f"{result.power:.0f}",
-                f"{result.cost_of_transport:.2f}",
-                f"{result.foot_slip:.2f}",
-            )
+        rows = {robot: (_walking if is_judged else _figures)(result) for robot, result in evaluation.robots.items()}
+        table = Rows("robot", *next(iter(rows.values())))
+        for robot, row in rows.items():
+            table.add_row(robot, *row.values())
         table.print(self.console)
+        if is_judged:
+            self._verdict(evaluation)
         kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
         if not kinds:
             return
@@ -142,6 +133,18 @@ class Reporter:
             table.add_row(str(level), *shares)
         table.print(self.console)
 
+    def _verdict(self, evaluation: Evaluation) -> None:
+        """Says how many robots walk, and of the others why not."""
+        reasons = {
+            robot: walking.why_not(result.walking)
+            for robot, result in evaluation.robots.items()
+            if result.walking is not None
+        }
+        self.message(f"{sum(not found for found in reasons.values())} of {len(reasons)} walk")
+        for robot, found in reasons.items():
+            if found:
+                self.message(f"  {robot}: {'; '.join(found)}")
+
     def summary(self, summary: Summary) -> None:
         """Prints means and intervals over seeds per robot."""
         first, seeds = summary.evaluations[0], len(summary.evaluations)
@@ -151,19 +154,75 @@ class Reporter:
             "still": ("still_error_vel_xy", ".3f"),
             "err yaw": ("error_vel_yaw", ".3f"),
             "still yaw": ("still_error_vel_yaw", ".3f"),
-            "falls": ("fall_rate", ".1%"),
-            "success": ("success_rate", ".1%"),
-            "CoT": ("cost_of_transport", ".2f"),
-            "slip": ("foot_slip", ".2f"),
         }
-        table = Rows("robot", *columns)
+        is_judged = first.commands == "walking"
+        if is_judged:
+            columns |= {
+                "turn": ("turn_reached", ".0%"),
+                "drift": ("drift_xy", ".3f"),
+                "yaw drift": ("drift_yaw", ".3f"),
+                "falls": ("fall_rate", ".1%"),
+            }
+        else:
+            columns |= {
+                "falls": ("fall_rate", ".1%"),
+                "success": ("success_rate", ".1%"),
+                "CoT": ("cost_of_transport", ".2f"),
+                "slip": ("foot_slip", ".2f"),
+            }
+        table = Rows("robot", *columns, *(["walks"] if is_judged else []))
         for robot, figures in summary.robots.items():
-            table.add_row(robot, *(with_interval(figures[key], form) for key, form in columns.values()))
+            cells = [with_interval(figures[key], form) for key, form in columns.values()]
+            if is_judged:
+                results = [each.robots[robot].walking for each in summary.evaluations]
+                walked = sum(result is not None and walking.walks(result) for result in results)
+                cells.append(f"{walked} of {seeds}")
+            table.add_row(robot, *cells)
         table.print(self.console)
+
+
+def walking_cells(figures: walking.Walking) -> dict[str, str]:
+    """The cells of a table of walking, by their headers."""
+    return {
+        "err xy": f"{figures.error_vel_xy:.3f}",
+        "still": f"{figures.still_error_vel_xy:.3f}",
+        "err yaw": f"{figures.error_vel_yaw:.3f}",
+        "still yaw": f"{figures.still_error_vel_yaw:.3f}",
+        "turn": _known(figures.turn_reached, ".0%"),
+        "drift": _known(figures.drift_xy, ".3f"),
+        "yaw drift": _known(figures.drift_yaw, ".3f"),
+        "falls": f"{figures.fall_rate:.1%}",
+        "walks": "yes" if walking.walks(figures) else "no",
+    }
+
+
+def _walking(result: RobotResult) -> dict[str, str]:
+    return walking_cells(result.walking) if result.walking is not None else _figures(result)
+
+
+def _figures(result: RobotResult) -> dict[str, str]:
+    return {
+        "reward/s": f"{result.reward_per_s:.2f}",
+        "err xy": f"{result.error_vel_xy:.3f}",
+        "still": f"{result.still_error_vel_xy:.3f}",
+        "err yaw": f"{result.error_vel_yaw:.3f}",
+        "still yaw": f"{result.still_error_vel_yaw:.3f}",
+        "falls": f"{result.fall_rate:.1%}",
+        "length": f"{result.episode_length_s:.1f} s",
+        "power": f"{result.power:.0f}",
+        "CoT": f"{result.cost_of_transport:.2f}",
+        "slip": f"{result.foot_slip:.2f}",
+    }
+
+
+def _known(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else format(value, form)
 
 
 def with_interval(interval: Interval, form: str) -> str:
     """The mean, and how far the interval reaches to either side."""
+    if math.isnan(interval.mean):
+        return "-"
     if interval.seeds < 2:
         return format(interval.mean, form)
     return f"{interval.mean:{form}} ±{interval.high - interval.mean:{form}}"
@@ -172,7 +231,9 @@ def with_interval(interval: Interval, form: str) -> str:
 def _conditions(evaluation: Evaluation) -> str:
     randomized = f", {_named(evaluation.disturbances)}" if evaluation.randomized else ""
     grid = f", {'x'.join(map(str, evaluation.grid))} commands" if evaluation.grid is not None else ""
-    return f"{evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s{randomized}{grid}"
+    drawn = {"walking": f", a new command every {walking.SEGMENT_S:g} s", "task": ", commands of the task"}
+    commands = grid or drawn.get(evaluation.commands, "")
+    return f"{evaluation.task}, {evaluation.num_envs} envs, {evaluation.duration_s:g} s{randomized}{commands}"
 
 
 def _named(disturbances: Sequence[str]) -> str:

@@ -27,8 +27,6 @@ from polypod.training.schema import RunConfig, TrainConfig
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
-LONGEST_EVALUATION_S = 60.0
-"""Of the episodes after a training, s. Episodes of tasks without time-outs have no end."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,15 +100,13 @@ def train(options: Options) -> int:
         workers.close()
     if not workers.is_first:
         return 0 if runner.stopped_by is None else 128 + runner.stopped_by
-    reporter, sim = runner.reporter, runner.env.unwrapped.sim
-    longest = round(LONGEST_EVALUATION_S / sim.step_dt)
-    steps = longest if sim.max_episode_length > longest else None
+    reporter = runner.reporter
     runner.env.unwrapped.close()
     checkpoint = run_dir.checkpoint_path(run, runner.current_learning_iteration)
     reporter.message(f"checkpoint {checkpoint}")
     if runner.stopped_by is not None:
         return 128 + runner.stopped_by
-    reporter.evaluation(evaluate_checkpoint(checkpoint, steps=steps, threads=options.threads))
+    reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads))
     return 0
 
 
