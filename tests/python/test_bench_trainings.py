@@ -30,15 +30,20 @@ def test_walks_are_looked_for_at_intervals(cli, tmp_path, monkeypatch):
     arguments = ("--train-config", "tiny.toml", "--seeds", "1", "--json", "walk.json", "--plot", "walk.png")
     finished = cli("bench", "--walk", *arguments)
     assert finished.returncode == 0, finished.stderr
-    (run,) = json.loads((tmp_path / "walk.json").read_text())["runs"]
+    content = json.loads((tmp_path / "walk.json").read_text())
+    (run,) = content["runs"]
     assert (run["seed"], run["walked"]) == (42, False)
     assert [point["samples"] for point in run["curve"]] == [128, 256]
-    assert run["curve"][1]["error_vel_xy"] > walking.WALKS["error_vel_xy"]
-    assert 0.0 < run["curve"][1]["still_error_vel_yaw"] < 1.0
-    assert run["curve"][1]["error_vel_yaw"] > 0.0
+    last = run["curve"][1]
+    assert last["walk"] == 0
+    # the second figure is that of a robot which stands still
+    assert last["error_vel_xy"] > 0.5 * last["still_error_vel_xy"] > 0.0
+    assert 0.0 < last["still_error_vel_yaw"] < 1.0
+    assert last["error_vel_yaw"] > 0.0
+    assert content["walks"] == walking.BOUNDS
     assert (tmp_path / "walk.png").stat().st_size > 0
     assert "| 42 | no | 0.0 |" in finished.stdout
-    assert "| worst yaw error (rad/s) | still (rad/s) |" in finished.stdout
+    assert "| worst error (m/s) | still | worst yaw error (rad/s) | still | least turn |" in finished.stdout
 
 
 def test_workers_share_the_cores(cli, tmp_path):

@@ -12,8 +12,8 @@ ENDLESS = ("--set", "sim.episode_length_s=1e9")
     "arguments",
     [
         ("eval", *CHECKPOINT, "--num-envs", "8", "--steps", "1", "--episodes", "2147483648"),
-        ("eval", *CHECKPOINT, "--num-envs", "8", *ENDLESS),
-        ("sim2sim", *CHECKPOINT, "--num-envs", "1", *ENDLESS),
+        ("eval", *CHECKPOINT, "--num-envs", "8", "--commands", "task", *ENDLESS),
+        ("sim2sim", *CHECKPOINT, "--num-envs", "1", "--commands", "task", *ENDLESS),
     ],
     ids=["episodes", "eval", "sim2sim"],
 )
@@ -24,12 +24,11 @@ def test_steps_without_end_are_refused(cli, arguments):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_training_of_episodes_without_end_is_evaluated(cli, monkeypatch):
-    from polypod.training import session
-
-    monkeypatch.setattr(session, "LONGEST_EVALUATION_S", 0.1)
+def test_a_training_of_episodes_without_end_is_evaluated(cli):
     done = cli("train", "--logger", "none", "--max-iterations", "1", "--num-envs", "64", "--robots", "spot", *ENDLESS)
     assert done.returncode == 0, done.stderr
+    assert "64 envs, 20 s, a new command every 5 s" in done.stdout
+    assert "0 of 1 walk" in done.stdout
 
 
 def test_a_document_is_no_device(fork_server, tmp_path):

@@ -13,7 +13,7 @@ import polypod
 import polypod.cli
 from common import FLAT_POLICY, SHORT, SMALL_TERRAIN, TASK, size
 from polypod import evaluation
-from polypod.evaluation import measures, plot, seeds
+from polypod.evaluation import measures, plot, seeds, walking
 from polypod.evaluation.results import robot_result
 from polypod.training import report, run_dir
 
@@ -40,7 +40,7 @@ def test_every_env_counts_once():
 def test_figures_are_those_of_the_simulation():
     """Recomputed from a copy of the same episodes, env by env."""
     robots = ["spot", "unitree_a1"]
-    found = evaluation.evaluate(still, TASK, robots=robots, num_envs=8, overrides=SHORT, seed=4)
+    found = evaluation.evaluate(still, TASK, robots=robots, num_envs=8, overrides=SHORT, seed=4, commands="task")
     env = polypod.make(found.task, num_envs=8, robots=robots, seed=4, overrides=SHORT, autoreset="disabled")
     env.reset(seed=4)
     columns = {"base_lin_vel": 0, "base_ang_vel": 3, "velocity_commands": 9}
@@ -93,7 +93,8 @@ def test_counts_are_positive(name, value):
 
 def test_rough_ground_is_told_by_type_and_level():
     """Robots that hold their pose stay up on every platform and follow nothing."""
-    found = evaluation.evaluate(still, "velocity_rough", robots=["unitree_a1"], num_envs=40, steps=100, seed=1)
+    arguments = {"robots": ["unitree_a1"], "num_envs": 40, "steps": 100, "seed": 1, "commands": "task"}
+    found = evaluation.evaluate(still, "velocity_rough", **arguments)
     (result,) = found.robots.values()
     assert set(result.terrain) == {
         *("pyramid_stairs", "pyramid_stairs_inv", "boxes", "random_rough", "hf_pyramid_slope", "hf_pyramid_slope_inv")
@@ -287,22 +288,54 @@ def test_what_a_training_changed_is_on_with_randomized_alone():
     # what is asked for in the evaluation itself is done, and said
     asked = evaluation.evaluate(still, TASK, overrides=[push], **arguments)
     assert (asked.randomized, asked.disturbances) == (True, ["events.push_robot.enabled"])
-    assert report._conditions(asked).endswith("with pushes")
-    assert report._conditions(quiet).endswith("0.5 s")
+    assert report._conditions(asked).endswith("0.5 s, with pushes, a new command every 5 s")
+    assert report._conditions(quiet).endswith("0.5 s, a new command every 5 s")
 
 
-def test_a_robot_that_does_not_turn_does_not_walk():
-    (result,) = evaluation.evaluate(still, TASK, robots=["spot"], num_envs=4, steps=20).robots.values()
-    good = {"error_vel_xy": 0.1, "fall_rate": 0.0, "still_error_vel_yaw": 0.6}
-    for yaw, walks in ((0.1, True), (0.41, True), (0.43, False), (0.6, False)):
-        assert evaluation.walks(dataclasses.replace(result, **good, error_vel_yaw=yaw)) is walks
-    for bad in ({"error_vel_xy": 0.21}, {"fall_rate": 0.06}):
-        assert not evaluation.walks(dataclasses.replace(result, **{**good, **bad}, error_vel_yaw=0.1))
-    # nothing to turn for: what counts is that it does not turn by itself
-    straight = {**good, "still_error_vel_yaw": 0.0}
-    assert evaluation.walks(dataclasses.replace(result, **straight, error_vel_yaw=0.09))
-    assert not evaluation.walks(dataclasses.replace(result, **straight, error_vel_yaw=0.2))
-    assert not evaluation.walks(result)
+def test_the_commands_of_walking_are_given_and_judged():
+    """What the policy sees in each control step is the schedule; the figures of walking are those of the evaluation."""
+    seen = []
+
+    def watch(observations):
+        seen.append(observations[:, 9:12].copy())
+        return still(observations)
+
+    found = evaluation.evaluate(watch, TASK, robots=["spot", "unitree_a1"], num_envs=6, seed=3, episodes=2)
+    assert (found.commands, found.duration_s, found.grid) == ("walking", 20.0, None)
+    told = np.array(seen)
+    assert told.shape == (2000, 6, 3)
+    box = {"lin_vel_x": (-1.0, 1.0), "lin_vel_y": (-1.0, 1.0), "ang_vel_z": (-1.0, 1.0)}
+    for episode, steps in enumerate(np.split(told, 2)):
+        schedule = walking.Schedule.draw(box, 3, 1000, 0.02, 3 + episode)
+        for robot in (slice(0, 3), slice(3, 6)):
+            # an observation has the command of the step before it, as when the task draws a new one
+            wanted = np.repeat(schedule.commands, 250, axis=0)
+            np.testing.assert_array_equal(steps[1:, robot], wanted[:-1])
+            np.testing.assert_array_equal(steps[0, robot], wanted[0])
+    for result in found.robots.values():
+        figures = result.walking
+        for key in ("error_vel_xy", "still_error_vel_xy", "error_vel_yaw", "still_error_vel_yaw", "fall_rate"):
+            assert getattr(figures, key) == pytest.approx(getattr(result, key), rel=1e-6), key
+        assert (figures.episodes, figures.kinds) == (6, walking.KINDS)
+        assert {"share of still", "yaw error", "turn"} <= set(walking.faults(figures))
+        assert not evaluation.walks(figures)
+    assert found.robots["spot"].walking.drift_xy < 0.01
+
+
+def test_a_robot_is_judged_as_it_is_alone_on_any_number_of_threads():
+    arguments = {"num_envs": 4, "seed": 5}
+    (alone,) = evaluation.evaluate(still, TASK, robots=["spot"], threads=1, **arguments).robots.values()
+    many = evaluation.evaluate(still, TASK, robots=["unitree_a1", "spot"], num_envs=8, seed=5, threads=2)
+    assert many.robots["spot"] == alone
+
+
+def test_commands_of_the_task_are_not_judged():
+    found = evaluation.evaluate(still, TASK, robots=["spot"], num_envs=2, steps=5, commands="task")
+    assert found.commands == "task"
+    assert found.robots["spot"].walking is None
+    assert report._conditions(found).endswith("commands of the task")
+    with pytest.raises(polypod.ConfigError, match="commands = 'talking'; use one of walking, task"):
+        evaluation.evaluate(still, TASK, robots=["spot"], num_envs=2, steps=5, commands="talking")
 
 
 def test_pushes_come_with_randomized_unless_switched_off():
@@ -323,7 +356,14 @@ def test_an_evaluation_survives_its_file():
     arguments = {"num_envs": 10, "steps": 5, "overrides": SMALL_TERRAIN}
     rough = evaluation.evaluate(still, "velocity_rough", robots=["spot"], **arguments)
     assert rough.robots["spot"].terrain
-    assert evaluation.Evaluation.from_dict(json.loads(json.dumps(rough.as_dict()))) == rough
+    assert rough.robots["spot"].walking.turn_reached != rough.robots["spot"].walking.turn_reached
+    assert evaluation.Evaluation.from_dict(json.loads(json.dumps(rough.as_dict(), allow_nan=False))) == rough
+    # a file of a build that knew no walking
+    old = found.as_dict()
+    del old["commands"], old["robots"]["spot"]["walking"]
+    assert evaluation.Evaluation.from_dict(old) == found
+    older = {**old, "grid": None}
+    assert evaluation.Evaluation.from_dict(older).commands == "task"
 
 
 def test_quantiles_are_those_of_the_tables():

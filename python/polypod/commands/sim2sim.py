@@ -11,8 +11,7 @@ from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, a
 class Sim2sim:
     """Let the exported policy drive the same robots in MuJoCo, beside polypod; needs the extras export and bench.
 
-    Exit code 3 when a robot falls in more than 5 % of its episodes in MuJoCo, or follows its command by more than
-    0.1 m/s worse than in polypod.
+    Exit code 3 when a robot does not walk in MuJoCo, by the definition that eval judges by.
     """
 
     checkpoint: Path
@@ -25,9 +24,12 @@ class Sim2sim:
     num_envs: int = 32
     """Envs per robot."""
     steps: Count = None
-    """Control steps per episode. Default: a whole one."""
+    """Control steps per episode. Default: 20 s, or a whole one."""
+    commands: Literal["walking", "task"] = "walking"
+    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; or commands as
+    the task draws them."""
     command: Velocity = None
-    """Forward and left velocity (m/s) and yaw rate (rad/s) for all envs. Default: drawn as the task draws them."""
+    """Instead, one forward and left velocity (m/s) and yaw rate (rad/s) for all envs."""
     dt: Annotated[float | None, arg(metavar="S")] = None
     """MuJoCo's physics step, s. Default: the task's, on terrain 0.002."""
     integrator: Literal["implicitfast", "RK4"] = "implicitfast"
@@ -52,6 +54,7 @@ class Sim2sim:
             steps=self.steps,
             seed=self.seed,
             command=self.command,
+            commands=self.commands,
             dt=self.dt,
             integrator=self.integrator,
             friction=self.friction,

@@ -139,6 +139,12 @@ class Schedule:
         return cls(commands, np.full((1, num_envs), kind, dtype="U4"), steps, steps)
 
     @classmethod
+    def elsewhere(cls, num_envs: int, steps: int) -> "Schedule":
+        """Commands that come from elsewhere, control step by control step: `Record.add` is told them."""
+        kinds = np.full((1, num_envs), BOX, dtype="U4")
+        return cls(np.zeros((1, num_envs, 3), dtype=np.float32), kinds, steps, steps)
+
+    @classmethod
     def joined(cls, schedules: Sequence["Schedule"]) -> "Schedule":
         """The schedules of several robots, one after the other, as their envs are in a batch."""
         commands = np.concatenate([each.commands for each in schedules], axis=1)

@@ -166,6 +166,7 @@ def _beside_mujoco(options: Options) -> Iterator["Image"]:
             steps=steps,
             seed=options.seed,
             command=options.command,
+            commands="task",
             overrides=(*aligned_starts(player.config), *options.overrides),
         ),
         watch=watch,

@@ -6,8 +6,6 @@ the `export` and `bench` extras.
 
 from polypod.sim2sim.commands import Commands
 from polypod.sim2sim.run import (
-    MAX_FALL_RATE,
-    MAX_VELOCITY_DIFFERENCE,
     Comparison,
     Figures,
     Options,
@@ -18,8 +16,6 @@ from polypod.sim2sim.run import (
 from polypod.sim2sim.twin import Physics, Twin
 
 __all__ = [
-    "MAX_FALL_RATE",
-    "MAX_VELOCITY_DIFFERENCE",
     "Commands",
     "Comparison",
     "Figures",

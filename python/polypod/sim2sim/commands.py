@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.evaluation.walking import Schedule
+
 Array = npt.NDArray[np.float64]
 
 
@@ -64,19 +66,20 @@ class Commands:
         )
 
     @classmethod
-    def constant(cls, command: npt.ArrayLike, num_envs: int) -> "Commands":
-        """The same forward velocity, left velocity (m/s) and yaw rate (rad/s) for all envs at all times."""
-        x, y, turn = np.asarray(command, dtype=np.float64)
-        no = np.zeros((1, num_envs), dtype=np.bool_)
+    def of(cls, schedule: Schedule) -> "Commands":
+        """Those of a schedule: velocities and yaw rates, no headings."""
+        commands = schedule.commands.astype(np.float64)
+        shape = commands.shape[:2]
+        no = np.zeros(shape, dtype=np.bool_)
         return cls(
-            linear=np.tile([x, y], (1, num_envs, 1)),
-            heading=np.zeros((1, num_envs)),
-            turning=np.full((1, num_envs), turn),
+            linear=commands[..., :2],
+            heading=np.zeros(shape),
+            turning=commands[..., 2],
             holds_heading=no,
             standing=no,
-            steps_per_draw=np.iinfo(np.int64).max,
+            steps_per_draw=schedule.steps_per_segment,
             stiffness=0.0,
-            turn_range=np.full((2, num_envs), turn),
+            turn_range=np.zeros((2, shape[1])),
         )
 
     def at(self, step: int, heading: Array) -> npt.NDArray[np.float32]:

@@ -1,12 +1,13 @@
 """What a user of `polypod sim2sim` sees: progress, and a table with both simulators side by side."""
 
+import math
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from polypod.sim2sim.run import MAX_FALL_RATE, MAX_VELOCITY_DIFFERENCE, Comparison
+from polypod.sim2sim.run import Comparison, Figures
 from polypod.tables import Rows, console_of_output
 
 
@@ -50,11 +51,11 @@ def show(comparison: Comparison) -> None:
         f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
         f"MuJoCo {comparison.mujoco_version}, {physics.integrator} at {1e3 * physics.dt:g} ms, "
         f"friction {physics.friction:g}{', soft contact' if physics.soft_contact else ''} (errors in m/s and rad/s; "
-        "still: of a robot that stands still)",
+        "still: of a robot that stands still; turn: share of a pure turn; drift: when told to stop)",
         markup=False,
     )
-    columns = ("err xy", "MuJoCo", "still", "err yaw", "MuJoCo", "still", "falls", "MuJoCo", "transfers")
-    table = Rows("robot", *columns)
+    columns = ("err xy", "MuJoCo", "still", "err yaw", "MuJoCo", "still", "turn", "MuJoCo", "drift", "MuJoCo")
+    table = Rows("robot", *columns, "falls", "MuJoCo", "transfers")
     for name, robot in comparison.robots.items():
         ours, theirs = robot.polypod, robot.mujoco
         table.add_row(
@@ -65,14 +66,25 @@ def show(comparison: Comparison) -> None:
             f"{ours.error_vel_yaw:.3f}",
             f"{theirs.error_vel_yaw:.3f}",
             f"{ours.still_error_vel_yaw:.3f}",
+            *(_known(figures, "turn_reached", ".0%") for figures in (ours, theirs)),
+            *(_known(figures, "drift_xy", ".3f") for figures in (ours, theirs)),
             f"{ours.fall_rate:.1%}",
             f"{theirs.fall_rate:.1%}",
             "yes" if robot.transfers else "no",
         )
     table.print(console)
-    if not comparison.transfers:
+    for name, robot in comparison.robots.items():
+        if robot.why_not:
+            console.print(f"  {name} in MuJoCo: {'; '.join(robot.why_not)}", markup=False)
+    if not all(robot.is_whole for robot in comparison.robots.values()):
         console.print(
-            f"transfers: falls at most {MAX_FALL_RATE:.0%} in MuJoCo, err xy at most {MAX_VELOCITY_DIFFERENCE:g} m/s "
-            "above polypod's",
+            "judged by what these commands and steps hold of the definition of walking; omit --command, --commands and "
+            "--steps for all of it",
             markup=False,
         )
+
+
+def _known(figures: Figures, key: str, form: str) -> str:
+    """A figure of walking; a dash where it was not measured."""
+    value = math.nan if figures.walking is None else getattr(figures.walking, key)
+    return "-" if math.isnan(value) else format(value, form)

@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from polypod import _core
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
-from polypod.evaluation import Policy, play_task, undisturbed
+from polypod.evaluation import Policy, Walking, play_task, undisturbed, walking
 from polypod.evaluation.policies import reset
+from polypod.evaluation.results import finite
+from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
@@ -25,12 +26,7 @@ from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
-from polypod.sim2sim.twin import Observed, Physics, Twin
-
-MAX_FALL_RATE = 0.05
-"""Of a policy that is taken to transfer."""
-MAX_VELOCITY_DIFFERENCE = 0.1
-"""Of the velocity errors in the two simulators, m/s."""
+from polypod.sim2sim.twin import Physics, Twin
 
 MAX_STEPS = 50_000_000
 """Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
@@ -55,10 +51,12 @@ class Options:
 
     envs_per_robot: int = 32
     steps: int | None = None
-    """Control steps per episode. None: a whole one."""
+    """Control steps per episode. None: a whole one, with the commands of walking at most 20 s of it."""
     seed: int = 0
     command: tuple[float, float, float] | None = None
-    """Forward and left velocity, m/s, and yaw rate, rad/s, for all envs. None: drawn as the task draws them."""
+    """Forward and left velocity, m/s, and yaw rate, rad/s, for all envs. None: see `commands`."""
+    commands: Drawn = "walking"
+    """"walking" for the schedule that walking is judged by, "task" for commands as the task draws them."""
     dt: float | None = None
     """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`."""
     integrator: reference.Integrator = "implicitfast"
@@ -85,6 +83,8 @@ class Figures:
     """m/s, of a robot that stands still; NaN in files of builds that did not write it."""
     still_error_vel_yaw: float = math.nan
     """rad/s, of a robot that stands still."""
+    walking: Walking | None = None
+    """What the definition of walking is judged by; None in files of builds that did not write it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,12 +93,20 @@ class RobotComparison:
 
     polypod: Figures
     mujoco: Figures
+    is_whole: bool = True
+    """Whether all of the definition of walking is asked. A command or a number of steps that was chosen asks what it
+    holds."""
+
+    @property
+    def why_not(self) -> list[str]:
+        """What the robot does not keep in MuJoCo of the definition of walking, with numbers; empty if it transfers."""
+        found = self.mujoco.walking
+        return ["not measured"] if found is None else list(walking.faults(found, self.is_whole).values())
 
     @property
     def transfers(self) -> bool:
-        """Whether the robot falls as seldom and follows as closely in MuJoCo as it has to."""
-        difference = self.mujoco.error_vel_xy - self.polypod.error_vel_xy
-        return self.mujoco.fall_rate <= MAX_FALL_RATE and difference <= MAX_VELOCITY_DIFFERENCE
+        """Whether the robot walks in MuJoCo, by the definition of `polypod.evaluation.walking`."""
+        return not self.why_not
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,9 +132,11 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON."""
         robots = {
-            name: {**dataclasses.asdict(robot), "transfers": robot.transfers} for name, robot in self.robots.items()
+            name: {**dataclasses.asdict(robot), "transfers": robot.transfers, "why_not": robot.why_not}
+            for name, robot in self.robots.items()
         }
-        return {**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots}
+        content: dict[str, Any] = finite({**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots})
+        return content
 
 
 def compare(
@@ -138,8 +148,9 @@ def compare(
 ) -> Comparison:
     """Runs the policy of a checkpoint in both simulators.
 
-    polypod draws the initial states of the task's Play variant; both simulators begin in them. The commands are drawn
-    once, and a heading is held by the same controller from each simulator's own heading.
+    polypod draws the initial states of the task's Play variant; both simulators begin in them. The commands are those
+    that walking is judged by, or drawn once as the task draws them; then a heading is held by the same controller from
+    each simulator's own heading.
 
     Args:
         checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
@@ -176,7 +187,7 @@ def compare(
         model = onnx_graph.robot_model(network, interface, {})
         policy = OnnxPolicy(model.SerializeToString())
         theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
-        results[name] = RobotComparison(polypod=in_polypod[name], mujoco=theirs)
+        results[name] = RobotComparison(in_polypod[name], theirs, episode.is_whole)
     return Comparison(
         command=_command(checkpoint, robots, options),
         task=episode.sim.task_name,
@@ -196,6 +207,7 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
         "--robots": ",".join(robots) if robots is not None else None,
         "--num-envs": options.envs_per_robot,
         "--steps": options.steps,
+        "--commands": options.commands if options.commands != Options.commands else None,
         "--seed": options.seed,
         "--dt": options.dt,
         "--integrator": options.integrator if options.integrator != Options.integrator else None,
@@ -227,7 +239,10 @@ class _Episode:
         )
         self.envs_per_robot = options.envs_per_robot
         self.step_dt = self.sim.step_dt
-        self.steps = min(options.steps or self.sim.max_episode_length, self.sim.max_episode_length)
+        is_scheduled = options.command is None and options.commands == "walking"
+        self.is_whole = is_scheduled and options.steps is None
+        longest = walking.episode_steps(self.step_dt) if is_scheduled else self.sim.max_episode_length
+        self.steps = min(options.steps or longest, self.sim.max_episode_length)
         if self.steps * self.sim.num_envs > MAX_STEPS:
             raise _core.ConfigError(
                 f"{self.sim.num_envs} envs of {self.steps} control steps are more than {MAX_STEPS:,} steps; "
@@ -249,8 +264,13 @@ class _Episode:
         dt = options.dt or (self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN))
         self.physics = Physics(dt, options.integrator, friction, options.soft_contact)
         if options.command is not None:
-            self.commands = Commands.constant(options.command, self.sim.num_envs)
+            self.schedule = walking.Schedule.constant(options.command, self.sim.num_envs, self.steps)
+            self.commands = Commands.of(self.schedule)
+        elif is_scheduled:
+            self.schedule = walking.schedule_of(self.sim, self.steps, options.seed)
+            self.commands = Commands.of(self.schedule)
         else:
+            self.schedule = walking.Schedule.elsewhere(self.sim.num_envs, self.steps)
             self.commands = Commands.draw(
                 task["commands"]["base_velocity"], _ranges(self.sim), self.steps, self.step_dt, options.seed
             )
@@ -262,6 +282,20 @@ class _Episode:
         envs = slice(*self.sim.env_ids(name))
         fields = ("linear", "heading", "turning", "holds_heading", "standing", "turn_range")
         return dataclasses.replace(self.commands, **{key: getattr(self.commands, key)[:, envs] for key in fields})
+
+    def figures(self, name: str, record: walking.Record, envs: slice) -> Figures:
+        """One robot's figures of the envs of a record."""
+        asked = walking.kinds_of(self.sim.command_ranges()[name]) if self.is_whole else None
+        found = record.walking(envs, asked)
+        return Figures(
+            error_vel_xy=found.error_vel_xy,
+            error_vel_yaw=found.error_vel_yaw,
+            fall_rate=found.fall_rate,
+            episode_length_s=float(record.steps[envs].mean() * self.step_dt),
+            still_error_vel_xy=found.still_error_vel_xy,
+            still_error_vel_yaw=found.still_error_vel_yaw,
+            walking=found,
+        )
 
     def delays(self, robot: accuracy_robot.Robot) -> Array:
         """Delays [envs, joints] in physics steps, one draw per env and group of actuators."""
@@ -294,42 +328,12 @@ def heights(sim: _core.VecSim) -> reference.Heights | None:
     return reference.Heights(terrain["heights"], (x, y), terrain["cell"]).widened(MARGIN)
 
 
-class _Sums:
-    """Errors of envs until they fall."""
-
-    def __init__(self, num_envs: int, step_dt: float) -> None:
-        self.step_dt = step_dt
-        self.active = np.ones(num_envs, dtype=np.bool_)
-        self.fell = np.zeros(num_envs, dtype=np.bool_)
-        self.steps, self.xy, self.yaw, self.still_xy, self.still_yaw = (np.zeros(num_envs) for _ in range(5))
-
-    def add(self, commands: npt.NDArray[np.float32], seen: Observed) -> None:
-        self.steps += self.active
-        self.xy += np.where(self.active, np.linalg.norm(commands[:, :2] - seen.velocity, axis=1), 0.0)
-        self.yaw += np.where(self.active, np.abs(commands[:, 2] - seen.yaw_rate), 0.0)
-        self.still_xy += np.where(self.active, np.linalg.norm(commands[:, :2], axis=1), 0.0)
-        self.still_yaw += np.where(self.active, np.abs(commands[:, 2]), 0.0)
-        self.fell |= self.active & seen.fell
-        self.active &= ~seen.fell
-
-    def figures(self, envs: slice) -> Figures:
-        steps = self.steps[envs]
-        return Figures(
-            error_vel_xy=float(np.mean(self.xy[envs] / steps)),
-            error_vel_yaw=float(np.mean(self.yaw[envs] / steps)),
-            fall_rate=float(self.fell[envs].mean()),
-            episode_length_s=float(steps.mean() * self.step_dt),
-            still_error_vel_xy=float(np.mean(self.still_xy[envs] / steps)),
-            still_error_vel_yaw=float(np.mean(self.still_yaw[envs] / steps)),
-        )
-
-
 def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
     sim = episode.sim
     command, width = _columns(sim, "velocity_command")
     given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
     reset(policy)
-    sums = _Sums(sim.num_envs, episode.step_dt)
+    record = walking.Record(episode.schedule, episode.step_dt)
     for step in range(episode.steps):
         heading = np.concatenate([heading_of(sim.qpos(name)) for name in sim.robots])
         commands = episode.commands.at(step, heading)
@@ -341,19 +345,12 @@ def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: W
         )
         observation[:, command] = given
         sim.step(policy(observation))
-        sums.add(
-            commands,
-            Observed(
-                velocity=sim.state("base_lin_vel")[:, :2].astype(np.float64),
-                yaw_rate=sim.state("base_ang_vel")[:, 2].astype(np.float64),
-                fell=sim.terminated.copy(),
-            ),
-        )
+        record.add(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated, commands)
         if watch is not None:
             for name in sim.robots:
                 watch("polypod", name, sim.qpos(name))
         progress("polypod", step + 1, episode.steps)
-    return {name: sums.figures(slice(*sim.env_ids(name))) for name in sim.robots}
+    return {name: episode.figures(name, record, slice(*sim.env_ids(name))) for name in sim.robots}
 
 
 def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
@@ -405,14 +402,16 @@ def _run_mujoco(
     )
     twin.reset(*episode.start[name])
     commands = episode.commands_of(name)
-    sums = _Sums(twin.num_envs, episode.step_dt)
+    envs = slice(*episode.sim.env_ids(name))
+    record = walking.Record(episode.schedule.of_envs(envs), episode.step_dt)
     for step in range(episode.steps):
         wanted = commands.at(step, heading_of(twin.qpos))
-        sums.add(wanted, twin.step(wanted, sums.active))
+        seen = twin.step(wanted, record.active)
+        record.add(seen.velocity, seen.yaw_rate, seen.fell, wanted)
         if watch is not None:
             watch("mujoco", name, twin.qpos)
         progress(name, step + 1, episode.steps)
-    return sums.figures(slice(None))
+    return episode.figures(name, record, slice(None))
 
 
 def _combined_friction(task: dict[str, Any]) -> float:
