@@ -15,7 +15,8 @@ from torch.utils.tensorboard import SummaryWriter
 import polypod
 import polypod.cli
 from polypod import provenance, results
-from polypod.evaluation import Evaluation, RobotResult, TileResult, evaluate
+from polypod.evaluation import Evaluation, RobotResult, TileResult, Walking, evaluate, walking
+from polypod.evaluation.results import finite
 from polypod.results import pictures, runs
 
 ROBOTS = ["anymal_d", "spot"]
@@ -97,9 +98,37 @@ def test_seeds_of_a_group_become_a_mean_and_an_interval(tmp_path):
     assert table["anymal_d"][:2] == ["300", "0.200 ±0.248"]
     assert table["anymal_d"][4:6] == ["0.310 ±0.000", "1.0% ±0.0%"]
     assert table["spot"][1] == "0.200 ±0.000"
-    assert "polypod eval --checkpoint model_9.pt --num-envs 50 --episodes 2 --seed 3" in text
+    assert "polypod eval --checkpoint model_9.pt --num-envs 50 --episodes 2 --seed 3 --commands task" in text
     assert "more of plain" not in text  # three times the same command
     assert rows_of(text, "### Trainings")["plain"] == ["`T-v0`", "2", "3", "0, 1, 2", "9", "0", "-", "0123456"]
+
+
+def walker(**values):
+    figures = {
+        **dict.fromkeys(walking.FIGURES, 0.0),
+        **{"still_error_vel_xy": 0.46, "turn_reached": 0.9, "side_reached": 0.8, "drift_xy": 0.012, "drift_yaw": 0.034},
+    }
+    return Walking(**{"episodes": 100, "duration_s": 20.0, "kinds": walking.KINDS, **figures, **values})
+
+
+def test_walking_is_judged_where_the_files_hold_it(tmp_path):
+    """Beside evaluations with commands of the task, which keep their tables."""
+    for seed, turn in enumerate((0.9, 0.5)):
+        found = {"anymal_d": robot(walking=walker()), "spot": robot(walking=walker(turn_reached=turn))}
+        judged = evaluation(found, commands="walking")
+        old = evaluation({name: robot() for name in ROBOTS})
+        write_run(tmp_path / "plain" / f"seed{seed}", {"judged": judged, "old": old}, seed=seed)
+    text, _ = results.write(results.read(tmp_path))
+    judged, old = text.split(f"### `{PLAY}`")[1:]
+    assert "a new command every 5 s, with pure turns, side-steps and stops" in judged.replace("\n", " ")
+    table = rows_of(judged, "Group plain")
+    assert table["robot"][-5:] == ["turn", "side-step", "drift (m/s)", "drift (rad/s)", "walks"]
+    assert table["anymal_d"][-4:] == ["80% ±0%", "0.012 ±0.000", "0.034 ±0.000", "2 of 2"]
+    assert table["spot"][-1] == "1 of 2"
+    assert "--commands" not in judged
+    assert "commands as the task draws them" in old
+    assert rows_of(old, "Group plain")["robot"][-1] == "foot slip (m/s)"
+    assert "--seed 3 --commands task" in old
 
 
 def test_groups_stand_side_by_side_and_conditions_apart(tmp_path):
@@ -219,6 +248,19 @@ def test_comparisons_with_mujoco_of_several_files_are_one_table(tmp_path):
     assert table["spot"] == ["0.100", "0.100", "0.050", "0.050", "0.0%", "4.7%", "yes"]
     assert table["anymal_d"][-2:] == ["25.0%", "no"]
     assert "polypod sim2sim --robots anymal_d\n# 1 more of robots, likewise\n```" in text
+    assert "its planar error there is at most 0.1 m/s above" in text.replace("\n", " ")
+
+
+def test_comparisons_with_mujoco_say_by_what_a_robot_transfers(tmp_path):
+    content = comparison("spot", 0.0)
+    figures = finite(dataclasses.asdict(walker(drift_xy=math.nan)))
+    for engine in ("polypod", "mujoco"):
+        content["robots"]["spot"][engine] = {**content["robots"]["spot"][engine], "walking": figures}
+    (tmp_path / "spot.json").write_text(json.dumps(content))
+    text, _ = results.write(results.read(tmp_path))
+    assert "A robot transfers if it walks in MuJoCo." in text.replace("\n", " ")
+    table = rows_of(text, "### polypod beside MuJoCo")
+    assert table["spot"][4:] == ["90%", "90%", "-", "-", "0.0%", "0.0%", "yes"]
 
 
 def test_the_command_writes_document_and_pictures(tmp_path, capsys):

@@ -10,7 +10,7 @@ from polypod.results.runs import Results, read
 MARK = "results"
 """Name of the part of a document that holds the tables."""
 DEFAULT_SCORE = 0.25
-"""Velocity error, m/s, of an exploring policy that counts as walking: a third of a standing robot's."""
+"""Velocity error, m/s, of an exploring policy to which iterations are counted: a third of a standing robot's."""
 
 __all__ = ["DEFAULT_SCORE", "MARK", "Results", "read", "write"]
 

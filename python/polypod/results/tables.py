@@ -43,6 +43,12 @@ WALKING = {
     "drift_yaw": ("drift (rad/s)", ".3f"),
 }
 """Figures of `polypod.evaluation.walking` that stand beside `FIGURES`."""
+_TRANSFERS = {
+    True: "A robot transfers if it walks in MuJoCo.",
+    False: "A robot transfers if it falls in at most 5 % of the episodes in MuJoCo and its planar error there is at "
+    "most 0.1 m/s above polypod's.",
+}
+"""By whether the files hold the figures of walking: those of builds before it judge by another bound."""
 COMPARED = {
     "error_vel_xy": ("err xy", ".3f"),
     "error_vel_yaw": ("err yaw", ".3f"),
@@ -58,7 +64,7 @@ def document(results: Results, score: float, baseline: str | None) -> str:
 
     Args:
         results: a folder's content.
-        score: velocity error, m/s, that counts as walking.
+        score: velocity error, m/s, whose reaching is counted in iterations.
         baseline: group whose final error is the score instead, robot by robot.
 
     Raises:
@@ -252,7 +258,7 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
 
     if len(found) == 1:
         (group,) = found
-        judged = all(result.walking is not None for results in found[group].values() for result in results)
+        judged = all(_judged(results) for results in found[group].values())
         extra = [*(label for label, _ in WALKING.values()), "walks"] if judged else []
         head = ["robot", "episodes", *(label for label, _ in FIGURES.values()), *extra]
         rows = []
@@ -261,11 +267,19 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
             rows.append([robot, episodes, *figures, *(_walking(results) if judged else [])])
         return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
-    rows = [
-        [robot, *(_cell(values(group, robot, key), form) for group in found for key, (_, form) in COMPARED.items())]
-        for robot in _robots(found)
+    judged = {group: all(_judged(results) for results in robots.values()) for group, robots in found.items()}
+    rows = []
+    for robot in _robots(found):
+        row = [robot]
+        for group in found:
+            row += [_cell(values(group, robot, key), form) for key, (_, form) in COMPARED.items()]
+            row += [_walking(found[group].get(robot, []))[-1]] if judged[group] else []
+        rows.append(row)
+    heads = [
+        f"{group}: {label}"
+        for group in found
+        for label in (*(label for label, _ in COMPARED.values()), *(["walks"] if judged[group] else []))
     ]
-    heads = [f"{group}: {label}" for group in found for label, _ in COMPARED.values()]
     groups = ", ".join(f"{group} ({_seeds(robots)})" for group, robots in found.items())
     return [
         _wrapped(f"Velocity error (m/s), yaw rate error (rad/s) and falls per episode of {groups}:"),
@@ -273,11 +287,15 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
     ]
 
 
+def _judged(results: Sequence[RobotResult]) -> bool:
+    return all(result.walking is not None for result in results)
+
+
 def _walking(results: Sequence[RobotResult]) -> list[str]:
     """The cells of `WALKING`, and whether the robot walks or under how many policies."""
     found = [result.walking for result in results if result.walking is not None]
     walked = sum(map(walking.walks, found))
-    verdict = ("yes" if walked else "no") if len(found) == 1 else f"{walked} of {len(found)}"
+    verdict = "-" if not found else ("yes" if walked else "no") if len(found) == 1 else f"{walked} of {len(found)}"
     return [*(_cell([getattr(each, key) for each in found], form) for key, (_, form) in WALKING.items()), verdict]
 
 
@@ -385,6 +403,7 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
         conditions.setdefault(title, []).append(each)
     for title, found in conditions.items():
         robots = {name: robot for each in found for name, robot in each["robots"].items()}
+        judged = all(robot[engine].get("walking") for robot in robots.values() for engine in ("polypod", "mujoco"))
         rows = []
         for name in sorted(robots, key=lambda name: order.index(name) if name in order else len(order)):
             ours, theirs = robots[name]["polypod"], robots[name]["mujoco"]
@@ -393,12 +412,22 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
                     name,
                     *(f"{each['error_vel_xy']:.3f}" for each in (ours, theirs)),
                     *(f"{each['error_vel_yaw']:.3f}" for each in (ours, theirs)),
+                    *(_measured(each, "turn_reached", ".0%") for each in (ours, theirs) if judged),
+                    *(_measured(each, "drift_xy", ".3f") for each in (ours, theirs) if judged),
                     *(f"{each['fall_rate']:.1%}" for each in (ours, theirs)),
                     "yes" if robots[name]["transfers"] else "no",
                 )
             )
-        head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", "falls", "MuJoCo", "transfers")
+        more = ("turn", "MuJoCo", "drift (m/s)", "MuJoCo") if judged else ()
+        head = ("robot", "err xy", "MuJoCo", "err yaw", "MuJoCo", *more, "falls", "MuJoCo", "transfers")
+        title += f" {_TRANSFERS[judged]}"
         commands = list(dict.fromkeys(each["command"] for each in found))
         origins = _origins([("", each.get("measured")) for each in found]).removeprefix(": ")
         parts += [_wrapped(f"{title} {origins}".strip()), table(head, rows), _first_of_each({"robots": commands})]
     return "\n\n".join(parts)
+
+
+def _measured(figures: dict[str, Any], key: str, form: str) -> str:
+    """A figure of walking in a file of `polypod sim2sim`; a dash where it was not measured."""
+    value = figures["walking"][key]
+    return "-" if value is None else format(value, form)
