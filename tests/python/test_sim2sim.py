@@ -158,14 +158,14 @@ def test_commands_follow_the_heading():
 
 def test_it_walks_in_both_simulators(tmp_path, capsys):
     """By the whole definition of walking, over the same commands."""
-    arguments = ["sim2sim", "--checkpoint", str(FLAT_POLICY), "--robots", "unitree_go2,unitree_a1", "--num-envs", "4"]
+    arguments = ["sim2sim", "--checkpoint", str(FLAT_POLICY), "--robots", "anymal_b,anymal_c", "--num-envs", "4"]
     code = polypod.cli.main([*arguments, "--json", str(tmp_path / "figures.json")])
     output = capsys.readouterr().out
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert code == 0, output
     assert figures["transfers"]
     assert figures["command"] == " ".join(["polypod", *arguments, "--seed", "0"])
-    assert set(figures["robots"]) == {"unitree_go2", "unitree_a1"}
+    assert set(figures["robots"]) == {"anymal_b", "anymal_c"}
     for robot in figures["robots"].values():
         assert robot["is_whole"]
         assert robot["why_not"] == []

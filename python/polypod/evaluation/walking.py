@@ -252,8 +252,10 @@ class Walking:
         return cls(**{**_numbers(cls, content), "kinds": tuple(content["kinds"]), "by_kind": by_kind})
 
 
-FIGURES = tuple(field.name for field in dataclasses.fields(Walking) if field.type is float)
-"""Names of the numbers of `Walking`."""
+FIGURES = tuple(
+    field.name for field in dataclasses.fields(Walking) if field.type is float and field.name != "duration_s"
+)
+"""Names of the numbers that describe a robot."""
 
 
 def _numbers(kind: type[Any], content: Mapping[str, Any]) -> dict[str, Any]:
