@@ -183,7 +183,7 @@ def test_it_walks_in_both_simulators(tmp_path, capsys):
                 [getattr(theirs.by_kind[kind], key) for key in still]
             )
         assert theirs.turn_reached == pytest.approx(ours.turn_reached, abs=0.1)
-    assert "unitree_go2" in output
+    assert "anymal_b" in output
     assert "in MuJoCo:" not in output
 
 

@@ -365,8 +365,15 @@ def figures(records: Sequence[Record], envs: slice = slice(None), kinds: Sequenc
     for kind in KINDS:
         here = (kind_of == kind) & (steps > 0)
         if here.any():
-            over_time = errors[here].sum(axis=0) / steps[here].sum()
-            by_kind[kind] = Segments(int(here.sum()), *(float(v) for v in over_time), float(fell_in[here].mean()))
+            over_time = (errors[here].sum(axis=0) / steps[here].sum()).tolist()
+            by_kind[kind] = Segments(
+                count=int(here.sum()),
+                error_vel_xy=over_time[0],
+                error_vel_yaw=over_time[1],
+                still_error_vel_xy=over_time[2],
+                still_error_vel_yaw=over_time[3],
+                fall_rate=float(fell_in[here].mean()),
+            )
     return Walking(
         episodes=int(steps.shape[1]),
         duration_s=first.schedule.steps * first.step_dt,

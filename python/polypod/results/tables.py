@@ -267,18 +267,18 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
             rows.append([robot, episodes, *figures, *(_walking(results) if judged else [])])
         return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
-    judged = {group: all(_judged(results) for results in robots.values()) for group, robots in found.items()}
+    of_walking = {group: all(_judged(results) for results in robots.values()) for group, robots in found.items()}
     rows = []
     for robot in _robots(found):
         row = [robot]
         for group in found:
             row += [_cell(values(group, robot, key), form) for key, (_, form) in COMPARED.items()]
-            row += [_walking(found[group].get(robot, []))[-1]] if judged[group] else []
+            row += [_walking(found[group].get(robot, []))[-1]] if of_walking[group] else []
         rows.append(row)
     heads = [
         f"{group}: {label}"
         for group in found
-        for label in (*(label for label, _ in COMPARED.values()), *(["walks"] if judged[group] else []))
+        for label in (*(label for label, _ in COMPARED.values()), *(["walks"] if of_walking[group] else []))
     ]
     groups = ", ".join(f"{group} ({_seeds(robots)})" for group, robots in found.items())
     return [
