@@ -83,14 +83,6 @@ class Term:
         )
 
 
-def check_memory(terms: Sequence[Term], what: str) -> None:
-    """Raises ConfigError for terms with a history; `what` begins the message: who cannot take them."""
-    if remembers := [term.term for term in terms if term.history_length > 1]:
-        raise _core.ConfigError(
-            f"{what} no history, and {', '.join(remembers)} remember; leave history_length out of the task"
-        )
-
-
 Layout = Sequence[Mapping[str, Any] | tuple[str, int]]
 """Terms of an observation in order, as manifests of networks of joints hold them: `layout_of` writes them. Manifests of
 earlier versions hold (term, size) alone."""
@@ -107,6 +99,7 @@ def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:
         {
             "term": term.term,
             "size": term.size,
+            **({} if term.history_length == 1 else {"history_length": term.history_length}),
             "kind": term.kind,
             "magnitude": term.magnitude,
             "source": term.source,

@@ -6,6 +6,7 @@
 The simulator runs on the CPU. With a CUDA device, observations, rewards and flags cross over through pinned memory.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -120,20 +121,45 @@ class VecEnv(rsl_rl.env.VecEnv):
         """
         if actions.shape != self._actions.shape:
             raise ValueError(f"actions have shape {tuple(actions.shape)}, expected {tuple(self._actions.shape)}")
-        sim = self._source
         # a policy that is asked outside of inference mode gives tensors with gradients
         self._actions.copy_(actions.detach())
-        sim.step(self._actions.numpy())
-        time_outs = sim.truncated & ~sim.terminated
+        rewards, dones, time_outs = self.step_on_host(self._actions)
         extras: dict[str, Any] = {"time_outs": self._tensor("time_outs", time_outs.astype(np.float32))}
-        if self._log_extras and sim.final_mask.any():
+        if self._log_extras and self._source.final_mask.any():
             extras["log"] = self.log()
         return (
             self.get_observations(),
-            self._tensor("reward", sim.reward.copy()),
-            self._tensor("done", (sim.terminated | sim.truncated).astype(np.int64)),
+            self._tensor("reward", rewards.copy()),
+            self._tensor("done", dones.astype(np.int64)),
             extras,
         )
+
+    def step_on_host(self, actions: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advances every env by one control step, and moves nothing to the learner's device.
+
+        Args:
+            actions: float32 [num_envs, num_actions] in the memory of the CPU.
+
+        Returns:
+            Rewards, float32; whether each episode ended; whether it was truncated and did not terminate. Each is
+            [num_envs]; the rewards are a view that the next step overwrites.
+        """
+        sim = self._source
+        sim.step(actions.numpy())
+        return sim.reward, sim.terminated | sim.truncated, sim.truncated & ~sim.terminated
+
+    def observe_into(self, buffers: Mapping[str, torch.Tensor]) -> None:
+        """Copies the current observations into tensors on the learner's device; the copy may still be under way.
+
+        Args:
+            buffers: float32 [num_envs, n] by observation group.
+        """
+        for group, buffer in buffers.items():
+            is_policy = group == "policy"
+            host = torch.from_numpy(self._source.observation if is_policy else self._sim.observation_of(group))
+            if self.device.type == "cuda":
+                host = self._in_pinned_memory(group, host)
+            buffer.copy_(host, non_blocking=True)
 
     def log(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call, see `VecSim.log`; with those of terms in Python."""
@@ -157,8 +183,10 @@ class VecEnv(rsl_rl.env.VecEnv):
         host = torch.from_numpy(array)
         if self.device.type == "cpu":
             return host
+        return self._in_pinned_memory(name, host).to(self.device, non_blocking=True)
+
+    def _in_pinned_memory(self, name: str, host: torch.Tensor) -> torch.Tensor:
         pinned = self._pinned.get(name)
         if pinned is None:
             pinned = self._pinned[name] = torch.empty_like(host, pin_memory=True)
-        pinned.copy_(host)
-        return pinned.to(self.device, non_blocking=True)
+        return pinned.copy_(host)

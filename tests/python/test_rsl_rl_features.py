@@ -88,16 +88,21 @@ def test_the_shipped_config_teaches_a_network_of_joints(tmp_path):
     assert list(evaluate_checkpoint(checkpoint, num_envs=2, steps=5).robots) == robots
 
 
-def test_a_network_of_joints_takes_no_memory(tmp_path):
+def test_a_network_of_joints_remembers_and_is_exported(tmp_path):
     options = session.Options(
         log_dir=tmp_path,
         **TINY,
         train_config="flat_joints",
         max_iterations=1,
         overrides=["observations.policy.joint_pos_rel.history_length=3", "train.run.symmetry=false"],
+        logger="none",
+        device="cpu",
     )
-    with pytest.raises(polypod.ConfigError, match="UrmaModel takes no history, and joint_pos_rel remember"):
-        session.train(options)
+    assert session.train(options) == 0
+    checkpoint = run_dir.find_checkpoint(tmp_path, "latest")
+    layout = run_dir.read_manifest(checkpoint)["policy"]["observation_layout"]
+    assert {entry["term"]: entry.get("history_length", 1) for entry in layout}["joint_pos_rel"] == 3
+    assert export_checkpoint(checkpoint, tmp_path / "exported").difference <= 1e-5
 
 
 @pytest.mark.parametrize("kind", ["gru", "lstm"])

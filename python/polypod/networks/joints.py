@@ -17,7 +17,9 @@ class JointColumns:
     """Columns of an observation by what they belong to. Nothing about a term is known by its name."""
 
     states: npt.NDArray[np.int64]
-    """[numbers, joints], what a joint does: terms of the kind `per_joint`, such as position, velocity, last action."""
+    """[numbers, joints], what a joint does: terms of the kind `per_joint`, such as position, velocity, last action.
+
+    Of a term with a history every control step is a number, the oldest first."""
     magnitudes: npt.NDArray[np.float32]
     """[numbers], typical magnitude of each of these."""
     descriptions: npt.NDArray[np.int64]
@@ -59,7 +61,8 @@ def joint_columns(layout: Layout, num_joints: int) -> JointColumns:
         _check_size(term, num_joints)
         numbers = columns.reshape(-1, num_joints)
         if term.source == "robot_constant":
-            descriptions.append(numbers)
+            # the past of a constant says nothing new
+            descriptions.append(numbers[-(term.width // num_joints) :])
         else:
             states.append(numbers)
             magnitudes += [term.magnitude] * len(numbers)

@@ -12,8 +12,9 @@ comparison are the joint's code. Codes of different joints are nearly orthogonal
 begins with a reading and a key of its own, and codes of corresponding joints of different robots are nearly the same.
 """
 
+import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -48,6 +49,16 @@ REFLEX_SCALE = 0.1
 """Of the reflex, whose weights all joints of all robots share: a step moves all actions in the same sense."""
 OUTSIDE = -1e4
 """Attention to joints that a robot lacks, before the softmax."""
+
+
+class JointCounts(NamedTuple):
+    """Joints of the robots of a rollout. A batch that holds every env equally often has as many for each of them."""
+
+    envs: int
+    joints: int
+    """Of all envs."""
+    most: int
+    """Of one env."""
 
 
 class _Joints(NamedTuple):
@@ -165,6 +176,7 @@ class JointNetwork(torch.nn.Module):
             layers += [torch.nn.Linear(width, size), resolve_nn_activation(activation)]
             width = size
         self.body = torch.nn.Sequential(*layers)
+        self.counts: JointCounts | None = None
         self.per_joint = num_outputs is None
         if num_outputs is None:
             self.request = torch.nn.Linear(width, 2 * joint_dim)
@@ -195,7 +207,7 @@ class JointNetwork(torch.nn.Module):
         read = (joints.of_rows(self.request(body)) * keys).sum(dim=1) + REFLEX_SCALE * self.reflex(state).squeeze(-1)
         means = joints.at_slots(read.float(), self.num_joints)
         deviations = joints.at_slots(self.deviations(joints.descriptions), self.num_joints)
-        mask = self._mask(observations).to(means.dtype)
+        mask = self.mask(observations).to(means.dtype)
         return torch.stack([means, deviations + (1.0 - mask), mask], dim=1)
 
     def deviations(self, descriptions: torch.Tensor) -> torch.Tensor:
@@ -211,7 +223,7 @@ class JointNetwork(torch.nn.Module):
         if not self.normalize:
             return
         rows = self._features(observations).flatten(0, 1)
-        rows = rows.index_select(0, self._mask(observations).flatten().nonzero().squeeze(1))
+        rows = rows.index_select(0, self.mask(observations).flatten().nonzero().squeeze(1))
         states, numbers = rows[:, : self.num_states], rows[:, self.num_states :]
         self._moments("states").update(states * self.state_scale)
         self._moments("numbers").update(numbers)
@@ -233,7 +245,7 @@ class JointNetwork(torch.nn.Module):
             return observations[:, block.start : block.stop]
         return observations.index_select(1, getattr(self, f"{name}_columns"))
 
-    def _mask(self, observations: torch.Tensor) -> torch.Tensor:
+    def mask(self, observations: torch.Tensor) -> torch.Tensor:
         """[batch, slots], where there is a joint: its description holds more than zeros."""
         numbers = self._block(observations, "description").reshape(-1, self.num_descriptions, self.num_joints)
         return (numbers != 0.0).any(dim=1)
@@ -243,18 +255,27 @@ class JointNetwork(torch.nn.Module):
         features = torch.cat([self._block(observations, "state"), self._block(observations, "description")], dim=1)
         return features.reshape(-1, self.num_states + self.num_descriptions, self.num_joints).transpose(1, 2)
 
+    def _sizes(self, counts: torch.Tensor) -> tuple[int, int]:
+        """Rows of a batch and places of a sample, for samples with `counts` joints each."""
+        batch, slots = counts.shape[0], self.num_joints
+        # a graph has all slots: what it leaves out must not depend on the example that it is traced with
+        if torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
+            return batch * slots, slots
+        if self.counts is not None:
+            return batch // self.counts.envs * self.counts.joints, self.counts.most
+        num_rows, most = torch.stack([counts.sum(), counts.max()]).tolist()
+        return int(num_rows), int(most)
+
     def _joints(self, observations: torch.Tensor) -> _Joints:
-        mask, features = self._mask(observations), self._features(observations)
+        mask, features = self.mask(observations), self._features(observations)
         batch, slots = observations.shape[0], self.num_joints
         counts = mask.sum(dim=1)
         place_of_row = sample_of_row = slot_of_row = None
         present = mask
-        # a graph has all slots: what it leaves out must not depend on the example that it is traced with
-        tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-        fewest, most = (slots, slots) if tracing else (int(number) for number in torch.stack(counts.aminmax()))
-        if fewest < slots:
+        num_rows, most = self._sizes(counts)
+        if num_rows < batch * slots:
             ranks = mask.cumsum(dim=1) - 1
-            slot_of_row = mask.flatten().nonzero().squeeze(1)
+            slot_of_row = _where_true(mask.flatten(), num_rows)
             sample_of_row = torch.div(slot_of_row, slots, rounding_mode="floor")
             place_of_row = sample_of_row * most + ranks.flatten().index_select(0, slot_of_row)
             rows = features.flatten(0, 1).index_select(0, slot_of_row)
@@ -276,9 +297,34 @@ class JointNetwork(torch.nn.Module):
         return _Joints(states, descriptions, relative, present, place_of_row, sample_of_row, slot_of_row)
 
 
+def _where_true(mask: torch.Tensor, count: int) -> torch.Tensor:
+    """Places of the `count` ones of a mask [n] in order, int64 [count]; nothing waits for a GPU."""
+    numbers = torch.arange(mask.shape[0], device=mask.device)
+    ranks = torch.where(mask, mask.cumsum(dim=0) - 1, count)
+    return numbers.new_zeros(count + 1).scatter(0, ranks, numbers)[:count]
+
+
 def _logarithms(numbers: torch.Tensor) -> torch.Tensor:
     """Of magnitudes: efforts, gains and inertias of robots differ by factors."""
     return (numbers.abs() + LOG_FLOOR).log()
+
+
+@contextlib.contextmanager
+def counted(models: Iterable[torch.nn.Module], counts: JointCounts | None) -> Iterator[None]:
+    """Tells networks of joints how many joints their batches have, so that they do not wait for a GPU to count them.
+
+    Args:
+        models: networks, of which those of joints are told.
+        counts: of a rollout of which each batch holds every env equally often; None: batches are counted.
+    """
+    networks = [model.mlp for model in models if isinstance(model, UrmaModel)]
+    for network in networks:
+        network.counts = counts
+    try:
+        yield
+    finally:
+        for network in networks:
+            network.counts = None
 
 
 class UrmaModel(MLPModel):

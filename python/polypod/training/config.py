@@ -370,11 +370,6 @@ def _check_groups(config: TrainConfig, source: str) -> None:
             f"{source}: [obs_groups] actor = {config.obs_groups.actor}: a policy sees the group {OBSERVATION_GROUP} "
             "alone, since that is what a robot gives it; add the terms to that group"
         )
-    for section, network in (("actor", config.actor), ("critic", config.critic)):
-        if network.class_name == URMA and getattr(config.obs_groups, section) != [OBSERVATION_GROUP]:
-            raise _core.ConfigError(
-                f"{source}: [{section}] {URMA} sees the group {OBSERVATION_GROUP} alone; use {MLP} for other groups"
-            )
 
 
 def _check_extensions(config: TrainConfig, source: str) -> None:

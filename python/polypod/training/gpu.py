@@ -1,11 +1,35 @@
 """Training with the native learner's rollouts on the CPU, and its update on a GPU."""
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 
+from polypod import _core
 from polypod.training.gpu_update import Samples, Update
 from polypod.training.native import NETWORKS, NativeRunner, array_of
+from polypod.training.schema import OBSERVATION_GROUP
 from polypod.training.symmetry import Mirror
+
+
+class NativeSamples(Samples):
+    """The samples of the native learner, whose threads write them into pinned memory."""
+
+    def __init__(self, sim: _core.VecSim, num_steps: int, device: torch.device) -> None:
+        """Makes room for `num_steps` steps of the envs of `sim`."""
+        super().__init__({OBSERVATION_GROUP: sim.num_obs}, sim.num_actions, sim.num_envs * num_steps, device)
+        self._device = {"observations": self.observations[OBSERVATION_GROUP], **self.numbers}
+        is_cuda = device.type == "cuda"
+        self._host = {name: torch.zeros(tensor.shape, pin_memory=is_cuda) for name, tensor in self._device.items()}
+        self._arrays: dict[str, np.ndarray] = {name: tensor.numpy().ravel() for name, tensor in self._host.items()}
+
+    def take(self, learner: _core.Learner, sim: _core.VecSim) -> None:
+        """Takes over the samples that `learner` has collected."""
+        arrays = learner.rollout(sim, self._arrays)
+        for name, host in self._host.items():
+            self._device[name].copy_(host, non_blocking=True)
+        self.order.copy_(torch.from_numpy(arrays["order"].astype(np.int64)))
+        self.places.copy_(torch.from_numpy(arrays["places"].astype(np.int64)))
+        self.batch_sizes = arrays["batch_sizes"].tolist()
 
 
 class GpuRunner(NativeRunner):
@@ -18,7 +42,7 @@ class GpuRunner(NativeRunner):
     def _prepare(self) -> None:
         env, run = self.env, self.config.run
         mirror = (Mirror(env, self.device), run.symmetry) if run.symmetry else None
-        self._samples = Samples(env.unwrapped.sim, run.num_steps_per_env, torch.device(self.device))
+        self._samples = NativeSamples(env.unwrapped.sim, run.num_steps_per_env, torch.device(self.device))
         self._no_moments = {
             name: [array_of(torch.zeros_like(parameter)) for parameter in self._parameters(name)] for name in NETWORKS
         }
@@ -35,10 +59,7 @@ class GpuRunner(NativeRunner):
     def _give(self) -> None:
         """Hands networks and statistics to the native learner, and Adam's moments to the update."""
         super()._give()
-        for parameter in (parameter for name in NETWORKS for parameter in self._parameters(name)):
-            state = self.alg.optimizer.state.get(parameter, {})
-            for key, tensor in self._update_of.moments(parameter).items():
-                tensor.copy_(state[key]) if key in state else tensor.zero_()
+        self._update_of.take_moments(self.alg.optimizer)
 
     def _give_policy(self) -> None:
         """Hands the networks that act and estimate to the native learner, and what they normalise by."""
@@ -52,10 +73,4 @@ class GpuRunner(NativeRunner):
 
     def _take_networks(self) -> None:
         """Networks and statistics of the observations are rsl_rl's own; Adam's moments are the update's."""
-        for parameter in (parameter for name in NETWORKS for parameter in self._parameters(name)):
-            state = self._update_of.moments(parameter)
-            self.alg.optimizer.state[parameter] = {
-                "step": state["step"].cpu().clone(),
-                "exp_avg": state["exp_avg"].clone(),
-                "exp_avg_sq": state["exp_avg_sq"].clone(),
-            }
+        self._update_of.give_moments(self.alg.optimizer)

@@ -1,23 +1,25 @@
-"""rsl_rl's PPO update of the native learner's samples on a GPU: each mini-batch is one launch of a CUDA graph.
+"""rsl_rl's PPO update on a GPU: each mini-batch is one launch of a CUDA graph.
 
 A mini-batch of small networks is a few hundred kernels of a few microseconds each. Launched one by one they take
 several times as long as they compute.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
 from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import nn
 
 from polypod import _core
 from polypod.networks.masked import ACTION_MASK, MaskedGaussian
+from polypod.networks.urma import JointCounts, counted
 from polypod.rsl_rl import VecEnv
 from polypod.training import deviations
-from polypod.training.schema import ALTERNATE, OBSERVATION_GROUP, AlgorithmConfig
+from polypod.training.graphs import Graphs
+from polypod.training.schema import ALTERNATE, AlgorithmConfig
 from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers
 
@@ -25,45 +27,46 @@ RATE_STEP = 1.5
 """The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted."""
 LOWEST_RATE, HIGHEST_RATE = 1e-5, 1e-2
 """Learning rates that rsl_rl's adaptive schedule keeps to."""
-WARM_UP = 3
-"""Mini-batches before a capture, as torch's documentation of CUDA graphs asks for."""
 
 
 class Samples:
-    """The samples of an iteration on the learner's device.
+    """The samples of an iteration on the learner's device, by steps and envs."""
 
-    They come there through pinned memory, which the native learner's threads write.
-    """
+    counts: JointCounts | None = None
+    """Joints of the robots, where each mini-batch holds every env equally often."""
 
-    def __init__(self, sim: _core.VecSim, num_steps: int, device: torch.device) -> None:
-        """Makes room for `num_steps` steps of the envs of `sim`."""
-        count = sim.num_envs * num_steps
-        widths = {"observations": sim.num_obs, "actions": sim.num_actions, "means": sim.num_actions}
-        single = ("log_probs", "values", "returns", "advantages")
-        self._host = {
-            name: torch.zeros((count, width), pin_memory=device.type == "cuda")
-            for name, width in [*widths.items(), *((name, 1) for name in single)]
-        }
-        self._arrays: dict[str, np.ndarray] = {name: tensor.numpy().ravel() for name, tensor in self._host.items()}
-        self._device = {name: torch.zeros_like(tensor, device=device) for name, tensor in self._host.items()}
+    def __init__(self, groups: Mapping[str, int], num_actions: int, count: int, device: torch.device) -> None:
+        """Makes room for `count` samples.
+
+        Args:
+            groups: widths of the observation groups.
+            num_actions: of the policy.
+            count: number of samples.
+            device: of the learner.
+        """
+        self.observations = {name: torch.zeros((count, width), device=device) for name, width in groups.items()}
+        """[samples, n] by observation group."""
+        widths = {"actions": num_actions, "means": num_actions}
+        single = {"log_probs": 1, "values": 1, "returns": 1, "advantages": 1}
+        self.numbers = {name: torch.zeros((count, n), device=device) for name, n in {**widths, **single}.items()}
+        """[samples, n]; also `deviations`, [samples, num_actions], where they are a network's output."""
         self.order = torch.zeros(count, dtype=torch.int64, device=device)
         """[samples], as the mini-batches take them."""
         self.places = torch.zeros(count, dtype=torch.int64, device=device)
-        """[samples], number of each in its block of envs."""
+        """[samples]; those with an even number begin as they are where images take turns, the others as images."""
         self.batch_sizes: list[int] = []
-
-    def take(self, learner: _core.Learner, sim: _core.VecSim) -> None:
-        """Takes over the samples that `learner` has collected."""
-        arrays = learner.rollout(sim, self._arrays)
-        for name, host in self._host.items():
-            self._device[name].copy_(host, non_blocking=True)
-        self.order.copy_(torch.from_numpy(arrays["order"].astype(np.int64)))
-        self.places.copy_(torch.from_numpy(arrays["places"].astype(np.int64)))
-        self.batch_sizes = arrays["batch_sizes"].tolist()
 
     def __getitem__(self, name: str) -> torch.Tensor:
         """[samples, numbers]."""
-        return self._device[name]
+        return self.numbers[name]
+
+
+def ask_policy(actor: MLPModel, observations: TensorDict) -> None:
+    """Updates the distribution of the actions, as the actor's forward does, which would draw actions too."""
+    distribution = actor.distribution
+    if isinstance(distribution, MaskedGaussian) and ACTION_MASK in observations.keys():  # noqa: SIM118
+        distribution.mask = observations[ACTION_MASK]
+    distribution.update(actor.mlp(actor.get_latent(observations)))
 
 
 class Update:
@@ -106,6 +109,7 @@ class Update:
         self._epoch = torch.zeros((), dtype=torch.int64, device=device)
         self._losses = torch.zeros(3, device=device)
         self._old_std = torch.zeros(sim.num_actions, device=device)
+        """Where the deviations are parameters: those that the samples were drawn with."""
         self._index = torch.zeros(len(samples.order), dtype=torch.int64, device=device)
         is_cuda = device.type == "cuda"
         parameters = [parameter for network in self._networks for parameter in network.parameters()]
@@ -124,7 +128,8 @@ class Update:
         """Gradients of the parameters, losses, divergence: what several workers sum."""
         self._advantage_moments = torch.zeros(2, dtype=torch.float64, device=device)
         """Mean and deviation over a mini-batch of several workers."""
-        self._graphs: dict[tuple[str, tuple[int, ...]], torch.cuda.CUDAGraph] = {}
+        # NCCL's own thread goes on while a graph is captured
+        self._graphs = Graphs(device, self._changed, "global" if workers.count == 1 else "thread_local")
 
     def run(self, learning_rate: float, entropy_coef: float, desired_kl: float) -> dict[str, float]:
         """Learns from the samples, and takes their observations into the networks' statistics.
@@ -148,15 +153,15 @@ class Update:
         self._desired_kl.fill_(desired_kl)
         self._losses.zero_()
         with torch.no_grad():
-            distribution = self._alg.actor.distribution
-            self._old_std.copy_(distribution.std_param.clamp(*distribution.std_range))
+            if (learnt := deviations.of(self._alg.actor.distribution)) is not None:
+                self._old_std.copy_(learnt)
         for epoch in range(self._algorithm.num_learning_epochs):
             self._epoch.fill_(epoch)
             for order, sizes in zip(torch.split(samples.order, samples.batch_sizes), self._sizes, strict=True):
                 self._index[: len(order)].copy_(order)
                 self._learn_mini_batch(sizes)
         with torch.no_grad():
-            observations = self._groups(samples["observations"], torch.arange(len(samples.order), device=self._device))
+            observations = self._observations(torch.arange(len(samples["actions"]), device=self._device))
             for network in self._networks:
                 buffers = dict(network.named_buffers())
                 network.update_normalization(observations)
@@ -183,38 +188,18 @@ class Update:
         self._run("step", (), self._apply_sums)
 
     def _run(self, name: str, sizes: tuple[int, ...], step: Callable[[], None]) -> None:
-        """Computes a step; on a CUDA device by a graph, of which there is one for each name and sizes."""
-        if self._device.type != "cuda":
-            step()
-            return
-        if (name, sizes) not in self._graphs:
-            self._graphs[name, sizes] = self._capture(step)
-        self._graphs[name, sizes].replay()
+        """Computes a step, of which there is a graph for each name and sizes."""
+        self._graphs.run((name, *sizes), step)
 
-    def _capture(self, step: Callable[[], None]) -> torch.cuda.CUDAGraph:
-        """A graph of a step; networks, moments and sums stay as they are."""
+    def _changed(self) -> list[torch.Tensor]:
+        """What a step changes and the next one begins with."""
         tensors = [self._rate, self._losses, self._sums]
         for parameter, state in self.optimizer.state.items():
             tensors += [parameter.data, *state.values()]
-        before = [tensor.clone() for tensor in tensors]
-        stream = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
-        stream.wait_stream(torch.cuda.current_stream(self._device))
-        with torch.cuda.stream(stream):
-            for _ in range(WARM_UP):
-                step()
-        torch.cuda.current_stream(self._device).wait_stream(stream)
-        self.optimizer.zero_grad(set_to_none=True)
-        graph = torch.cuda.CUDAGraph()
-        # on the stream of the steps before, whose autograd nodes live on; NCCL's own thread goes on meanwhile
-        mode = "global" if self._workers.count == 1 else "thread_local"
-        with torch.cuda.graph(graph, stream=stream, capture_error_mode=mode):
-            step()
-        for tensor, values in zip(tensors, before, strict=True):
-            tensor.copy_(values)
-        return graph
+        return tensors
 
-    def _groups(self, observations: torch.Tensor, index: torch.Tensor) -> TensorDict:
-        groups = {OBSERVATION_GROUP: observations}
+    def _observations(self, index: torch.Tensor) -> TensorDict:
+        groups = {name: tensor[index] for name, tensor in self._samples.observations.items()}
         if self._mask is not None:
             groups[ACTION_MASK] = self._mask[index % len(self._mask)]
         return TensorDict(groups, batch_size=[len(index)], device=self._device)
@@ -242,7 +227,7 @@ class Update:
         n, clip = sizes[self._workers.index], algorithm.clip_param
         index, share = self._index[:n], n / sum(sizes)
         observations, actions, is_sample = self._with_images(
-            index, self._groups(samples["observations"][index], index), samples["actions"][index]
+            index, self._observations(index), samples["actions"][index]
         )
         copies = len(actions) // n
         old_log_prob, old_values, returns, advantages = (
@@ -256,13 +241,10 @@ class Update:
             enabled=algorithm.mixed_precision == "on",
             cache_enabled=False,  # a graph reads the weights anew
         ):
-            distribution = actor.distribution
-            if isinstance(distribution, MaskedGaussian):
-                distribution.mask = observations[ACTION_MASK]
-            # as the actor's forward, which would draw actions too
-            distribution.update(actor.mlp(actor.get_latent(observations)))
+            with counted(self._networks, samples.counts):
+                ask_policy(actor, observations)
+                values = critic(observations).squeeze(1)
             log_prob = actor.get_output_log_prob(actions)
-            values = critic(observations).squeeze(1)
             entropy = actor.output_entropy[:n].mean()
             with torch.no_grad():
                 divergence = self._divergence(index, is_sample)
@@ -319,9 +301,11 @@ class Update:
 
     def _divergence(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
         """[2], that from the policy that collected the samples, summed over those that are no images; their number."""
-        n, means = len(index), self._samples["means"][index]
-        new = tuple(numbers[:n].float() for numbers in self._alg.actor.output_distribution_params)
-        old = (means, self._old_std.expand_as(means), *new[2:])
+        n, numbers = len(index), self._samples.numbers
+        means = numbers["means"][index]
+        std = numbers["deviations"][index] if "deviations" in numbers else self._old_std.expand_as(means)
+        new = tuple(of[:n].float() for of in self._alg.actor.output_distribution_params)
+        old = (means, std, *new[2:])
         divergence = self._alg.actor.get_kl_divergence(old, new)
         weights = torch.ones_like(divergence) if is_sample is None else is_sample.to(divergence.dtype)
         return torch.stack([(divergence * weights).sum(), weights.sum()])
@@ -336,10 +320,22 @@ class Update:
         is_small = (mean < wanted / 2.0) & (mean > 0.0)
         rate.copy_(torch.where(mean > wanted * 2.0, slower, torch.where(is_small, faster, rate)))
 
-    def moments(self, parameter: nn.Parameter) -> dict[str, Any]:
-        """Adam's state of a parameter."""
-        state: dict[str, Any] = self.optimizer.state[parameter]
-        return state
+    def take_moments(self, optimizer: torch.optim.Optimizer) -> None:
+        """Goes on with the moments of another Adam of the same parameters."""
+        for parameter in self._parameters:
+            state = optimizer.state.get(parameter, {})
+            for key, tensor in self.optimizer.state[parameter].items():
+                tensor.copy_(state[key]) if key in state else tensor.zero_()
+
+    def give_moments(self, optimizer: torch.optim.Optimizer) -> None:
+        """The reverse of `take_moments`."""
+        for parameter in self._parameters:
+            state = self.optimizer.state[parameter]
+            optimizer.state[parameter] = {
+                "step": state["step"].cpu().clone(),
+                "exp_avg": state["exp_avg"].clone(),
+                "exp_avg_sq": state["exp_avg_sq"].clone(),
+            }
 
 
 def _keep_in_place(module: nn.Module, buffers: dict[str, torch.Tensor]) -> None:

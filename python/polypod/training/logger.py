@@ -77,6 +77,11 @@ class TrainingLogger(Logger):
         self.total_num_envs, self.ended = total_num_envs, []
         self._first_env, self._step = first_env, 0
 
+    def keep_on_host(self) -> None:
+        """Counts in the memory of the CPU, for a learner that tells of its steps from there."""
+        self.device = "cpu"
+        self.cur_reward_sum, self.cur_episode_length = self.cur_reward_sum.cpu(), self.cur_episode_length.cpu()
+
     def process_env_step(
         self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any], intrinsic_rewards: Any = None
     ) -> None:

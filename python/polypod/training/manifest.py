@@ -52,6 +52,7 @@ class TermManifest(TypedDict):
 
     term: Name
     size: Size
+    history_length: NotRequired[Size]
     kind: Name
     magnitude: Annotated[float, Meta(gt=0.0, le=1e9)]
     source: NotRequired[Name]

@@ -17,7 +17,12 @@ class RewardScale:
     """
 
     def __init__(
-        self, blocks: list[tuple[int, int]], gamma: float, device: str, workers: Workers | None = None
+        self,
+        blocks: list[tuple[int, int]],
+        gamma: float,
+        device: str,
+        workers: Workers | None = None,
+        together: bool = False,
     ) -> None:
         """Before the first reward.
 
@@ -26,6 +31,7 @@ class RewardScale:
             gamma: the discount of the learner.
             device: where rewards are.
             workers: those that have the other envs; None: there are none.
+            together: sum for all robots at once, which takes fewer kernels of a GPU and rounds differently.
         """
         self._workers = workers or Workers.alone()
         self.blocks = blocks
@@ -36,17 +42,21 @@ class RewardScale:
         self.mean = torch.zeros(len(blocks), dtype=torch.float64, device=device)
         self.variance = torch.ones(len(blocks), dtype=torch.float64, device=device)
         sizes = torch.tensor([stop - start for start, stop in blocks], device=device)
-        self.robot_of_env = torch.repeat_interleave(torch.arange(len(blocks), device=device), sizes)
+        robots = torch.arange(len(blocks), device=device)
+        self.robot_of_env = torch.repeat_interleave(robots, sizes)
+        self._envs_of_robot = (robots.unsqueeze(1) == self.robot_of_env).double() if together else None
 
     def __call__(self, rewards: torch.Tensor, dones: torch.Tensor) -> torch.Tensor:
         """The scaled rewards of one step, float32 [num_envs]; the statistics take them in first."""
-        self.returns = self.returns * self.gamma + rewards
+        self.returns.mul_(self.gamma).add_(rewards)
         if self._workers.count > 1:
             self._update_with_others()
+        elif self._envs_of_robot is not None:
+            self._update_together(self._envs_of_robot)
         else:
             for robot, (start, stop) in enumerate(self.blocks):
                 self._update(robot, self.returns[start:stop].double())
-        self.returns = self.returns * (dones == 0)
+        self.returns.mul_(dones == 0)
         scale = torch.rsqrt(self.variance + EPSILON).float()
         return rewards * scale[self.robot_of_env]
 
@@ -59,10 +69,18 @@ class RewardScale:
             offset = total / n
             self._merge(robot, n, self.mean[robot] + offset, squares / n - offset**2)
 
+    def _update_together(self, envs_of_robot: torch.Tensor) -> None:
+        # about the running mean, as with other workers
+        offsets = self.returns.double() - self.mean[self.robot_of_env]
+        sums = torch.stack([torch.ones_like(offsets), offsets, offsets.square()], dim=1)
+        n, total, squares = (envs_of_robot @ sums).unbind(dim=1)
+        offset = total / n
+        self._merge(slice(None), n, self.mean + offset, squares / n - offset**2)
+
     def _update(self, robot: int, sample: torch.Tensor) -> None:
         self._merge(robot, sample.numel(), sample.mean(), sample.var(correction=0))
 
-    def _merge(self, robot: int, n: "int | torch.Tensor", mean: torch.Tensor, variance: torch.Tensor) -> None:
+    def _merge(self, robot: int | slice, n: "int | torch.Tensor", mean: torch.Tensor, variance: torch.Tensor) -> None:
         # the parallel form of Welford's update (Chan, Golub and LeVeque)
         delta = mean - self.mean[robot]
         total = self.count[robot] + n

@@ -90,8 +90,8 @@ class Runner(OnPolicyRunner):
             workers: those that have the other envs; None: there are none.
         """
         self.workers = workers or Workers.alone()
+        check_groups(env, config.observed_groups)
         cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **self.storage}
-        check_groups(env, cfg["obs_groups"])
         self._distils = cfg["algorithm"]["class_name"] == "Distillation"
         if cfg["symmetry"]:
             mirror = Mirror(env, device)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from polypod import _core, bundled
 from polypod.files import real_path
-from polypod.observation import check_memory, layout_of, terms_of
+from polypod.observation import layout_of, terms_of
 from polypod.training.manifest import read as read_manifest
 
 OBSERVATION_GROUP = "policy"
@@ -94,11 +94,12 @@ class CriticConfig:
     rnn_hidden_dim: int | None = None
     rnn_num_layers: int | None = None
 
-    def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
+    def model_cfg(self, sim: _core.VecSim | None, groups: Sequence[str] = (OBSERVATION_GROUP,)) -> dict[str, Any]:
         """The network's constructor arguments, with the class names that rsl_rl resolves.
 
         Args:
             sim: whose observations and joints the network is for; a multi-layer perceptron does without.
+            groups: the observation groups that it sees, side by side.
 
         Raises:
             ConfigError: for a network of joints without `sim`.
@@ -110,9 +111,7 @@ class CriticConfig:
             raise _core.ConfigError(
                 f"{self.class_name} is made for the joints of an env: call rsl_rl_cfg(env.sim) of the train config"
             )
-        terms = terms_of(sim)
-        check_memory(terms, f"{self.class_name} takes")
-        layout = layout_of(terms)
+        layout = layout_of([term for group in groups for term in terms_of(sim, group)])
         return {**network, "observation_layout": layout, "joint_names": sim.canonical_joint_names}
 
 
@@ -122,9 +121,9 @@ class ActorConfig(CriticConfig):
 
     init_std: float
 
-    def model_cfg(self, sim: _core.VecSim | None) -> dict[str, Any]:
+    def model_cfg(self, sim: _core.VecSim | None, groups: Sequence[str] = (OBSERVATION_GROUP,)) -> dict[str, Any]:
         """As of the critic, with the distribution."""
-        network = super().model_cfg(sim)
+        network = super().model_cfg(sim, groups)
         distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
         if self.class_name == URMA:
             distribution["class_name"] = JOINT_GAUSSIAN
@@ -194,6 +193,15 @@ class TrainConfig:
         sections = {name: table for name, table in dataclasses.asdict(self).items() if table is not None}
         return {name: {k: v for k, v in table.items() if v is not None} for name, table in sections.items()}
 
+    @property
+    def observed_groups(self) -> dict[str, list[str]]:
+        """The observation groups of each network, by rsl_rl's names of what the networks are for."""
+        groups = self.obs_groups
+        if self.distillation is not None:
+            return {"student": [*groups.actor], "teacher": [*groups.teacher]}
+        of_rnd = {} if self.rnd is None else {"rnd_state": [*groups.rnd_state]}
+        return {"actor": [*groups.actor], "critic": [*groups.critic], **of_rnd}
+
     def goals(self, iteration: int) -> Goals:
         """What PPO aims at in an iteration, counted from 0."""
         begin = Goals(self.algorithm.entropy_coef, self.algorithm.desired_kl)
@@ -246,11 +254,17 @@ class TrainConfig:
             config = config.with_run(learner="rsl_rl" if why_not else "native")
         if config.run.learner == "native" and why_not:
             raise _core.ConfigError(f"the native learner {why_not}; use --learner rsl_rl or auto")
-        if config.run.learner == "rsl_rl" and config.run.symmetry == ALTERNATE:
+        if config.run.learner == "rsl_rl" and config.run.symmetry == ALTERNATE and not config.can_be_graphs:
             raise _core.ConfigError(
-                f'[run] symmetry = "{ALTERNATE}" is of the native learner; use --learner native, or symmetry = true'
+                f'[run] symmetry = "{ALTERNATE}" goes with neither [rnd] nor [distillation]; use symmetry = true'
             )
         return config
+
+    @property
+    def can_be_graphs(self) -> bool:
+        """Whether a `GraphRunner` learns this: PPO without [rnd], of networks without a recurrent state."""
+        networks = (self.actor, self.critic)
+        return self.rnd is None and self.distillation is None and all(of.class_name != RNN for of in networks)
 
     def _why_not_native(self) -> str | None:
         """What keeps the native learner from this config."""
@@ -292,11 +306,7 @@ class TrainConfig:
         algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
         if self.distillation is not None:
             return self._distillation_cfg(algorithm, sim)
-        groups = dataclasses.asdict(self.obs_groups)
-        del groups["teacher"]
-        if self.rnd is None:
-            del groups["rnd_state"]
-        else:
+        if self.rnd is not None:
             algorithm["rnd_cfg"] = dataclasses.asdict(self.rnd)
         return {
             "num_steps_per_env": self.run.num_steps_per_env,
@@ -305,10 +315,10 @@ class TrainConfig:
             "normalize_reward_per_robot": self.run.normalize_reward_per_robot,
             "normalize_advantage_per_robot": self.run.normalize_advantage_per_robot,
             "symmetry": self.run.symmetry,
-            "obs_groups": groups,
+            "obs_groups": self.observed_groups,
             "algorithm": {"class_name": "PPO", **algorithm},
-            "actor": _masked(self.actor.model_cfg(sim), sim, self.obs_groups.actor),
-            "critic": _masked(self.critic.model_cfg(sim), sim, self.obs_groups.critic),
+            "actor": _masked(self.actor, sim, self.obs_groups.actor),
+            "critic": _masked(self.critic, sim, self.obs_groups.critic),
             "check_for_nan": True,
         }
 
@@ -330,7 +340,7 @@ class TrainConfig:
             "normalize_reward_per_robot": False,
             "normalize_advantage_per_robot": False,
             "symmetry": False,
-            "obs_groups": {"student": self.obs_groups.actor, "teacher": self.obs_groups.teacher},
+            "obs_groups": self.observed_groups,
             "algorithm": {
                 "class_name": "Distillation",
                 **{key: algorithm[key] for key in own},
@@ -343,8 +353,9 @@ class TrainConfig:
         }
 
 
-def _masked(model: dict[str, Any], sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
+def _masked(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
+    model = network.model_cfg(sim, groups)
     # a network of joints reads off the observation which joints a robot has
     if sim is None or not sim.is_padded or model["class_name"] == URMA:
         return model

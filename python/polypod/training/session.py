@@ -20,10 +20,11 @@ from polypod.rsl_rl import VecEnv
 from polypod.terms import CustomTerms
 from polypod.training import config, python_terms, run_dir
 from polypod.training.gpu import GpuRunner
+from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
-from polypod.training.schema import RunConfig, TrainConfig
+from polypod.training.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
@@ -367,6 +368,8 @@ def runner_of(
     if train_config.run.learner == "native":
         kind = NativeRunner if torch.device(device).type == "cpu" else GpuRunner
         return kind(env, train_config, run, device, reporter, workers)
+    if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
+        return GraphRunner(env, train_config, run, device, reporter, workers)
     runner = Runner(env, train_config, run, device, reporter, workers)
     if train_config.distillation is not None:
         runner.learn_from(Path(train_config.distillation.teacher))

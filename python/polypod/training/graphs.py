@@ -1,0 +1,50 @@
+"""CUDA graphs of what a learner computes again and again with the same shapes."""
+
+from collections.abc import Callable, Hashable
+
+import torch
+
+WARM_UP = 3
+"""Runs before a capture, as torch's documentation of CUDA graphs asks for."""
+
+
+class Graphs:
+    """Steps that a CUDA device replays as graphs. On another device they are computed as they are."""
+
+    def __init__(self, device: torch.device, changed: Callable[[], list[torch.Tensor]], mode: str = "global") -> None:
+        """Before the first step.
+
+        Args:
+            device: where the steps compute.
+            changed: the tensors that steps change and begin with. A capture leaves them as they were.
+            mode: see `capture_error_mode` of `torch.cuda.graph`.
+        """
+        self._device, self._changed, self._mode = device, changed, mode
+        self._graphs: dict[Hashable, torch.cuda.CUDAGraph] = {}
+
+    def run(self, key: Hashable, step: Callable[[], None]) -> None:
+        """Computes a step. Of each key there is one graph, which reads and writes the tensors of its first run."""
+        if self._device.type != "cuda":
+            step()
+            return
+        if key not in self._graphs:
+            self._graphs[key] = self._capture(step)
+        self._graphs[key].replay()
+
+    def _capture(self, step: Callable[[], None]) -> torch.cuda.CUDAGraph:
+        tensors, random = self._changed(), torch.cuda.get_rng_state(self._device)
+        before = [tensor.clone() for tensor in tensors]
+        stream = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
+        stream.wait_stream(torch.cuda.current_stream(self._device))
+        with torch.cuda.stream(stream):
+            for _ in range(WARM_UP):
+                step()
+        torch.cuda.current_stream(self._device).wait_stream(stream)
+        graph = torch.cuda.CUDAGraph()
+        # on the stream of the steps before, whose autograd nodes live on
+        with torch.cuda.graph(graph, stream=stream, capture_error_mode=self._mode):
+            step()
+        for tensor, values in zip(tensors, before, strict=True):
+            tensor.copy_(values)
+        torch.cuda.set_rng_state(random, self._device)
+        return graph
