@@ -51,8 +51,10 @@ def test_what_a_learner_lacks_is_refused():
     flat = config.load("flat")
     alternate = config.parse(flat.as_dict() | {"run": flat.as_dict()["run"] | {"symmetry": "alternate"}}, "test")
     assert alternate.with_learner_resolved("native").native_options()["symmetry"] == "alternate"
+    assert alternate.with_learner_resolved("rsl_rl").run.symmetry == "alternate"
+    explores = config.parse(alternate.as_dict() | {"rnd": {"weight": 1.0}}, "test")
     with pytest.raises(polypod.ConfigError, match="alternate"):
-        alternate.with_learner_resolved("rsl_rl")
+        explores.with_learner_resolved("rsl_rl")
     with pytest.raises(polypod.ConfigError, match="symmetry"):
         config.parse(flat.as_dict() | {"run": flat.as_dict()["run"] | {"symmetry": "both"}}, "test")
 

@@ -10,6 +10,7 @@ import polypod
 from common import FLAT_POLICY, SHORT, SMALL_TERRAIN
 from polypod.evaluation import evaluate_checkpoint
 from polypod.evaluation.policies import NetworkPolicy
+from polypod.export import export_checkpoint
 from polypod.policy import load
 from polypod.training import config, run_dir, session
 from polypod.training.runner import Runner
@@ -95,8 +96,6 @@ def test_a_network_of_joints_remembers_and_is_exported(tmp_path):
         train_config="flat_joints",
         max_iterations=1,
         overrides=["observations.policy.joint_pos_rel.history_length=3", "train.run.symmetry=false"],
-        logger="none",
-        device="cpu",
     )
     assert session.train(options) == 0
     checkpoint = run_dir.find_checkpoint(tmp_path, "latest")
