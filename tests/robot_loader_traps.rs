@@ -4,8 +4,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use polypod::dynamics::MAX_DEPTH;
-use polypod::robot::{Coupled, Geometry, JointKind, LoadOptions, Model, RobotError, Topic, detect, load, load_str};
+use polypod::dynamics::{
+    ContactSettings, ControlStep, Drive, MAX_DEPTH, Parameters, Report, State, StepSettings, Workspace,
+};
+use polypod::robot::{
+    Articulation, Coupled, Geometry, JointKind, LoadOptions, Model, RobotError, Topic, detect, load, load_str,
+};
 
 const MASS: &str = r#"<inertial><mass value="1"/>
     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>"#;
@@ -734,10 +738,114 @@ fn numbers_that_overflow_are_refused() {
     refused(&light("1e-7", "1e-9"), &["link \"a\"", "mass of 1e-7 kg"]);
     refused(&light("1", "1e-30"), &["link \"a\"", "moment below", "kg m^2"]);
     loaded(&light("1e-4", "1e-12"));
-    refused(&pair("revolute", &format!("<origin xyz='1e200 0 0'/>{LIMIT}")), &["joint \"j\"", "origin overflows"]);
-    let far = "<collision><origin xyz='1e300 0 0'/><geometry><sphere radius='1'/></geometry></collision>";
-    let model = warned(&with_part(far), &["link \"part\", <collision>", "overflows", "left out"]);
-    assert!(model.bodies.is_empty());
     let huge = "<collision><geometry><sphere radius='1e300'/></geometry></collision>";
     refused(&with_part(huge), &["<sphere radius>", "no length"]);
+}
+
+#[test]
+fn lengths_of_a_robot_are_bounded() {
+    let shape = |origin: &str, shape: &str| format!("<collision>{origin}<geometry>{shape}</geometry></collision>");
+    let far = "<origin xyz='0.025 5903.24 -0.3'/>";
+    let inertial = |xyz: &str| MASS.replacen("<inertial>", &format!("<inertial><origin xyz='{xyz}'/>"), 1);
+    for (text, element, value) in [
+        (pair("revolute", &format!("{far}{LIMIT}")), "joint \"j\", <origin xyz>", "5903.24 m"),
+        (pair("fixed", far), "joint \"j\", <origin xyz>", "5903.24 m"),
+        (with_part(&inertial("1e200 0 0")), "link \"part\", <inertial>, <origin xyz>", "1e200 m"),
+        (with_part(&shape(far, "<sphere radius='1'/>")), "link \"part\", <collision>, <origin xyz>", "5903.24 m"),
+        (with_part(&shape("", "<box size='1 1001 1'/>")), "link \"part\", <collision>, <box size>", "1001"),
+        (with_part(&shape("", "<capsule radius='1' length='1e4'/>")), "<capsule length>", "10000"),
+    ] {
+        refused(&text, &[element, value, "no length of a robot", "metres"]);
+    }
+    // what the parts of a body add up to
+    let fixed = |count: usize, last: &str| {
+        let links: String = (0..=count).map(|i| link(&format!("l{i}"))).collect();
+        let joints = (0..count).map(|i| {
+            let kind = if i + 1 == count { last } else { "fixed" };
+            let inside = format!("<origin xyz='900 0 0'/>{LIMIT}");
+            joint(&format!("j{i}"), kind, &format!("l{i}"), &format!("l{}", i + 1), &inside)
+        });
+        robot(&(links + &joints.collect::<String>()))
+    };
+    refused(&fixed(2, "revolute"), &["joint \"j1\"", "beyond 1000 m", "write metres"]);
+    refused(&fixed(3, "fixed"), &["link \"l0\"", "centre of mass", "beyond 1000 m", "write metres"]);
+    let sphere = shape("<origin xyz='900 0 0'/>", "<sphere radius='1'/>");
+    let part = format!("<link name=\"part\">{sphere}</link>");
+    let text = robot(&(link("a") + &part + &joint("f", "fixed", "a", "part", "<origin xyz='900 0 0'/>")));
+    let model = loaded(&text);
+    assert!(model.bodies.is_empty());
+    assert_words(&model.warnings[0].to_string(), &["link \"part\", <collision>", "beyond 1000 m", "left out"]);
+    // and what its joints do
+    let chain = |count: usize, xyz: &dyn Fn(usize) -> [f64; 3]| {
+        let links: String = (0..=count).map(|i| link(&format!("l{i}"))).collect();
+        let joints = (0..count).map(|i| {
+            let [x, y, z] = xyz(i);
+            let inside = format!("<origin xyz='{x} {y} {z}'/><axis xyz='0 {} {}'/>{LIMIT}", i % 2, (i + 1) % 2);
+            joint(&format!("j{i}"), "revolute", &format!("l{i}"), &format!("l{}", i + 1), &inside)
+        });
+        robot(&(links + &joints.collect::<String>()))
+    };
+    refused(&chain(10, &|_| [0.0, 0.0, 900.0]), &["link \"l10\"", "9000.0 m from the base", "write metres"]);
+}
+
+/// Steps a robot in free fall with turning joints; whether its state stays finite.
+fn steps_finitely(model: &Model) -> bool {
+    let articulation = Articulation::new(model, true, &[], None);
+    let topology = &articulation.topology;
+    let parameters = Parameters::<f32>::from_scalars(topology, &articulation.parameters);
+    let settings =
+        StepSettings { dt: 0.005, decimation: 50, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
+    let mut state = State::zeros(topology);
+    state.joint_velocity.fill(0.1);
+    ControlStep {
+        topology,
+        settings: &settings,
+        terrain: None,
+        parameters: &parameters,
+        kind: None,
+        drive: &Drive::zeros(topology, 1),
+        substeps: 0..settings.decimation,
+        state: &mut state,
+        report: &mut Report::zeros(topology, settings.decimation as usize),
+        work: &mut Workspace::new(topology),
+    }
+    .run();
+    state.joint_position.iter().chain(&state.joint_velocity).chain(&state.rotation).all(|x| x.is_finite())
+}
+
+/// One offset, mass or inertia of a robot that is in another unit than the rest: it steps finitely, or is refused.
+#[test]
+fn robots_that_are_read_step_finitely() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots");
+    let (mut taken, mut lost) = (0, 0);
+    for name in ["spot", "unitree_go2", "phantomx"] {
+        let text = std::fs::read_to_string(root.join(name).join("robot.urdf")).unwrap();
+        for (attribute, values) in [
+            ("<origin xyz=\"", ["1", "30", "100", "300", "1000"]),
+            ("<mass value=\"", ["100", "1e4", "1e5", "1e7", "9e8"]),
+        ] {
+            for (index, (at, _)) in text.match_indices(attribute).enumerate().step_by(5) {
+                let from = at + attribute.len();
+                let to = from + text[from..].find('"').unwrap();
+                let mut numbers: Vec<&str> = text[from..to].split_whitespace().collect();
+                for value in values {
+                    let place = index % numbers.len();
+                    let old = std::mem::replace(&mut numbers[place], value);
+                    let changed = format!("{}{}{}", &text[..from], numbers.join(" "), &text[to..]);
+                    numbers[place] = old;
+                    match read(&changed) {
+                        Ok(model) => {
+                            taken += 1;
+                            assert!(steps_finitely(&model), "{name}: {attribute}{value} in place of {}", &text[at..to]);
+                        }
+                        Err(error) => {
+                            lost += 1;
+                            assert_words(&error.to_string(), &["single precision loses", "metres", "kilograms"]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    assert!(taken > 50 && lost > 20, "{taken} taken, {lost} refused");
 }

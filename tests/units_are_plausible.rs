@@ -91,8 +91,13 @@ fn lengths_in_millimetres() {
         let shapes = scaled(&shapes, "cylinder", &["radius", "length"], 1000.0);
         assert_warned(&shapes, &["<collision>", "m large", "millimetres", "write metres"]);
     }
-    let text = urdf(ROBOTS[0]).replacen("<origin xyz=\"0 0 -0.213\"", "<origin xyz=\"0 0 -213\"", 1);
-    assert_warned(&text, &["<origin xyz>", "213.0000 m away", "millimetres"]);
+    // one alone, with which the engine can compute, and one with which it cannot
+    let long = |z: &str| urdf(ROBOTS[0]).replacen("<origin xyz=\"0 0 -0.213\"", &format!("<origin xyz=\"0 0 {z}\""), 1);
+    assert_warned(&long("-21.3"), &["<origin xyz>", "21.3000 m away", "millimetres"]);
+    let refused = load_str(&long("-213"), Path::new("r.urdf"), &LoadOptions::default()).unwrap_err().to_string();
+    for words in ["link \"base\"", "213.", "m from the base", "single precision", "millimetres"] {
+        assert!(refused.contains(words), "{refused}");
+    }
 }
 
 /// A robot with one foot that is the mesh of a cube with edges of `size`.

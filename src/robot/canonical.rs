@@ -13,8 +13,10 @@ use roxmltree::{Document, Node};
 
 use super::error::{Diagnosis, RobotError, Warning, nearest_name};
 use super::formats;
+use super::merge::MAX_EXTENT;
 use super::reader::{Reader, line};
 use super::xml;
+use crate::bounds::Shown;
 
 /// Children of `<robot>` that say nothing about the body and are passed over in silence.
 const OTHER_ROOT_TAGS: [&str; 6] = ["material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"];
@@ -359,6 +361,13 @@ impl Writer<'_> {
             return Ok(());
         };
         let xyz: [f64; 3] = self.read.optional_numbers(origin, "xyz", owner)?.unwrap_or_default();
+        if let Some(far) = xyz.iter().find(|x| x.abs() > MAX_EXTENT) {
+            return Err(self.read.value_error(
+                format!("{owner}, <origin xyz>"),
+                format!("{} m is no length of a robot, which measures up to {MAX_EXTENT} m", Shown(*far)),
+                "write metres",
+            ));
+        }
         let rpy: Option<[f64; 3]> = self.read.optional_numbers(origin, "rpy", owner)?;
         let quaternion: Option<[f64; 4]> = self.read.optional_numbers(origin, "quat_xyzw", owner)?;
         let rotation = match (rpy, quaternion) {

@@ -13,19 +13,23 @@ use super::inertia::{InertiaFault, MassProperties, principal_moments};
 use super::model::{Joint, JointKind, Link, LockedJoint, Model};
 use super::plausible::implausible;
 use super::pose::Pose;
+use super::precision;
 use super::shapes::bodies;
 use super::tree::Tree;
 use super::urdf::{Coupled, LoadOptions};
 use crate::dynamics::MAX_DEPTH;
 
 /// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
-pub(super) const LARGEST: f64 = 1e9;
+const LARGEST: f64 = 1e9;
+/// Longest offset, largest shape or mesh, and farthest link of a robot, m: beyond it lie other units alone. Robots in millimetres are
+/// read up to here, with a warning.
+pub(super) const MAX_EXTENT: f64 = 1e3;
 /// Smallest mass of a link that moves, kg: a milligram. The engine divides by it in single precision.
 const LIGHTEST: f64 = 1e-6;
 /// Smallest principal moment of such a link, kg m^2: a millionth of that of a milligram's ball of 1 mm.
 const SMALLEST_MOMENT: f64 = 1e-18;
 /// Position limits beyond this, rad or m, are written for "none": 159 turns.
-const FARTHEST: f64 = 1000.0;
+const FARTHEST: f64 = MAX_EXTENT;
 
 /// Joints that mimic one another in a row.
 const MAX_COUPLED: usize = 64;
@@ -68,6 +72,7 @@ pub(super) fn merge(
             (found, base) = (model, other);
         }
     }
+    precision::check(&found, file)?;
     found.warnings.extend(bases.notice(robot, tree, base, file));
     Ok((found, coupled))
 }
@@ -346,8 +351,9 @@ impl Merger<'_> {
             }
         }
         let origin = parent_pose * Pose::from_urdf(&joint.origin);
-        if !origin.is_within(LARGEST) {
-            return value_error("its origin overflows".into(), "write metres");
+        if !origin.is_within(MAX_EXTENT) {
+            let problem = format!("with the joints above, its origin lies beyond {MAX_EXTENT} m");
+            return value_error(problem, "write metres");
         }
         let mut warn = |problem: String, remedy: &str| {
             self.warnings.push(Warning::new(self.file, element.clone(), problem, remedy));
@@ -442,6 +448,9 @@ impl Merger<'_> {
         };
         if !whole.is_within(LARGEST) {
             return error("its mass or inertia overflows".into(), "write SI units");
+        }
+        if whole.mass > 0.0 && whole.com.abs().max_element() > MAX_EXTENT {
+            return error(format!("its centre of mass lies beyond {MAX_EXTENT} m"), "write metres");
         }
         if whole.mass <= 0.0 {
             return error(

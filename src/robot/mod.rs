@@ -20,6 +20,7 @@ mod missing;
 mod model;
 mod plausible;
 mod pose;
+mod precision;
 mod quadruped;
 mod reader;
 mod roles;

@@ -14,7 +14,7 @@ use super::model::{Body, Geometry, Model, Shape};
 use super::pose::Pose;
 
 /// Longest offset and largest shape of a robot, m.
-const LARGEST_LENGTH: f64 = 5.0;
+pub(super) const LARGEST_LENGTH: f64 = 5.0;
 /// An offset or shape longer than this, m, and than so many times what is usual in the robot is as suspicious.
 const LONG: f64 = 1.0;
 const TIMES_USUAL: f64 = 20.0;

@@ -5,7 +5,8 @@ use std::path::Path;
 use roxmltree::Node;
 
 use super::error::{Diagnosis, RobotError};
-use super::merge::LARGEST;
+use super::merge::MAX_EXTENT;
+use crate::bounds::Shown;
 
 /// Longest name, bytes.
 const MAX_NAME: usize = 256;
@@ -92,12 +93,12 @@ impl Reader<'_> {
         owner: &str,
     ) -> Result<[f64; N], RobotError> {
         let lengths = self.required_numbers(node, attribute, owner)?;
-        match lengths.iter().find(|length| **length <= 0.0 || **length > LARGEST) {
+        match lengths.iter().find(|length| **length <= 0.0 || **length > MAX_EXTENT) {
             None => Ok(lengths),
             Some(length) => Err(self.value_error(
                 format!("{owner}, <{} {attribute}>", node.tag_name().name()),
-                format!("{length} is no length"),
-                "write positive lengths in m",
+                format!("{} is no length of a robot", Shown(*length)),
+                format!("write positive lengths in metres, of at most {MAX_EXTENT}"),
             )),
         }
     }

@@ -6,14 +6,12 @@ use glam::DVec3;
 
 use super::error::{Topic, Warning};
 use super::hull_cache::{self, Taken};
-use super::merge::LARGEST;
+use super::merge::MAX_EXTENT;
 use super::mesh;
 use super::model::{Body, Geometry, Shape};
 use super::pose::Pose;
 use super::urdf::LoadOptions;
 
-/// Meshes beyond this are in another unit, m.
-const MAX_EXTENT: f64 = 1e3;
 /// A hull this close to that of all vertices is called the same, m.
 const MIN_DEVIATION: f64 = 5e-6;
 
@@ -39,8 +37,9 @@ pub(super) fn bodies(
                 warnings.push(Warning::new(file, element, problem, remedy).about(topic));
             };
             let origin = place * Pose::from_urdf(&collision.origin);
-            if !origin.is_within(LARGEST) {
-                let problem = "its origin overflows; the shape is left out".to_string();
+            if !origin.is_within(MAX_EXTENT) {
+                let problem =
+                    format!("with the joints above, its origin lies beyond {MAX_EXTENT} m; the shape is left out");
                 warn((problem, "write metres".to_string()), Topic::Other);
                 continue;
             }
