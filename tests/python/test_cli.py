@@ -32,7 +32,7 @@ def main(cli):
     return run
 
 
-def test_train_resume_and_eval(cli, cli_process, tmp_path):
+def test_train_resume_and_eval(cli, fork_server, tmp_path):
     done = cli("train", *QUICK, "--robots", "spot,unitree_a1", "--run-name", "mine")
     assert done.returncode == 0, done.stderr
     assert "iteration 2/2" in done.stdout
@@ -53,9 +53,9 @@ def test_train_resume_and_eval(cli, cli_process, tmp_path):
     assert set(manifest["robot_info"]) == {"spot", "unitree_a1"}
 
     # what a run needs to go on is in its directory: another process resumes it
-    done = cli_process("train", "--resume", "--max-iterations", "1")
-    assert done.returncode == 0, done.stderr
-    assert "iteration 3/3" in done.stdout
+    ended = fork_server.run("train", "--resume", "--max-iterations", "1", cwd=tmp_path)
+    assert ended.code == 0, ended.errors
+    assert "iteration 3/3" in ended.output
     assert (run / "model_3.pt").exists()
     assert list(run.glob("events.out.tfevents*")), "tensorboard is the default"
 

@@ -159,15 +159,24 @@ def learn(variant, folder, workers, device):
     return {**numbers, **{f"gradient {i}": x for i, x in enumerate(moments)}, "rate": made.alg.learning_rate}
 
 
+SHARED = ("mirror_images", "images_in_turn", "masked", "advantages_of_mini_batches")
+"""Variants that two workers learn, one after the other: their processes take longer to start than to learn."""
+
+
 @pytest.mark.parametrize("device", ["cpu", CUDA])
-@pytest.mark.parametrize("variant", ["mirror_images", "images_in_turn", "masked", "advantages_of_mini_batches"])
-def test_workers_learn_what_one_learns(variant, device, tmp_path):
+@pytest.mark.parametrize("variant", SHARED)
+def test_workers_learn_what_one_learns(variant, device, tmp_path, built_once):
+    kind = device.partition(":")[0]
+
+    def learn_all(folder):
+        torchrun = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
+        command = [sys.executable, *torchrun, __file__, str(folder), kind]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stderr[-3000:]
+
+    folder = built_once(f"workers_{kind}", learn_all)
     one = learn(variant, tmp_path, Workers.alone(), device)
-    torchrun = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
-    command = [sys.executable, *torchrun, __file__, variant, str(tmp_path), device.partition(":")[0]]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    of_workers = [torch.load(tmp_path / f"{index}.pt", map_location="cpu") for index in range(2)]
+    of_workers = [torch.load(folder / f"{variant}_{index}.pt", map_location="cpu") for index in range(2)]
     for name, mine in one.items():
         first, second = (torch.as_tensor(of[name]) for of in of_workers)
         assert torch.equal(first, second), name
@@ -175,8 +184,9 @@ def test_workers_learn_what_one_learns(variant, device, tmp_path):
 
 
 if __name__ == "__main__":
-    variant, folder, kind = sys.argv[1:]
+    folder, kind = sys.argv[1:]
     workers = Workers.join(kind == "cuda")
     device = kind if kind == "cpu" else f"cuda:{torch.cuda.current_device()}"
-    torch.save(learn(variant, Path(folder), workers, device), Path(folder) / f"{workers.index}.pt")
+    for variant in SHARED:
+        torch.save(learn(variant, Path(folder), workers, device), Path(folder) / f"{variant}_{workers.index}.pt")
     workers.close()

@@ -16,7 +16,7 @@ from fork_server import Ended
 
 PROGRAM = bad_lines.ROOT / "target" / "release" / "polypod-sim"
 CHUNKS = 10
-SINGLE = size(10, 1_000_000)
+SINGLE = size(5, 1_000_000)
 """Lines of one bad thing in each chunk; in the extended tier all there are, about 3000."""
 SEVERAL = size(2, 25)
 """Lines of several bad things, of each command."""

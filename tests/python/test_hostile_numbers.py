@@ -22,7 +22,7 @@ TASKS = {
     "velocity_obstacles": (["unitree_a1"], ()),
 }
 STEPS = 50
-SHARE = size(0.02, 1.0)
+SHARE = size(0.01, 1.0)
 """Of all pairs of a key and a value."""
 
 

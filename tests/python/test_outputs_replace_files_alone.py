@@ -46,15 +46,14 @@ def test_a_device_stays_one(cli, tmp_path):
     assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
 
 
-def test_standard_output_prints(cli_process, tmp_path):
+def test_standard_output_prints(cli_process, fork_server, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
     done = cli_process(*EVAL, "/dev/stdout")
     assert done.returncode == 0, done.stderr
     assert "spot" in json.loads(done.stdout[done.stdout.index("\n{") :])["robots"]
-    # the same where the shell has led it into a file
-    with (tmp_path / "all").open("wb") as file:
-        command = [sys.executable, "-m", "polypod", *EVAL, "/dev/stdout"]
-        subprocess.run(command, stdout=file, cwd=tmp_path, check=True, timeout=60)
-    assert (tmp_path / "all").read_text() == done.stdout
+    # the same where it leads into a file, as that of these processes does
+    ended = fork_server.run(*EVAL, "/dev/stdout", cwd=tmp_path)
+    assert (ended.code, ended.output) == (0, done.stdout), ended.errors
 
 
 def test_a_link_stays_and_its_target_is_written(cli, tmp_path):
