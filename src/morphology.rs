@@ -16,7 +16,7 @@ use crate::dynamics::{
     Parameters, Scalar, State, StepSettings, Topology, Workspace,
 };
 use crate::error::Error;
-use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, Model, Place, Roles, Site, Slot};
+use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, LimbKind, Model, Place, Roles, Site, Slot};
 
 /// Normal of level ground.
 pub(crate) const UP: [f64; 3] = [0.0, 0.0, 1.0];
@@ -49,6 +49,8 @@ pub struct MorphologyModel {
     pub body_groups: Vec<BodyGroup>,
     /// Contact bodies that are feet, in the order of [`Roles::legs`].
     pub feet: Vec<usize>,
+    /// Height of the hips above the base's frame in the default pose, m.
+    pub hip_height: f32,
     /// Column of each foot in the batch.
     pub foot_columns: Vec<usize>,
     /// Networks that drive joints, in the order of their groups' names.
@@ -153,6 +155,11 @@ impl MorphologyModel {
         topology.has_delay = actuators.iter().any(|(_, a)| a.model == ActuatorModel::DelayedPd && a.delay[1] > 0);
         let nominal = Parameters::from_scalars(&topology, &parameters);
         let lowest = lowest_point(&topology, &parameters, &default_position, &UP);
+        let links = model.forward_kinematics(&default_position);
+        let legs = roles.limbs.iter().filter(|limb| limb.kind == LimbKind::Leg);
+        let hips: Vec<f64> =
+            legs.filter_map(|leg| leg.joints.first()).map(|hip| links[hip.joint + 1].translation.z).collect();
+        let hip_height = hips.iter().sum::<f64>() / hips.len().max(1) as f64;
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
             if actuator.delay[1] > 0 {
@@ -178,6 +185,7 @@ impl MorphologyModel {
             },
             body_groups,
             feet: roles.foot_body.clone(),
+            hip_height: hip_height as f32,
             networks,
             delays,
             max_action_delay: 0,
@@ -199,6 +207,16 @@ impl MorphologyModel {
     /// Largest delay of any target, physics steps.
     pub fn max_delay(&self) -> u32 {
         self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0) + self.max_action_delay
+    }
+
+    /// Height of the base above the ground, m, at which a robot has sunk to `share` of its height in the default pose, in which the
+    /// base is at `height`.
+    ///
+    /// A frame of the base below half the height of the hips says little of how the robot stands: then the height of the hips above
+    /// the ground counts.
+    pub fn least_height(&self, share: f32, height: f32) -> f32 {
+        let hips = height + self.hip_height;
+        if height >= 0.5 * hips { share * height } else { height - (1.0 - share) * hips }
     }
 
     /// Lets events of the task delay targets by up to this many physics steps on top of the actuators' own delays.
@@ -526,6 +544,8 @@ pub struct RobotDescription {
     pub upper: Vec<f32>,
     /// Height of the base above the ground in the default pose, m.
     pub base_height: f32,
+    /// Height of the hips above the base's frame in the default pose, m.
+    pub hip_height: f32,
     /// Contact bodies that are feet, in the order of `legs`.
     pub feet: Vec<String>,
     /// Names of the legs.
@@ -628,6 +648,7 @@ impl MorphologyModel {
             lower: p.lower.to_vec(),
             upper: p.upper.to_vec(),
             base_height: self.stance.spawn_height - self.config.reset.spawn_margin as f32,
+            hip_height: self.hip_height,
             feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
             mirror: self.mirrored_slots(),
         }

@@ -136,7 +136,8 @@ struct LeastHeight {
     /// Height of the base below which the episode ends, m. Default: `minimum_share`.
     #[serde(default, deserialize_with = "values::optional_of::<Coordinate, _, _>")]
     minimum_height: Option<f32>,
-    /// The same as a share of the robot's height in its default pose, so that robots of all sizes share a task.
+    /// The same as a share of the robot's height in its default pose, so that robots of all sizes share a task: see
+    /// [`MorphologyModel::least_height`](crate::morphology::MorphologyModel::least_height).
     #[serde(default = "half", deserialize_with = "values::number_of::<Factor, _, _>")]
     minimum_share: f32,
 }
@@ -167,7 +168,8 @@ fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
 
 fn root_height_below_minimum(p: &LeastHeight, view: &RobotView, _: &Episode, _: u32) -> bool {
     let default = view.stance.spawn_height - view.morphology.config.reset.spawn_margin as f32;
-    view.base_height() < p.minimum_height.unwrap_or(p.minimum_share * default)
+    let least = p.minimum_height.unwrap_or_else(|| view.morphology.least_height(p.minimum_share, default));
+    view.base_height() < least
 }
 
 fn base_contact(p: &ContactThreshold, view: &RobotView, _: &Episode, _: u32) -> bool {

@@ -1,6 +1,8 @@
 //! Each robot, holding its default pose, keeps standing for 10 s, and its contact forces add up to its weight.
 
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId};
+use polypod::config::Library;
+use polypod::morphology::MorphologyModel;
 use polypod::{Sim, SimOptions};
 
 use crate::common::upward_force;
@@ -66,4 +68,20 @@ fn every_robot_stands_for_ten_seconds_and_weighs_what_it_weighs() {
         check(speed < 0.05, "has not come to rest");
     }
     assert!(failures.is_empty(), "{failures:#?}");
+}
+
+#[test]
+fn a_base_has_sunk_to_a_share_of_its_height_or_of_the_hips() {
+    let library = Library::new(Vec::new());
+    for entry in library.robots().unwrap() {
+        let robot = MorphologyModel::new(&library.robot(&entry.name).unwrap()).unwrap();
+        let height = robot.describe().base_height;
+        // to the bit: known robots have their frame well above the soles
+        assert_eq!(robot.least_height(0.5, height), 0.5 * height, "{}", entry.name);
+        // the same robot with a frame that lies 1 m lower sinks by half of the height of its hips
+        let hips = height + robot.hip_height;
+        let below = MorphologyModel { hip_height: robot.hip_height + 1.0, ..robot };
+        let least = below.least_height(0.5, height - 1.0);
+        assert!((least - (height - 1.0 - 0.5 * hips)).abs() < 1e-6, "{}: {least}", entry.name);
+    }
 }

@@ -382,8 +382,8 @@ def _run_mujoco(
     lowest = ends.get("root_height_below_minimum")
     least_height = -np.inf
     if lowest is not None:
-        share = lowest.get("minimum_share", _MINIMUM_SHARE) * interface.info["base_height"]
-        least_height = lowest.get("minimum_height", share)
+        share = lowest.get("minimum_share", _MINIMUM_SHARE)
+        least_height = lowest.get("minimum_height", _least_height(share, interface.info))
     twin = Twin(
         robot,
         interface,
@@ -420,6 +420,13 @@ def _combined_friction(task: dict[str, Any]) -> float:
     a, b = ground["static_friction"], robot["static_friction"]
     rules = {"multiply": a * b, "average": 0.5 * (a + b), "min": min(a, b), "max": max(a, b)}
     return float(rules[ground["friction_combine"]])
+
+
+def _least_height(share: float, info: dict[str, Any]) -> float:
+    """Height of a base that has sunk to a share of its height, m: `MorphologyModel::least_height` of the simulator."""
+    height: float = info["base_height"]
+    hips = height + float(info.get("hip_height", 0.0))
+    return share * height if height >= 0.5 * hips else height - (1.0 - share) * hips
 
 
 def _check_steps(physics: Physics, step_dt: float, name: str) -> None:
