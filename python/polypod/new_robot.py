@@ -27,6 +27,8 @@ STIFFER = 1.5
 TRIES = 4
 CARRIED = 0.95
 """Least share of the weight that the feet of a standing robot carry: the rest lies on its belly or its knees."""
+AT_ONCE = 0.05
+"""A robot that falls within this time has not fallen: its episode ended for another reason, s."""
 SETTLED = 1.0
 """At the end of standing, in which the weight is measured, s."""
 
@@ -41,6 +43,8 @@ class Standing:
     """Mean distance of the joint that gives way most from the default pose, rad."""
     height: float
     """Of the base's frame above the ground, mean, m."""
+    lasted: float
+    """Time until the first of them fell, or all of it, s."""
     carried: float
     """Share of the weight that the feet carry, the least of all robots; in the last second, or until one fell."""
 
@@ -124,7 +128,9 @@ def new_robot(
         if standing.holds or draft["needs_policy"]:
             break
     needs = draft["needs_policy"]
-    if needs is None and not standing.holds and draft["kind"] in ("biped", "humanoid"):
+    if needs is None and not standing.holds and standing.lasted <= AT_ONCE:
+        needs = "its episodes end as they begin: look at the height of its base and at the task's terminations"
+    elif needs is None and not standing.holds and draft["kind"] in ("biped", "humanoid"):
         needs = "on these gains its ankles hold less than the moment of its weight as it leans: a policy balances it"
     if standing.holds:
         needs = None
@@ -163,7 +169,8 @@ def stand(robot: Path) -> Standing:
         last = carried[-round(SETTLED / env.step_dt) :]
         weight = info["mass"] * float(np.linalg.norm(env.sim.gravity))
         share = float(np.mean(last, axis=0).min()) / weight if last else 0.0
-        return Standing(int(fallen.sum()), float(gap.max()), height, share)
+        lasted = (len(carried) + bool(fallen.any())) * env.step_dt
+        return Standing(int(fallen.sum()), float(gap.max()), height, lasted, share)
     finally:
         env.close()
 

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3};
 
-use super::stance::{GRAVITY, ROUNDS, centre_of_mass, nearest_to_zero, range};
+use super::stance::{GRAVITY, REACHED, ROUNDS, centre_of_mass, nearest_to_zero, range};
 use crate::robot::{Limb, LimbKind, Model, Place, Pose, Role, Roles};
 
 /// Share of a leg's length by which the foot lies below the hip: of four legs or more as of quadrupeds of twelve joints, of two
@@ -12,6 +12,9 @@ use crate::robot::{Limb, LimbKind, Model, Place, Pose, Role, Roles};
 const CROUCH: f64 = 0.72;
 const ON_SOLES: f64 = 0.93;
 const ON_POINTS: f64 = 0.9;
+/// Where feet are put in turn if they do not reach their places: shares of that height, and of the way from below the hips to below the
+/// centre of mass, which a sole need not have in its middle.
+const OTHER_PLACES: [(f64, f64); 6] = [(1.0, 0.5), (1.0, 0.0), (0.95, 1.0), (0.95, 0.5), (0.95, 0.0), (0.9, 0.5)];
 /// How far the thighs of a leg that points away from the body are raised, rad, and the least share of its length by which the foot
 /// lies below the hip then. PhantomX stands so.
 const RAISED: f64 = 0.4;
@@ -25,6 +28,8 @@ const ITERATIONS: u32 = 80;
 const DIFFERENCE: f64 = 1e-6;
 /// An arm hangs if its centre of mass lies below the shoulder by this share of its distance.
 const HANGS: f64 = 0.8;
+/// Angles of hip and knee, each, with which a search begins.
+const STARTS: u32 = 24;
 /// Angles of a shoulder that are tried.
 const ANGLES: u32 = 32;
 
@@ -52,23 +57,39 @@ impl Standing {
         let legs: Vec<Leg<'_>> = roles.limbs.iter().filter_map(|limb| Leg::new(model, limb, &zero)).collect();
         let count = legs.len().max(1) as f64;
         let is_biped = legs.len() <= 2;
-        // the shortest leg says how high the robot stands
-        let lowest = |leg: &Leg<'_>| leg.hip.z - leg.drop(is_biped) - leg.radius;
-        let ground = legs.iter().map(lowest).fold(f64::NEG_INFINITY, f64::max);
         let leg_length = legs.iter().map(|leg| leg.length).sum::<f64>() / count;
         let hips = legs.iter().map(|leg| leg.hip.x).sum::<f64>() / count;
-        let mut misses = vec![0.0; legs.len()];
-        for _ in 0..ROUNDS {
-            let furthest = 0.2 * leg_length;
-            let centre = centre_of_mass(model, &q).x;
-            let shift = (centre - hips).clamp(-furthest, furthest);
-            for (leg, miss) in legs.iter().zip(&mut misses) {
-                let place = match leg.reach() {
-                    Some(out) => leg.hip + out,
-                    None => DVec3::new(leg.hip.x + shift, leg.track, 0.0),
-                };
-                let target = DVec3::new(place.x, place.y, ground + leg.radius);
-                *miss = leg.solve(model, target, is_biped, &mut q);
+        let stand_at = |share: f64, below: f64, q: &mut Vec<f64>| {
+            // the shortest leg says how high the robot stands
+            let lowest = |leg: &Leg<'_>| leg.hip.z - share * leg.drop(is_biped) - leg.radius;
+            let ground = legs.iter().map(lowest).fold(f64::NEG_INFINITY, f64::max);
+            let mut misses = vec![0.0; legs.len()];
+            for _ in 0..ROUNDS {
+                let furthest = 0.2 * leg_length;
+                let centre = centre_of_mass(model, q).x;
+                let shift = below * (centre - hips).clamp(-furthest, furthest);
+                for (leg, miss) in legs.iter().zip(&mut misses) {
+                    let place = match leg.reach() {
+                        Some(out) => leg.hip + out,
+                        None => DVec3::new(leg.hip.x + shift, leg.track, 0.0),
+                    };
+                    let target = DVec3::new(place.x, place.y, ground + leg.radius);
+                    *miss = leg.solve(model, target, is_biped, q);
+                }
+            }
+            (ground, misses)
+        };
+        let start = q.clone();
+        let (mut ground, mut misses) = stand_at(1.0, 1.0, &mut q);
+        let most = |misses: &[f64]| misses.iter().copied().fold(0.0, f64::max);
+        for (share, below) in OTHER_PLACES {
+            if most(&misses) < REACHED {
+                break;
+            }
+            let mut lower = start.clone();
+            let (other_ground, others) = stand_at(share, below, &mut lower);
+            if most(&others) < most(&misses) {
+                (q, ground, misses) = (lower, other_ground, others);
             }
         }
         let places = legs.iter().map(|leg| leg.limb.place);
@@ -224,13 +245,24 @@ impl<'a> Leg<'a> {
     fn solve(&self, model: &Model, target: DVec3, is_biped: bool, q: &mut [f64]) -> f64 {
         let mut best: Option<(bool, f64, Vec<f64>)> = None;
         let usual = if is_biped { KNEES[0] } else { -KNEES[1] };
-        for knee in [usual, -usual] {
-            let mut angles = q.to_vec();
-            self.bend(model, knee, &mut angles);
-            let start = angles.clone();
-            self.refine(model, target, &start, &mut angles);
+        for (is_search, knee) in [(false, usual), (false, -usual), (true, usual), (true, -usual)] {
+            if best.as_ref().is_some_and(|(good, ..)| *good) {
+                break;
+            }
+            let start = if is_search {
+                self.nearest_start(model, target, knee.signum(), q)
+            } else {
+                let mut angles = q.to_vec();
+                self.bend(model, knee, &mut angles);
+                Some(angles)
+            };
+            let Some(start) = start else {
+                continue;
+            };
+            let mut angles = start.clone();
+            self.refine(model, target, &start, is_search, &mut angles);
             let miss = self.foot(&model.forward_kinematics(&angles)).distance(target);
-            let reached = miss < super::stance::REACHED;
+            let reached = miss < REACHED;
             // the usual side comes first, and only one that reaches farther takes its place
             if best.as_ref().is_none_or(|(good, least, _)| !good && (reached || miss < *least)) {
                 best = Some((reached, miss, angles));
@@ -240,6 +272,33 @@ impl<'a> Leg<'a> {
             q.copy_from_slice(&angles);
             miss
         })
+    }
+
+    /// The best of a grid of positions of hip and knee with the knee on one side of straight, the ankle keeping the sole level.
+    fn nearest_start(&self, model: &Model, target: DVec3, side: f64, q: &[f64]) -> Option<Vec<f64>> {
+        let of = |is: fn(Role) -> bool| self.limb.joints.iter().find(|own| is(own.slot.role));
+        let (hip, knee) = (of(|role| matches!(role, Role::Hfe | Role::HipPitch))?, of(Role::is_knee)?);
+        let ankle = of(|role| role == Role::AnklePitch);
+        let mut best: Option<(f64, Vec<f64>)> = None;
+        for step in 0..STARTS * STARTS {
+            let mut angles = q.to_vec();
+            for (own, step) in [(hip, step / STARTS), (knee, step % STARTS)] {
+                angles[own.joint] = at(&range(model, own.joint), f64::from(step) / f64::from(STARTS - 1));
+            }
+            if side * knee.sign * angles[knee.joint] <= 0.0 {
+                continue;
+            }
+            if let Some(ankle) = ankle {
+                let bent = hip.sign * angles[hip.joint] + knee.sign * angles[knee.joint];
+                let range = range(model, ankle.joint);
+                angles[ankle.joint] = (-ankle.sign * bent).clamp(*range.start(), *range.end());
+            }
+            let squares: f64 = self.errors(model, target, &angles, &angles).iter().map(|error| error * error).sum();
+            if best.as_ref().is_none_or(|(least, _)| squares < *least) {
+                best = Some((squares, angles));
+            }
+        }
+        best.map(|(_, angles)| angles)
     }
 
     /// Bends the knee by an angle in its canonical direction; hip and ankle make up for it.
@@ -268,14 +327,15 @@ impl<'a> Leg<'a> {
         errors
     }
 
-    /// Damped Gauss-Newton steps within the ranges.
-    fn refine(&self, model: &Model, target: DVec3, start: &[f64], q: &mut [f64]) {
+    /// Damped Gauss-Newton steps within the ranges. With `holds`, joints whose step leads out of their range stay, and the others take
+    /// a step without them.
+    fn refine(&self, model: &Model, target: DVec3, start: &[f64], holds: bool, q: &mut [f64]) {
         let ranges: Vec<RangeInclusive<f64>> = self.free.iter().map(|&joint| range(model, joint)).collect();
         let squares = |errors: &[f64]| errors.iter().map(|e| e * e).sum::<f64>();
         let mut errors = self.errors(model, target, start, q);
         let mut damping = 1e-3;
         for _ in 0..ITERATIONS {
-            let columns: Vec<Vec<f64>> = self
+            let mut columns: Vec<Vec<f64>> = self
                 .free
                 .iter()
                 .map(|&joint| {
@@ -285,7 +345,17 @@ impl<'a> Leg<'a> {
                     after.iter().zip(&errors).map(|(a, b)| (a - b) / DIFFERENCE).collect()
                 })
                 .collect();
-            let step = normal_step(&columns, &errors, damping);
+            let mut step = normal_step(&columns, &errors, damping);
+            if holds {
+                for ((&joint, range), (column, step)) in
+                    self.free.iter().zip(&ranges).zip(columns.iter_mut().zip(&step))
+                {
+                    if !range.contains(&(q[joint] - step)) {
+                        column.fill(0.0);
+                    }
+                }
+                step = normal_step(&columns, &errors, damping);
+            }
             let mut next = q.to_vec();
             for ((&joint, range), step) in self.free.iter().zip(&ranges).zip(step) {
                 next[joint] = (q[joint] - step).clamp(*range.start(), *range.end());

@@ -9,6 +9,8 @@ use crate::config::matches;
 
 /// Share of weight and mass that is drawn.
 const SHARE: f64 = 0.1;
+/// Most of the base's mass that is taken away.
+const HALF: f64 = 0.5;
 
 pub(super) fn write(findings: &Findings<'_>) -> String {
     let mut out = String::new();
@@ -153,6 +155,8 @@ fn pattern(joints: &[Drafted], slots: &[usize]) -> (String, Vec<String>) {
 
 fn ranges(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let mass = findings.model.total_mass();
+    // a base may weigh less than a tenth of the robot
+    let lightest = -round((SHARE * mass).min(HALF * findings.model.links[0].mass));
     let (kilograms, newtons) = (round(SHARE * mass), round(SHARE * mass * GRAVITY));
     let lever = 0.1 * findings.leg_length;
     let com = round(lever);
@@ -174,7 +178,7 @@ spawn_margin = 0.02                                       # m between the lowest
 [randomization]
 static_friction = [0.5, 1.25]
 dynamic_friction = [0.4, 1.0]
-base_mass_offset = [{:?}, {kilograms:?}]   # kg, a tenth of the robot's
+base_mass_offset = [{lightest:?}, {kilograms:?}]   # kg, a tenth of the robot's
 base_com_offset = {{ x = [{:?}, {com:?}], y = [{:?}, {com:?}], z = [{:?}, {com:?}] }}   # m, a tenth of a leg
 stiffness = {{ operation = "scale", distribution_params = [0.9, 1.1] }}
 damping = {{ operation = "scale", distribution_params = [0.9, 1.1] }}
@@ -182,7 +186,6 @@ motor_strength = [0.9, 1.1]
 external_force = [{:?}, {newtons:?}]       # N, a tenth of the weight
 external_torque = [{:?}, {:?}]             # N m
 action_delay = [0, 2]                      # physics steps"#,
-        -kilograms,
         -com,
         -com,
         -com,

@@ -1,5 +1,7 @@
 //! Chains of joints from the base to its ends, and which of them can be legs.
 
+use std::f64::consts::PI;
+
 use glam::DVec3;
 
 use super::feet;
@@ -20,6 +22,12 @@ const ASIDE: f64 = 0.1;
 
 /// Limbs that reach down to this share of the height above the lowest point stand on the ground.
 const GROUND: f64 = 0.3;
+
+/// A leg hangs stretched if it reaches this share of its length below its hip.
+const STRETCHED: f64 = 0.7;
+
+/// Positions of a joint that are tried.
+const ANGLES: u32 = 19;
 
 /// Hip abduction, hip flexion and knee joint of a leg; some have no abduction.
 pub(super) type LegJoints = [Option<usize>; 3];
@@ -157,22 +165,37 @@ impl<'a> ZeroPose<'a> {
     /// A leg reaches below its first joint. Its joints turn about the base's x, y and y, or there are just two, about y
     /// and y; only when there are not as many such chains as wanted, any chain of exactly three turning joints will do.
     pub fn leg_candidates(&self, chains: &[Vec<usize>], wanted: usize) -> Vec<LegJoints> {
-        let by_axes = self.candidates(chains, |turning| self.by_axes(turning));
+        let by_two = |turning: &[usize]| self.by_axes(turning).or_else(|| self.by_two(turning));
+        let by_order = |turning: &[usize]| {
+            let three = || turning.try_into().ok().map(|three: [usize; 3]| three.map(Some));
+            self.by_axes(turning).or_else(three)
+        };
+        let hangs = |leg: &LegJoints| self.reaches_down(leg);
+        let by_axes = self.candidates(chains, |turning| self.by_axes(turning), hangs);
         if by_axes.len() == wanted {
             return by_axes;
         }
-        let by_two = self.candidates(chains, |turning| self.by_axes(turning).or_else(|| self.by_two(turning)));
-        if by_two.len() == wanted {
-            return by_two;
+        let stretches = |leg: &LegJoints| self.can_reach_down(leg);
+        // the last two are legs that are folded with all joints at zero
+        for found in [
+            self.candidates(chains, by_two, hangs),
+            self.candidates(chains, by_order, hangs),
+            self.candidates(chains, |turning| self.by_axes(turning), stretches),
+            self.candidates(chains, by_two, stretches),
+        ] {
+            if found.len() == wanted {
+                return found;
+            }
         }
-        let by_order = self.candidates(chains, |turning| {
-            let three = || turning.try_into().ok().map(|three: [usize; 3]| three.map(Some));
-            self.by_axes(turning).or_else(three)
-        });
-        if by_order.len() == wanted { by_order } else { by_axes }
+        by_axes
     }
 
-    fn candidates(&self, chains: &[Vec<usize>], pick: impl Fn(&[usize]) -> Option<LegJoints>) -> Vec<LegJoints> {
+    fn candidates(
+        &self,
+        chains: &[Vec<usize>],
+        pick: impl Fn(&[usize]) -> Option<LegJoints>,
+        is_leg: impl Fn(&LegJoints) -> bool,
+    ) -> Vec<LegJoints> {
         let mut legs = Vec::new();
         for chain in chains {
             let turning: Vec<usize> = chain.iter().copied().filter(|joint| self.turns(*joint)).collect();
@@ -180,7 +203,7 @@ impl<'a> ZeroPose<'a> {
                 continue;
             };
             // Chains that part below the knee are one leg.
-            if self.reaches_down(&leg) && !legs.contains(&leg) {
+            if is_leg(&leg) && !legs.contains(&leg) {
                 legs.push(leg);
             }
         }
@@ -215,6 +238,31 @@ impl<'a> ZeroPose<'a> {
             None => self.position(knee).z,
         };
         lowest < self.position(hip).z
+    }
+
+    /// Whether hip and knee have positions within their limits in which the leg hangs stretched from the hip.
+    fn can_reach_down(&self, leg: &LegJoints) -> bool {
+        let (Some(hip), Some(knee)) = (leg[1], leg[2]) else {
+            return false;
+        };
+        let (link, point) = match feet::find(self, knee, None) {
+            Some(foot) => (foot.link, foot.point),
+            None => (knee + 1, self.model.links[knee + 1].com),
+        };
+        let tip = self.links[link].transform_point(point);
+        let length = self.position(hip).distance(self.position(knee)) + self.position(knee).distance(tip);
+        let mut q = vec![0.0; self.model.joints.len()];
+        let mut lowest = f64::INFINITY;
+        for step in 0..(ANGLES * ANGLES) {
+            for (joint, share) in [(hip, step / ANGLES), (knee, step % ANGLES)] {
+                let own = &self.model.joints[joint];
+                let (lower, upper) = (own.lower.max(-PI), own.upper.min(PI));
+                q[joint] = lower + (upper - lower) * f64::from(share) / f64::from(ANGLES - 1);
+            }
+            let links = self.model.forward_kinematics(&q);
+            lowest = lowest.min(links[link].transform_point(point).z - links[hip + 1].translation.z);
+        }
+        lowest < -STRETCHED * length
     }
 
     /// Whether `link` is the child of `joint` or hangs on it.

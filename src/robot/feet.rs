@@ -8,8 +8,8 @@ use super::model::{Geometry, Shape};
 /// A sphere is the foot when it reaches at least this share of the leg's farthest reach.
 const SPHERE_REACH: f64 = 0.8;
 
-/// Components of a unit vector below this are zero.
-const FLAT: f64 = 1e-6;
+/// Components of a unit vector below this are zero: makers write right angles as 1.5708.
+const FLAT: f64 = 1e-4;
 
 /// What is no higher than this above the lowest part of a foot is its sole, m.
 const SOLE: f64 = 5e-3;

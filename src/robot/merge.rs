@@ -186,7 +186,7 @@ impl Merger<'_> {
         self.warnings = warnings;
         self.place_all(base, motions)?;
         let links = self.links(base)?;
-        let bodies = bodies(self.robot, &self.places, self.file, self.options, &mut self.warnings);
+        let bodies = bodies(self.robot, &self.joints, &self.places, self.file, self.options, &mut self.warnings);
         let mut model = Model {
             name: self.robot.name.clone(),
             source: self.file.to_path_buf(),

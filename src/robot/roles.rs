@@ -381,7 +381,9 @@ fn foot(pose: &ZeroPose<'_>, limb: &Limb, named: Option<usize>) -> Result<Foot, 
         return Err(option_error(model, "feet", place, problem, "name a body of the leg".to_string()));
     }
     let knee = limb.joints.iter().find(|joint| joint.slot.role == Role::Kfe).map(|joint| joint.joint);
-    let chain = limb.joints.iter().rev().filter(|joint| joint.slot.role != Role::Toe).map(|joint| joint.joint);
+    // of a leg with an ankle, what is above it is no foot
+    let ankle = limb.joints.iter().position(|joint| joint.slot.role == Role::AnklePitch).unwrap_or(0);
+    let chain = limb.joints[ankle..].iter().rev().filter(|joint| joint.slot.role != Role::Toe).map(|joint| joint.joint);
     let found = match knee {
         Some(knee) => feet::find(pose, knee, named),
         None => chain.clone().find_map(|joint| feet::find(pose, joint, named)),

@@ -1,5 +1,6 @@
 //! Contact bodies from collision elements; meshes are found without ROS.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -8,24 +9,36 @@ use super::error::{Topic, Warning};
 use super::hull_cache::{self, Taken};
 use super::merge::MAX_EXTENT;
 use super::mesh;
-use super::model::{Body, Geometry, Shape};
+use super::model::{Body, Geometry, Joint, Shape};
+use super::plausible::LARGEST_LENGTH;
 use super::pose::Pose;
 use super::urdf::LoadOptions;
 
+/// Of what moves together, parts lighter than this share of the heaviest are no limb's end.
+const SUBSTANTIAL: f64 = 0.1;
+/// Links lighter than this have token inertias, kg.
+const TOKEN: f64 = 1e-3;
+/// Thinnest side of the box of an inertia, over its longest.
+const THINNEST: f64 = 0.1;
 /// A hull this close to that of all vertices is called the same, m.
 const MIN_DEVIATION: f64 = 5e-6;
 
 /// The links with collision shapes, in the file's order, where `places` has put them: the index of
 /// the merged link and the frame in it.
+///
+/// Where a limb ends in links all of whose meshes are missing, the box of the inertia of the last one takes their place: robots are
+/// published without meshes, and a foot has to touch the ground.
 pub(super) fn bodies(
     robot: &urdf_rs::Robot,
+    joints: &[Joint],
     places: &[Option<(usize, Pose)>],
     file: &Path,
     options: &LoadOptions,
     warnings: &mut Vec<Warning>,
 ) -> Vec<Body> {
     let mut bodies = Vec::new();
-    for (link, place) in robot.links.iter().zip(places) {
+    let mut bare = Vec::new();
+    for (index, (link, place)) in robot.links.iter().zip(places).enumerate() {
         let Some((merged, place)) = *place else {
             continue;
         };
@@ -49,10 +62,61 @@ pub(super) fn bodies(
             }
         }
         if !shapes.is_empty() {
-            bodies.push(Body { name: link.name.clone(), link: merged, shapes });
+            bodies.push((index, Body { name: link.name.clone(), link: merged, shapes }));
+        } else if link.collision.iter().any(|collision| matches!(collision.geometry, urdf_rs::Geometry::Mesh { .. })) {
+            bare.push(index);
         }
     }
-    bodies
+    bare.retain(|index| {
+        let moved = places[*index].map_or(0, |(merged, _)| merged);
+        let is_end = moved > 0 && joints.iter().all(|joint| joint.parent != moved);
+        is_end && bodies.iter().all(|(_, body): &(usize, Body)| body.link != moved)
+    });
+    for index in last_links(robot, places, &bare) {
+        if let (Some((merged, place)), Some(shape)) = (places[index], box_of_inertia(&robot.links[index].inertial)) {
+            let name = &robot.links[index].name;
+            let problem = "its collision meshes are missing; the box of its inertia takes their place";
+            let remedy = "put the files there, or write a <collision> with a sphere, box, cylinder or capsule";
+            warnings.push(Warning::new(file, format!("link \"{name}\""), problem, remedy));
+            let shapes = vec![Shape { origin: place * shape.origin, ..shape }];
+            bodies.push((index, Body { name: name.clone(), link: merged, shapes }));
+        }
+    }
+    bodies.sort_by_key(|(index, _)| *index);
+    bodies.into_iter().map(|(_, body)| body).collect()
+}
+
+/// The last of the links that move together, and no small parts.
+fn last_links(robot: &urdf_rs::Robot, places: &[Option<(usize, Pose)>], links: &[usize]) -> Vec<usize> {
+    let mass = |index: usize| robot.links[index].inertial.mass.value;
+    let merged = |index: usize| places[index].map(|(merged, _)| merged);
+    let is_substantial = |index: &usize| {
+        let together = links.iter().filter(|other| merged(**other) == merged(*index));
+        mass(*index) >= SUBSTANTIAL * together.map(|other| mass(*other)).fold(TOKEN / SUBSTANTIAL, f64::max)
+    };
+    let kept: Vec<usize> = links.iter().copied().filter(is_substantial).collect();
+    let parent_of: HashMap<&str, &str> =
+        robot.joints.iter().map(|joint| (joint.child.link.as_str(), joint.parent.link.as_str())).collect();
+    let carries = |above: usize, below: usize| {
+        let first = parent_of.get(robot.links[below].name.as_str()).copied();
+        let mut above_it = std::iter::successors(first, |name| parent_of.get(name).copied()).take(robot.links.len());
+        above_it.any(|name| name == robot.links[above].name)
+    };
+    let is_last = |index: &usize| !kept.iter().any(|other| merged(*other) == merged(*index) && carries(*index, *other));
+    kept.iter().copied().filter(is_last).collect()
+}
+
+/// The uniform box that has a link's mass and moments of inertia, in the link's frame; `None` where they are no body's.
+fn box_of_inertia(inertial: &urdf_rs::Inertial) -> Option<Shape> {
+    let (mass, i) = (inertial.mass.value, &inertial.inertia);
+    let moments = DVec3::new(i.ixx, i.iyy, i.izz);
+    let squares = (DVec3::splat(moments.element_sum()) - 2.0 * moments) * (6.0 / mass);
+    let size = squares.max(DVec3::ZERO).map(f64::sqrt);
+    let longest = size.max_element();
+    (longest > 0.0 && longest <= LARGEST_LENGTH).then(|| Shape {
+        geometry: Geometry::Box { size: size.max(DVec3::splat(THINNEST * longest)) },
+        origin: Pose::from_urdf(&inertial.origin),
+    })
 }
 
 /// Ends the problem of a warning about a shape that is not there.

@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 import tomllib
+from test_new_robot import joint, link, quadruped
 
 import polypod
 from polypod import _core, bodies
@@ -79,3 +81,181 @@ def test_soles_are_flat_and_below_the_centre_of_mass(tmp_path):
             0.0, abs=5e-3
         )
         assert pose[f"{side}_KNEE"] > 0.3
+
+
+def folded(thigh, shank, hip_axis, hip_limits):
+    """A quadruped whose feet lie at its hips while all joints are at zero: thighs and shanks point to and fro."""
+    length, effort = 0.22, 60.0
+    parts = [link("trunk", 9.0, (0.5, 0.22, 0.1))]
+    for number, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
+        along = [0.5 * length * part for part in thigh]
+        back = [0.5 * length * part for part in shank]
+        boxes = [tuple(0.03 + 0.9 * length * abs(part) for part in parts) for parts in (thigh, shank)]
+        parts += [
+            link(f"a{number}", 0.3, (0.06, 0.06, 0.06)),
+            link(f"b{number}", 0.4, boxes[0], at=along),
+            link(f"c{number}", 0.1, boxes[1], at=back),
+            link(f"pad{number}", 0.02, (0.02, 0.02, 0.02), shape='<sphere radius="0.02"/>'),
+            joint(f"m{number}1", "trunk", f"a{number}", (x * 0.22, y * 0.07, 0.0), "1 0 0", (-0.7, 0.7, effort, 20.0)),
+            joint(f"m{number}2", f"a{number}", f"b{number}", (0, y * 0.06, 0), hip_axis, (*hip_limits, effort, 20.0)),
+            joint(
+                f"m{number}3",
+                f"b{number}",
+                f"c{number}",
+                [2 * part for part in along],
+                "0 1 0" if hip_axis == "0 -1 0" else "0 -1 0",
+                (0.0, 3.1, effort, 20.0),
+            ),
+            joint(f"f{number}", f"c{number}", f"pad{number}", [2 * part for part in back], None),
+        ]
+    return f'<robot name="folded">{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        ((-1, 0, 0), (1, 0, 0), "0 -1 0", (-0.5, 3.1)),
+        ((1, 0, 0), (-1, 0, 0), "0 1 0", (-0.5, 3.1)),
+        ((0, 0, 1), (0, 0, -1), "0 1 0", (-3.1, 3.1)),
+    ],
+    ids=["to_the_rear", "to_the_front", "upwards"],
+)
+def test_legs_that_are_folded_at_zero_stand(tmp_path, geometry):
+    file = tmp_path / "folded.urdf"
+    file.write_text(folded(*geometry))
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert (made.kind, made.is_quadruped) == ("quadruped", True)
+    assert made.standing.holds, made
+    roles = tomllib.loads(made.path.read_text())["joint_roles"]
+    assert {corner: roles[f"{corner}_KFE"] for corner in ("LF", "RF", "LH", "RH")} == {
+        "LF": "m03",
+        "RF": "m13",
+        "LH": "m23",
+        "RH": "m33",
+    }
+    is_usable(made)
+
+
+def moved_frame(text, height):
+    """The same robot, its base frame lower by `height`, m."""
+    root = ET.fromstring(text)
+    moving = {joint.find("child").get("link") for joint in root.findall("joint")}
+    (base,) = (link for link in root.findall("link") if link.get("name") not in moving)
+    elements = [*base.findall("inertial"), *base.findall("collision"), *base.findall("visual")]
+    elements += [joint for joint in root.findall("joint") if joint.find("parent").get("link") == base.get("name")]
+    for element in elements:
+        origin = element.find("origin")
+        if origin is None:
+            origin = ET.SubElement(element, "origin", xyz="0 0 0")
+        x, y, z = (float(number) for number in origin.get("xyz").split())
+        origin.set("xyz", f"{x} {y} {z + height}")
+    return ET.tostring(root, encoding="unicode")
+
+
+@pytest.mark.parametrize(("kind", "height"), [("biped", 0.8), ("biped", 0.6), ("humanoid", 1.2), ("quadruped8", 0.7)])
+def test_a_base_frame_below_the_soles_ends_no_episode(tmp_path, kind, height):
+    """An episode ends when the robot has sunk, wherever its frame is."""
+    text = bodies.urdf(bodies.draw(kind, "body", np.random.default_rng(7)))
+    stood = []
+    for name, own in (("as_drawn", text), ("below", moved_frame(text, height))):
+        file = tmp_path / f"{name}.urdf"
+        file.write_text(own)
+        made = new_robot(file, tmp_path / f"draft_{name}.toml")
+        stood.append((made.standing.holds, made.standing.falls, made.needs_policy))
+        env = polypod.make("velocity_flat_legged", 4, robots=[str(made.path)], seed=0)
+        env.reset()
+        for _ in range(5):
+            ended = env.step(np.zeros((4, env.sim.num_actions), dtype=np.float32))[2]
+            assert not ended.any()
+    assert stood[0] == stood[1]
+    assert env.state.base_pos[:, 2].max() < 0.3 * height
+
+
+def crooked(forward, ankle):
+    """A biped with hips about axes between x and z, knees straight at their stop, and toes ahead of the ankles."""
+    limits = (-1.9, 1.0, 20.0, 15.0)
+    parts = [link("trunk", 9.0, (0.12, 0.16, 0.24), at=(-0.03, 0.0, 0.12))]
+    for name, side in (("l", 1), ("r", -1)):
+        parts += [
+            link(f"{name}1", 0.6, (0.06, 0.06, 0.06)),
+            link(f"{name}2", 0.6, (0.06, 0.06, 0.06)),
+            link(f"{name}3", 0.9, (0.06, 0.05, 0.12), at=(0.0, 0.0, -0.07)),
+            link(f"{name}4", 0.5, (0.05, 0.05, 0.14), at=(0.0, 0.0, -0.08)),
+            link(f"{name}5", 0.1, (0.03, 0.03, 0.03)),
+            link(f"{name}6", 0.3, (0.2, 0.07, 0.03), at=(forward, 0.0, -0.03)),
+            joint(f"{name}a", "trunk", f"{name}1", (0.0, side * 0.08, -0.03), "0.707107 0 0.707107", limits),
+            joint(f"{name}b", f"{name}1", f"{name}2", (-0.02, 0.0, -0.05), "0.707107 0 -0.707107", (-0.9, 0.9, 20, 15)),
+            joint(f"{name}c", f"{name}2", f"{name}3", (0.03, -side * 0.02, -0.04), "0 1 0", limits),
+            joint(f"{name}d", f"{name}3", f"{name}4", (0.0, -side * 0.02, -0.15), "0 1 0", (0.0, 2.4, 20.0, 15.0)),
+            joint(f"{name}e", f"{name}4", f"{name}5", (0.0, 0.0, -0.16), "0 1 0", (-ankle, ankle, 20.0, 15.0)),
+            joint(f"{name}f", f"{name}5", f"{name}6", (forward, 0.0, -0.05), "1 0 0", (-0.26, 0.26, 20.0, 15.0)),
+        ]
+    return f'<robot name="crooked">{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(("forward", "ankle"), [(0.02, 0.79), (0.04, 0.6), (0.05, 0.7)])
+def test_knees_that_are_straight_at_their_stop_are_bent(tmp_path, forward, ankle):
+    file = tmp_path / "crooked.urdf"
+    file.write_text(crooked(forward, ankle))
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert not [note for note in made.notes if "where it should stand" in note]
+    assert made.standing.holds, made
+    pose = tomllib.loads(made.path.read_text())["default_pose"]
+    for side in ("L", "R"):
+        assert pose[f"{side}_KNEE"] > 0.3, pose
+    assert pose["L_KNEE"] == pytest.approx(pose["R_KNEE"], abs=2e-3)
+
+
+@pytest.mark.parametrize("tilt", [3.7e-6, -5e-6, 6e-5])
+def test_soles_that_are_level_but_for_rounding_are_stood_on_in_the_middle(tmp_path, tilt):
+    """Left and right of a body whose maker rounds right angles stand alike."""
+    text = crooked(0.02, 0.79)
+    for name, sign in (("l6", 1), ("r6", -1)):
+        at = text.index("<collision><origin", text.index(f'<link name="{name}">'))
+        end = text.index("/>", at)
+        text = f'{text[:end]} rpy="{sign * tilt} {tilt} 0"{text[end:]}'
+    poses = []
+    for name, own in (("tilted", text), ("level", crooked(0.02, 0.79))):
+        draft = _core.draft_robot(write(tmp_path / f"{name}.urdf", own))
+        poses.append(tomllib.loads(draft["toml"])["default_pose"])
+    assert poses[0] == pytest.approx(poses[1], abs=2e-3)
+
+
+@pytest.mark.parametrize("part", ["pads", "pads_and_shanks"])
+def test_feet_whose_meshes_are_missing_are_boxes_of_their_inertia(tmp_path, part):
+    mesh = '<mesh filename="package://fox/part.stl"/>'
+    text = quadruped().replace('<sphere radius="0.025"/>', mesh)
+    text = text.replace('<box size="0.03 0.03 0.24"/>', mesh) if part == "pads_and_shanks" else text
+    file = tmp_path / "fox.urdf"
+    file.write_text(text)
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert made.standing.holds, made
+    feet = set(tomllib.loads(made.path.read_text())["feet"].values())
+    if part == "pads":
+        # the shanks have shapes to stand on
+        assert feet == {"c0", "c1", "c2", "c3"}
+        return
+    assert feet == {"pad0", "pad1", "pad2", "pad3"}
+    (note,) = (note for note in made.notes if "the box of its inertia" in note and "pad0" in note)
+    assert "collision meshes are missing" in note
+    # 0.3 m below the knee, half of the cube of 3 cm with the pad's inertia
+    (info,) = json.loads(is_usable(made).sim.robot_info()).values()
+    known = new_robot(write(tmp_path / "whole.urdf", quadruped()), tmp_path / "whole.toml")
+    (of_known,) = json.loads(is_usable(known).sim.robot_info()).values()
+    assert info["base_height"] == pytest.approx(of_known["base_height"], abs=0.02)
+
+
+def test_what_is_above_an_ankle_is_no_foot(tmp_path):
+    """A foot without shape and with no inertia to speak of: its shank would reach the ground first."""
+    text = crooked(0.02, 0.79)
+    for name in ("l5", "l6", "r5", "r6"):
+        at = text.index(f'<link name="{name}">')
+        begin, end = text.index("<collision>", at), text.index("</collision>", at) + len("</collision>")
+        text = text[:begin] + text[end:]
+    with pytest.raises(_core.RobotError, match="leg L has no collision shape for a foot there"):
+        new_robot(write(tmp_path / "crooked.urdf", text), tmp_path / "draft.toml")
+
+
+def write(file, text):
+    file.write_text(text)
+    return file

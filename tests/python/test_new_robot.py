@@ -177,13 +177,19 @@ def test_a_missing_mesh_is_named_where_it_is_the_cause(cli, tmp_path):
     shank = text.index('<link name="c0">')
     end = text.index("</link>", shank)
     text = text[:shank] + text[shank:end].replace('<box size="0.03 0.03 0.24"/>', mesh) + text[end:]
+    # with no inertia whose box could take its place
+    pad = text.index('<link name="pad0">')
+    text = text[:pad] + '<link name="pad0"/>' + text[text.index("</link>", pad) + len("</link>") :]
+    shank = text.index('<link name="c0">')
+    mass = text.index('<mass value="', shank)
+    text = text[:mass] + '<mass value="0.0005"/>' + text[text.index("/>", mass) + 2 :]
     file = tmp_path / "robot.urdf"
     file.write_text(text)
     done = cli("robot", "new", str(file))
     assert done.returncode == 2
     assert "leg LF has no collision shape" in done.stderr
     assert (
-        '5 collision meshes were left out: link "c0", <collision>: mesh "package://fox/pad.stl" is not found'
+        '4 collision meshes were left out: link "c0", <collision>: mesh "package://fox/pad.stl" is not found'
         in done.stderr
     )
     assert 'name the directory of "fox" in package_dirs' in done.stderr
