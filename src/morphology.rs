@@ -12,8 +12,8 @@ use crate::components::Stance;
 use crate::config::{ActuatorConfig, ActuatorModel, ConfigError, InputOrder, LoadedRobot, RobotConfig, table_steps};
 use crate::dynamics::math::Spatial;
 use crate::dynamics::{
-    ActuatorNetwork, ContactKind, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput, NetworkStep,
-    Parameters, Scalar, State, StepSettings, Topology, Workspace,
+    ActuatorNetwork, ContactFriction, ContactKind, ContactSettings, Drive, EffortTable, JointTopology, NetworkInput,
+    NetworkStep, Parameters, Scalar, State, StepSettings, Topology, Workspace,
 };
 use crate::error::Error;
 use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, LimbKind, Model, Place, Roles, Site, Slot};
@@ -223,6 +223,11 @@ impl MorphologyModel {
     pub(crate) fn allow_action_delay(&mut self, most: u32) {
         self.max_action_delay = most;
         self.topology.has_delay |= most > 0;
+    }
+
+    /// Lets the ground's friction resist more than the sliding of the robot's contacts.
+    pub(crate) fn allow_friction(&mut self, friction: ContactFriction) {
+        self.topology.friction = friction;
     }
 
     /// Names of the slots' joints in the URDF.

@@ -204,6 +204,8 @@ pub struct Ground {
     pub layout: Option<TerrainLayout>,
     friction: Friction,
     restitution: Restitution,
+    /// Coefficients of torsional and rolling friction, m. Avian knows neither.
+    spin_friction: [f32; 2],
 }
 
 impl Ground {
@@ -253,6 +255,12 @@ impl Ground {
                 CoefficientCombine::Max => a.max(b),
             }
         })
+    }
+
+    /// Coefficients of torsional and rolling friction of a robot's surface on the ground, m: the larger of the two surfaces', as
+    /// MuJoCo combines them.
+    pub fn spin_friction_with(&self, of_robot: [f32; 2]) -> [f32; 2] {
+        [0, 1].map(|i| self.spin_friction[i].max(of_robot[i]))
     }
 
     /// Restitution of a robot's surface on the ground: the product.
@@ -355,6 +363,7 @@ fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldEr
         layout,
         friction,
         restitution,
+        spin_friction: [scene.ground.torsional_friction as f32, scene.ground.rolling_friction as f32],
     })
 }
 

@@ -9,7 +9,8 @@ use super::terms::{CompiledTask, Registry};
 use super::{Setup, SetupSet};
 use crate::batch::Batch;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs, check_threads};
-use crate::config::{EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
+use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
+use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
 use crate::engine::history_length;
 use crate::error::Error;
@@ -97,6 +98,14 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     let compiled = CompiledTask::new(&task.config, &morphologies, world.resource::<Registry>())?;
     for morphology in &mut morphologies.0 {
         morphology.allow_action_delay(compiled.max_action_delay(morphology));
+        let friction = compiled.contact_friction(morphology);
+        if friction != ContactFriction::Sliding && task.config.physics.engine == EngineKind::Avian {
+            let problem =
+                format!("the engine avian has no torsional and rolling friction, which {} has here", morphology.name());
+            let remedy = "set physics.engine = \"articulated\", or leave torsional_friction and rolling_friction out";
+            return Err(ConfigError::invalid(task.config.name.clone(), "physics.engine", problem, remedy).into());
+        }
+        morphology.allow_friction(friction);
     }
     let own = options.share.clone().unwrap_or(0..options.num_envs);
     let (share, counts) = Share::new(own, counts_of(robots, &task.config, options.num_envs)?);

@@ -91,7 +91,7 @@ pub use sense::{ScanRays, SensePlugin, SensedRobot, Sensor, SensorSettings, add_
 pub use spawn::SpawnPlugin;
 pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
-pub(crate) use terms::ACTION_DELAY;
+pub(crate) use terms::{ACTION_DELAY, PHYSICS_MATERIAL};
 pub use terms::{
     Block, CompiledTask, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm, TermKind,
     TermSource, TermSpec, TerminationTerm,

@@ -5,9 +5,8 @@ use serde::Deserialize;
 
 use super::ResetRequest;
 use super::sampling::{self, Source};
-use super::terms::{BODY_VARIATION, CompiledTask, NoParams, Registry};
+use super::terms::{BODY_VARIATION, CompiledTask, NoParams, PHYSICS_MATERIAL, PhysicsMaterial, Registry};
 use super::view::NewBody;
-use crate::bounds::MAX_BUCKETS;
 use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
 use crate::config::quantities::{Angle, BodyFactor, Power, Strength};
 use crate::config::{Distribution, Draw, Operation, values};
@@ -36,6 +35,7 @@ pub fn randomise_at_startup(
         let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, stance: &mut stance };
         let material = &task.config.robot_material;
         new.set_material(material.static_friction as f32, material.dynamic_friction as f32);
+        new.set_spin_friction(Some(material.torsional_friction as f32), Some(material.rolling_friction as f32));
         new.parameters.restitution = ground.restitution_with(material.restitution as f32);
         for event in &task.startup_events {
             event(&mut new, rng);
@@ -86,14 +86,6 @@ pub(super) fn reset_bodies(
         }
     }
     Ok(())
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Buckets {
-    /// Number of equally spaced materials that are drawn from.
-    #[serde(deserialize_with = "values::count_up_to::<MAX_BUCKETS, _>")]
-    num_buckets: u32,
 }
 
 #[derive(Deserialize)]
@@ -192,7 +184,7 @@ fn one() -> f64 {
 /// All built-in events of a robot's body, under Isaac Lab's names where it has them; they happen in this order.
 pub(super) fn register(registry: &mut Registry) {
     registry.body_event(BODY_VARIATION, body_variation);
-    registry.body_event("physics_material", physics_material);
+    registry.body_event(PHYSICS_MATERIAL, physics_material);
     registry.body_event("add_base_mass", add_base_mass);
     registry.body_event("base_com", base_com);
     registry.body_event("randomize_actuator_gains", randomize_actuator_gains);
@@ -227,8 +219,8 @@ fn body_variation(p: &TaskVariation, body: &mut NewBody, rng: &mut EnvRng) {
     scales.apply(body.morphology, body.parameters, body.stance);
 }
 
-/// One of `num_buckets` values of static and of dynamic friction, the dynamic one at most the static one.
-fn physics_material(p: &Buckets, body: &mut NewBody, rng: &mut EnvRng) {
+/// One of `num_buckets` values of each coefficient of friction that has a range, the dynamic one at most the static one.
+fn physics_material(p: &PhysicsMaterial, body: &mut NewBody, rng: &mut EnvRng) {
     let ranges = &body.morphology.config.randomization;
     let last = p.num_buckets.max(1) - 1;
     let mut draw = |[low, high]: [f64; 2]| {
@@ -237,7 +229,9 @@ fn physics_material(p: &Buckets, body: &mut NewBody, rng: &mut EnvRng) {
     };
     let static_friction = draw(ranges.static_friction);
     let dynamic_friction = draw(ranges.dynamic_friction).min(static_friction);
+    let [torsional, rolling] = p.spin_ranges(body.morphology).map(|range| range.map(&mut draw));
     body.set_material(static_friction, dynamic_friction);
+    body.set_spin_friction(torsional, rolling);
 }
 
 /// Adds mass to the base and, unless told otherwise, scales its inertia with it.

@@ -194,6 +194,20 @@ impl NewBody<'_> {
         self.parameters.static_friction = static_friction;
         self.parameters.dynamic_friction = dynamic_friction;
     }
+
+    /// Sets the coefficients of torsional and rolling friction of the robot's surface, m; `None` leaves one as it is. The larger one of
+    /// robot and ground acts. They act on robots for which the task has such friction: see
+    /// [`CompiledTask::contact_friction`](super::CompiledTask::contact_friction).
+    pub fn set_spin_friction(&mut self, torsional: Option<f32>, rolling: Option<f32>) {
+        let of_robot = [torsional, rolling].map(Option::unwrap_or_default);
+        let [combined_torsional, combined_rolling] = self.ground.spin_friction_with(of_robot);
+        if torsional.is_some() {
+            self.parameters.torsional_friction = combined_torsional;
+        }
+        if rolling.is_some() {
+            self.parameters.rolling_friction = combined_rolling;
+        }
+    }
 }
 
 /// The state in which an episode begins, as reset events may change it.

@@ -11,7 +11,7 @@ use polypod::dynamics::lanes::Simd;
 use polypod::engine::Quantity;
 use polypod::{Sim, SimOptions};
 
-use crate::common::{assert_all_same, busy, step};
+use crate::common::{assert_all_same, busy, step, turning};
 
 const ROBOTS: [&str; 3] = ["anymal_d", "spot", "unitree_a1"];
 const NUM_ENVS: usize = 60;
@@ -60,8 +60,14 @@ fn replay(arguments: &[&str]) -> Output {
 /// Breaks one env and replays the dump on every instruction set; returns the first replay's output.
 #[track_caller]
 fn check(test: &str, env: usize, change: Change, quantity: Quantity) -> String {
+    check_in(&options(None), test, env, change, quantity)
+}
+
+/// The same in a task.
+#[track_caller]
+fn check_in(options: &SimOptions, test: &str, env: usize, change: Change, quantity: Quantity) -> String {
     let dir = directory(test);
-    let mut sim = under_way(&options(Some(&dir)));
+    let mut sim = under_way(&SimOptions { dump_dir: Some(dir.clone()), ..options.clone() });
     assert!(dumps(&dir).is_empty(), "{test}: nothing has broken yet");
     damage(&mut sim, env, change);
     step(&mut sim, 10);
@@ -98,6 +104,12 @@ fn a_state_that_is_not_finite() {
 fn a_state_that_runs_away() {
     check("bullet", 12, |_, velocity, _, _| velocity.linear = [900.0, 0.0, 0.0], Quantity::BaseLinearVelocity);
     check("rocket", 50, |_, velocity, _, _| velocity.linear[2] = 500.0, Quantity::BaseLinearVelocity);
+}
+
+#[test]
+fn a_state_on_ground_that_resists_turning() {
+    let options = turning(options(None));
+    check_in(&options, "turning", 33, |_, velocity, _, _| velocity.angular[2] = 250.0, Quantity::BaseAngularVelocity);
 }
 
 /// The state is sound, the numbers of the robot are not: the control step itself breaks it.

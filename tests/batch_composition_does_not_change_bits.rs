@@ -6,7 +6,7 @@ use polypod::components::{Body, EnvId, EnvRng};
 use polypod::dynamics::Parameters;
 use polypod::{Sim, SimOptions};
 
-use crate::common::{self, assert_same, busy, env_bits, step, step_with};
+use crate::common::{self, assert_same, busy, env_bits, step, step_with, turning};
 
 const STEPS: usize = 120;
 
@@ -103,8 +103,8 @@ fn robots_before_it_change_nothing() {
 }
 
 /// Steps two equal simulations, in one of which two of three bodies are changed: the third does not notice.
-fn others_are_built_otherwise(change: fn(&mut Parameters<f32>)) {
-    let (mut a, mut b) = (sim(&["spot"], 40), sim(&["spot"], 40));
+fn others_are_built_otherwise(options: &SimOptions, change: fn(&mut Parameters<f32>)) {
+    let (mut a, mut b) = (Sim::new(options).unwrap(), Sim::new(options).unwrap());
     let world = b.world_mut();
     for (id, mut body) in world.query::<(&EnvId, &mut Body)>().iter_mut(world) {
         if !is_watched(id.0 as usize) {
@@ -121,12 +121,21 @@ fn others_are_built_otherwise(change: fn(&mut Parameters<f32>)) {
 
 #[test]
 fn how_others_bounce_changes_nothing() {
-    others_are_built_otherwise(|body| body.restitution = 0.5);
+    others_are_built_otherwise(&busy(&["spot"], 40), |body| body.restitution = 0.5);
+}
+
+#[test]
+fn how_hard_others_are_to_turn_changes_nothing() {
+    others_are_built_otherwise(&turning(busy(&["spot"], 40)), |body| {
+        (body.torsional_friction, body.rolling_friction) = (0.0, 0.02);
+    });
 }
 
 #[test]
 fn how_long_others_legs_are_changes_nothing() {
-    others_are_built_otherwise(|body| body.joint_offset.iter_mut().for_each(|offset| offset[2] *= 1.1));
+    others_are_built_otherwise(&busy(&["spot"], 40), |body| {
+        body.joint_offset.iter_mut().for_each(|offset| offset[2] *= 1.1)
+    });
 }
 
 /// One control step in which the envs of `block` act by their place in it.

@@ -379,6 +379,8 @@ fn numbers_that_no_simulation_can_use_are_refused() {
         ("scene.grid_cell=1e308", "scene.grid_cell", "1e308 is beyond 10000 m", "from 0.001 to 10000 m"),
         ("rewards.spot.gait.std=-1e39", "rewards.spot.gait.std", "1e39 is beyond all", "from -1e9 to 1e9"),
         ("robot_material.static_friction=-0.5", "robot_material.static_friction", "negative", "0 or above"),
+        ("robot_material.rolling_friction=-0.01", "robot_material.rolling_friction", "negative", "0 or above"),
+        ("scene.ground.torsional_friction=11", "scene.ground.torsional_friction", "beyond 10 m", "from 0 to 10 m"),
         ("rewards.spot.gait.weight=-1e39", "rewards.spot.gait.weight", "-1e39 is below -1e6", "from -1e6 to 1e6"),
         ("terminations.base_contact.threshold=1e308", "terminations.base_contact.threshold", "1e308", "1e9"),
         ("robots=['']", "robots[0]", "empty", "a robot's name"),

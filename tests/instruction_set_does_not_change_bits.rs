@@ -5,12 +5,16 @@ use std::process::Output;
 use polypod::dynamics::lanes::Simd;
 use polypod::{Sim, SimOptions};
 
-use crate::common::{ROBOTS, assert_all_same, busy, ended, step};
+use crate::common::{ROBOTS, assert_all_same, busy, ended, step, turning};
 
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
     // eleven envs per robot: one pack or several, and the last one is not full
-    let options = busy(&ROBOTS, 88);
+    same_bits(&busy(&ROBOTS, 88));
+    same_bits(&turning(busy(&["anymal_d", "unitree_go2"], 22)));
+}
+
+fn same_bits(options: &SimOptions) {
     let make = |simd| Sim::new(&SimOptions { simd: Some(simd), ..options.clone() }).unwrap();
     let mut reference = make(Simd::Portable);
     let missing = [Simd::Avx512, Simd::Avx2, Simd::Neon].map(|simd| (simd, Simd::available().contains(&simd)));
@@ -28,7 +32,7 @@ fn every_instruction_set_gives_the_same_bits() {
             assert_all_same(&mut reference, sim, &format!("step {t}, {name}"));
         }
     }
-    assert!(episodes >= 88, "resets must have been part of it");
+    assert!(episodes >= options.num_envs, "resets must have been part of it");
     let snapshot = reference.snapshot().unwrap();
     for mut sim in others {
         assert!(

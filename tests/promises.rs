@@ -31,6 +31,7 @@ mod every_robot_stands_or_says_why;
 mod examples_run;
 mod external_wrenches_move_the_base;
 mod files_are_written_whole_or_not_at_all;
+mod friction_resists_turning_and_rolling;
 mod gravity_is_one_quantity;
 mod heightfields_make_pits;
 mod heights_are_one_surface;

@@ -228,6 +228,29 @@ fn materials_come_from_even_buckets() {
 }
 
 #[test]
+fn torsional_and_rolling_friction_come_from_even_buckets() {
+    let torsional = "events.physics_material.torsional_friction_range=[0.005, 0.02]";
+    let rolling = "robot_overrides.spot.randomization.rolling_friction=[0.0, 0.01]";
+    let mut sim = Sim::new(&options("spot", &[], &[torsional, rolling], 3)).unwrap();
+    let bodies = bodies(&mut sim);
+    let bucket = |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) / (high - low) * 63.0 * 1e3).round() / 1e3;
+    let drawn = |f: &dyn Fn(&Body) -> f64| bodies.iter().map(f).collect::<Vec<_>>();
+    let columns = [
+        column("torsional friction", [0.0, 63.0], drawn(&|b| bucket(b.0.torsional_friction, [0.005, 0.02]))),
+        column("rolling friction", [0.0, 63.0], drawn(&|b| bucket(b.0.rolling_friction, [0.0, 0.01]))),
+        column("static friction", [0.0, 63.0], drawn(&|b| f64::from(b.0.static_friction))),
+    ];
+    columns[..2].iter().for_each(|c| assert_even(&c.name, &c.drawn, 64));
+    assert_independent(&columns);
+    // what is not drawn leaves all other draws as they are
+    let mut plain = Sim::new(&options("spot", &[], &[], 3)).unwrap();
+    for (drawn, plain) in bodies.iter().zip(self::bodies(&mut plain)) {
+        assert_eq!(drawn.0.static_friction, plain.0.static_friction);
+        assert_eq!((plain.0.torsional_friction, plain.0.rolling_friction), (0.0, 0.0));
+    }
+}
+
+#[test]
 fn the_inertia_follows_the_added_mass_unless_told_otherwise() {
     for recompute in [true, false] {
         let more = format!("events.add_base_mass.recompute_inertia={recompute}");

@@ -2,7 +2,7 @@
 
 use polypod::{Control, Error, Sim, SimOptions, Simulation, SimulationOptions};
 
-use crate::common::{ROBOTS, assert_all_same, busy, env_bits, size, step};
+use crate::common::{ROBOTS, assert_all_same, busy, env_bits, size, step, turning};
 
 /// A simulation somewhere in the middle of its episodes.
 fn under_way(options: &SimOptions) -> Sim {
@@ -25,6 +25,11 @@ fn fifty_steps(sim: &mut Sim) -> (Vec<Vec<Vec<u32>>>, Vec<u8>) {
 #[test]
 fn a_restored_simulation_goes_on_as_if_nothing_had_happened() {
     round_trip(busy(&ROBOTS, 27));
+}
+
+#[test]
+fn so_it_does_on_ground_that_resists_turning() {
+    round_trip(turning(busy(&["anymal_d", "spot"], 10)));
 }
 
 #[test]

@@ -653,6 +653,8 @@ class Simulation:
         package_dirs: Mapping[str, str | os.PathLike[str]] = {},
         locked_joints: Mapping[str, float] = {},
         friction: npt.ArrayLike = 1.0,
+        torsional_friction: float = 0.0,
+        rolling_friction: float = 0.0,
         restitution: float = 0.0,
         armature: npt.ArrayLike | None = None,
         self_collision: bool | None = None,
@@ -680,6 +682,8 @@ class Simulation:
             locked_joints: position (rad or m) of each joint that is held: it becomes part of its parent link. Joints of
                 a URDF that mimic others are held in any case, with a warning.
             friction: coefficient of robot and ground combined, or (static, dynamic).
+            torsional_friction: torque about a contact's normal per normal force, m; of ground contacts.
+            rolling_friction: torque across a contact's normal per normal force, m; of ground contacts.
             restitution: coefficient of robot and ground combined, from 0 to 1.
             armature: reflected rotor inertia, kg m^2, one number or [num_joints]. None: the robot's, 0 for a URDF.
             self_collision: whether a robot's links collide with one another, but for those joined by a joint or

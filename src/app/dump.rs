@@ -25,12 +25,12 @@ use crate::hash::fnv1a;
 use crate::morphology::MorphologyModel;
 use crate::options::SimOptions;
 use crate::sealed::{self, Header};
-use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Loaded, Place, Saved, run_physics};
+use crate::systems::{ACTION_DELAY, BrokenState, BrokenStates, Loaded, PHYSICS_MATERIAL, Place, Saved, run_physics};
 use crate::world::Ground;
 
 const KIND: &str = "polypod dump of a broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 6;
+const FORMAT: u32 = 7;
 
 /// A control step that broke a state, and the robot and task it happened to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -163,8 +163,8 @@ impl Dump {
         config.observations.policy.clear();
         config.observations.groups.clear();
         config.terminations.clear();
-        // but for the one that makes room for late targets
-        config.events.retain(|name, _| name == ACTION_DELAY);
+        // but for those that make room for late targets and for friction against turning
+        config.events.retain(|name, _| name == ACTION_DELAY || name == PHYSICS_MATERIAL);
         config.rewards = [(robot.config.reward_set.clone(), Default::default())].into();
         let resolved = self.table(&self.task)?;
         let task = LoadedTask { config, resolved, hash: fnv1a(self.task.as_bytes()) };

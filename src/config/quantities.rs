@@ -92,6 +92,8 @@ quantities! {
     ForceThreshold: 0.0 => 1e6, " N";
     /// A coefficient of friction.
     FrictionCoefficient: 0.0 => 100.0, "";
+    /// A coefficient of torsional or rolling friction.
+    FrictionLength: 0.0 => 10.0, " m";
     /// A factor of either sign.
     Factor: -1e6 => 1e6, "";
     /// A factor that makes nothing smaller than zero.

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::quantities::{BodyFactor, Force, FrictionCoefficient, Gain, MassOffset, Quantity, Shift, Strength};
+use super::quantities::{
+    BodyFactor, Force, FrictionCoefficient, FrictionLength, Gain, MassOffset, Quantity, Shift, Strength,
+};
 use super::values;
 use crate::bounds::Shown;
 
@@ -16,6 +18,18 @@ pub struct RandomizationConfig {
     /// Coefficient of friction when sliding. Default: 0.4 to 1.
     #[serde(deserialize_with = "values::range_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: [f64; 2],
+    /// Coefficient of torsional friction, m. Default: the task's `robot_material`, and nothing is drawn.
+    #[serde(
+        deserialize_with = "values::optional_range_of::<FrictionLength, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub torsional_friction: Option<[f64; 2]>,
+    /// Coefficient of rolling friction, m. Default: the task's `robot_material`, and nothing is drawn.
+    #[serde(
+        deserialize_with = "values::optional_range_of::<FrictionLength, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub rolling_friction: Option<[f64; 2]>,
     /// Mass added to the base, kg. Default: 0.
     #[serde(deserialize_with = "values::range_of::<MassOffset, _, _>")]
     pub base_mass_offset: [f64; 2],
@@ -51,6 +65,8 @@ impl Default for RandomizationConfig {
         Self {
             static_friction: [0.5, 1.25],
             dynamic_friction: [0.4, 1.0],
+            torsional_friction: None,
+            rolling_friction: None,
             base_mass_offset: [0.0, 0.0],
             base_com_offset: BaseComOffset::default(),
             stiffness: Draw::default(),

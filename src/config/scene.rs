@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::error::{ConfigError, ConfigErrorKind};
-use super::quantities::{Angle, Coordinate, FrictionCoefficient, Height, Length, Quantity};
+use super::quantities::{Angle, Coordinate, FrictionCoefficient, FrictionLength, Height, Length, Quantity};
 use super::terrain::TerrainConfig;
 use super::values;
 use crate::robot::{Surface, read_surface};
@@ -72,10 +72,16 @@ pub struct GroundConfig {
     /// Coefficient of friction when sliding. Default: 1.
     #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: f64,
+    /// Coefficient of torsional friction, m: torque about a contact's normal per normal force. Default: 0.
+    #[serde(deserialize_with = "values::number_of::<FrictionLength, _, _>", skip_serializing_if = "values::is_zero")]
+    pub torsional_friction: f64,
+    /// Coefficient of rolling friction, m: torque across a contact's normal per normal force. Default: 0.
+    #[serde(deserialize_with = "values::number_of::<FrictionLength, _, _>", skip_serializing_if = "values::is_zero")]
+    pub rolling_friction: f64,
     /// Share of the approach speed that is given back, 0 to 1. Default: 0.
     #[serde(deserialize_with = "values::fraction")]
     pub restitution: f64,
-    /// How ground and robot make one coefficient. Default: multiply.
+    /// How ground and robot make one coefficient of static and of dynamic friction. Default: multiply.
     pub friction_combine: FrictionCombine,
 }
 
@@ -84,6 +90,8 @@ impl Default for GroundConfig {
         Self {
             static_friction: 1.0,
             dynamic_friction: 1.0,
+            torsional_friction: 0.0,
+            rolling_friction: 0.0,
             restitution: 0.0,
             friction_combine: FrictionCombine::Multiply,
         }

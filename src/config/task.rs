@@ -11,7 +11,8 @@ use toml::Table;
 use super::error::{ConfigError, ConfigErrorKind};
 use super::parse::params_beside;
 use super::quantities::{
-    Bound, Duration, Extent, Factor, FrictionCoefficient, Gain, Gravity, Length, Noise, PushSpeed, Time, Weight,
+    Bound, Duration, Extent, Factor, FrictionCoefficient, FrictionLength, Gain, Gravity, Length, Noise, PushSpeed,
+    Time, Weight,
 };
 use super::scene::{ObstacleConfig, SceneConfig};
 use super::suggest::{did_you_mean, is_slip};
@@ -173,6 +174,20 @@ pub struct MaterialConfig {
     /// Coefficient of friction when sliding.
     #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: f64,
+    /// Coefficient of torsional friction, m: torque about a contact's normal per normal force. Default: 0.
+    #[serde(
+        default,
+        deserialize_with = "values::number_of::<FrictionLength, _, _>",
+        skip_serializing_if = "values::is_zero"
+    )]
+    pub torsional_friction: f64,
+    /// Coefficient of rolling friction, m: torque across a contact's normal per normal force. Default: 0.
+    #[serde(
+        default,
+        deserialize_with = "values::number_of::<FrictionLength, _, _>",
+        skip_serializing_if = "values::is_zero"
+    )]
+    pub rolling_friction: f64,
     /// Share of the approach speed that is given back, 0 to 1.
     #[serde(deserialize_with = "values::fraction")]
     pub restitution: f64,

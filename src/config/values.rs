@@ -91,6 +91,11 @@ pub fn optional_range_of<'de, Q: Quantity, N: Number, D: Deserializer<'de>>(
     range_of::<Q, N, D>(deserializer).map(Some)
 }
 
+/// Whether a number is its default of 0, which resolved configs leave out.
+pub fn is_zero(number: &f64) -> bool {
+    *number == 0.0
+}
+
 /// A list of numbers of the quantity `Q`, of fixed length.
 ///
 /// # Errors

@@ -105,6 +105,31 @@ pub enum ContactKind {
     },
 }
 
+/// Motions of a contact with the ground that friction resists.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ContactFriction {
+    /// Sliding: MuJoCo's `condim` 3.
+    #[default]
+    Sliding,
+    /// Turning about the normal, too: `condim` 4.
+    Torsional,
+    /// Rolling about the tangents, too: `condim` 6.
+    Rolling,
+}
+
+impl ContactFriction {
+    /// The fewest motions for coefficients of torsional and rolling friction up to these, m.
+    pub fn of(torsional: f64, rolling: f64) -> Self {
+        if rolling > 0.0 {
+            Self::Rolling
+        } else if torsional > 0.0 {
+            Self::Torsional
+        } else {
+            Self::Sliding
+        }
+    }
+}
+
 /// A place on a robot that can touch the ground.
 #[derive(Clone, Copy, Debug)]
 pub struct ContactTopology {
@@ -179,6 +204,9 @@ pub struct Topology {
     pub sites: Vec<usize>,
     /// Whether any actuator delays its target.
     pub has_delay: bool,
+    /// What friction with the ground resists. Rows of torsional and rolling friction are built where it asks for them, whatever the
+    /// coefficients.
+    pub friction: ContactFriction,
     blocks: Blocks,
     /// `paths[link]`: the joints that carry the link; after the links' the paths of the pairs.
     paths: Vec<Vec<PathPart>>,
@@ -220,6 +248,7 @@ impl Topology {
             num_bodies,
             sites,
             has_delay,
+            friction: ContactFriction::Sliding,
             blocks,
             paths,
             link_contacts,
@@ -284,9 +313,26 @@ impl Topology {
         self.link_colliders.get(link).map_or(&[], |colliders| colliders)
     }
 
-    /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of the pairs.
+    /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of the pairs, then with torsional or
+    /// rolling friction the angular impulse of each candidate.
     pub fn num_impulses(&self) -> usize {
+        self.num_contacts() + self.num_spins()
+    }
+
+    /// The most contacts at a time.
+    pub(super) fn num_contacts(&self) -> usize {
         self.contacts.len() + self.pair_of_impulse.len()
+    }
+
+    /// The most contacts with torsional or rolling friction at a time.
+    pub(super) fn num_spins(&self) -> usize {
+        if self.friction == ContactFriction::Sliding { 0 } else { self.contacts.len() }
+    }
+
+    /// The angular impulse of a ground contact candidate among all impulses.
+    #[inline(always)]
+    pub(super) fn spin_impulse(&self, contact: usize) -> usize {
+        self.num_contacts() + contact
     }
 
     /// The pair that an impulse belongs to; none for one of the ground's.

@@ -120,6 +120,10 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
                 bounce = S::select(S::and(elastic, bounces), -(approach * parameters.restitution()), bounce);
             }
             rows.add(near, target, bounce, &state.impulse[c]);
+            if B::RESISTS_TURNING {
+                let warm_start = &state.impulse[topology.spin_impulse(c)];
+                rows.add_spin(topology, solver, factor, links, axes_here, c, near, warm_start);
+            }
         }
     }
 }

@@ -34,14 +34,15 @@ mod settings;
 mod shared_array;
 mod solver;
 mod sparse_rows;
+mod spin_rows;
 mod state;
 mod step;
 mod terrain;
 
 pub use algorithms::Dynamics;
 pub use articulation::{
-    Axis, ColliderTopology, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology, MAX_DEPTH,
-    PairTopology, Topology,
+    Axis, ColliderTopology, ContactFriction, ContactKind, ContactTopology, EffortTable, JointMotion, JointTopology,
+    MAX_DEPTH, PairTopology, Topology,
 };
 pub use ground::Plane;
 pub use kernels::{Kernels, Scalar};

@@ -23,6 +23,8 @@ macro_rules! parameters {
 
         /// The numbers of the bodies in a pack as kernels read them.
         pub trait BodyNumbers<S: Real>: Copy {
+            /// Whether torsional and rolling friction act. Kernels without them are compiled without their rows.
+            const RESISTS_TURNING: bool = false;
             $(
                 /// See [`Parameters`].
                 fn $name(self, i: usize) -> $t;
@@ -44,6 +46,22 @@ macro_rules! parameters {
                 #[inline(always)]
                 fn $one(self) -> S {
                     self.$one
+                }
+            )*
+        }
+
+        impl<S: Real> BodyNumbers<S> for TurningParameters<'_, S> {
+            const RESISTS_TURNING: bool = true;
+            $(
+                #[inline(always)]
+                fn $name(self, i: usize) -> $t {
+                    self.0.$name[i]
+                }
+            )*
+            $(
+                #[inline(always)]
+                fn $one(self) -> S {
+                    self.0.$one
                 }
             )*
         }
@@ -143,6 +161,10 @@ pub(super) struct UniformParameters<'a, S> {
     /// What each has of its own; the rest is not looked at.
     pub(super) own: &'a Parameters<S>,
 }
+
+/// Bodies that torsional and rolling friction act on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TurningParameters<'a, S>(pub(super) &'a Parameters<S>);
 
 /// Of a list of links' numbers, [`UniformParameters`] bodies have those of the base of their own: the first.
 const BASE: usize = 1;
@@ -253,6 +275,10 @@ parameters! {
         dynamic_friction;
         /// Restitution coefficient (robot and ground combined).
         restitution;
+        /// Coefficient of torsional friction (robot and ground combined), m; read where the topology's friction asks for it.
+        torsional_friction;
+        /// Coefficient of rolling friction (robot and ground combined), m; read where the topology's friction asks for it.
+        rolling_friction;
     }
 }
 
@@ -289,6 +315,8 @@ impl<S: Real> Parameters<S> {
             static_friction: z,
             dynamic_friction: z,
             restitution: z,
+            torsional_friction: z,
+            rolling_friction: z,
         }
     }
 

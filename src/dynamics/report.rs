@@ -49,6 +49,11 @@ pub(super) fn report_contacts<S: Real>(
             touched[body] = true;
         }
     }
+    for (row, spin) in work.contacts().iter().zip(work.spins()) {
+        let impulse = topology.spin_impulse(row.contact);
+        state.impulse[impulse] = normalised(&spin.impulse);
+        state.pressing.push(impulse as u32);
+    }
     if last {
         sum_forces(topology, settings, inverse_dt, base_rotation, work, body_force);
         note_demands(topology, work, demands);

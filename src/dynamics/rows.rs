@@ -11,6 +11,7 @@ use super::lanes::Real;
 use super::math::{Vec3, cross, dot, scale, sub};
 use super::settings::SolverSettings;
 use super::sparse_rows::{JointRows, SparseRows, UnitRows};
+use super::spin_rows::SpinRows;
 use super::state::LinkState;
 
 /// Target speed of an absent contact, m/s. A robot that runs away may be faster: a lane that is not `near` is kept from pushing by its
@@ -129,6 +130,9 @@ pub struct ContactWork<S: Real> {
     /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
     pub(super) contacts: Vec<ContactRows<S>>,
     pub(super) num_contacts: usize,
+    /// Torsional and rolling friction of the ground contacts, in their order: the first `num_spins`, and room for more.
+    pub(super) spins: Vec<SpinRows<S>>,
+    pub(super) num_spins: usize,
     /// `[blocks]`.
     pub(super) bounds: Vec<BoundBlock<S>>,
     /// Number of blocks after the first that rows have room for.
@@ -143,6 +147,8 @@ pub struct ContactWork<S: Real> {
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows in the blocks after the first: `[contact * stride + p]`, `p` along the path.
     pub(super) contact_further: Vec<JointRows<S>>,
+    /// The same of torsional and rolling friction.
+    pub(super) spin_further: Vec<JointRows<S>>,
     /// The same of the joint bounds.
     pub(super) bound_further: Vec<JointRows<S>>,
     /// The sparse velocity `y`.
@@ -161,7 +167,7 @@ impl<S: Real> ContactWork<S> {
         let z = S::zero();
         // at least one: it is the size of chunks
         let stride = topology.max_path().saturating_sub(1).max(1);
-        let (contacts, blocks) = (topology.num_impulses(), topology.blocks().len());
+        let (contacts, blocks) = (topology.num_contacts(), topology.blocks().len());
         let free = BoundBlock {
             limits: false,
             active: false,
@@ -175,6 +181,8 @@ impl<S: Real> ContactWork<S> {
         Self {
             contacts: Vec::new(),
             num_contacts: 0,
+            spins: Vec::new(),
+            num_spins: 0,
             bounds: vec![free; blocks],
             stride,
             violation: z,
@@ -182,6 +190,7 @@ impl<S: Real> ContactWork<S> {
             ground_frames: Vec::with_capacity(topology.contacts.len()),
             pair_frames: Vec::with_capacity(contacts - topology.contacts.len()),
             contact_further: vec![[[z; 3]; BLOCK]; contacts * stride],
+            spin_further: vec![[[z; 3]; BLOCK]; topology.num_spins() * stride],
             bound_further: vec![[[z; 3]; BLOCK]; blocks * stride],
             base: [z; 6],
             joints: velocities.clone(),
@@ -193,7 +202,7 @@ impl<S: Real> ContactWork<S> {
     /// Forgets all rows; `total_mass` in kg.
     #[inline(always)]
     pub(super) fn clear(&mut self, total_mass: S) {
-        self.num_contacts = 0;
+        (self.num_contacts, self.num_spins) = (0, 0);
         self.violation = S::zero();
         self.ground_frames.clear();
         self.pair_frames.clear();
@@ -238,26 +247,12 @@ impl<S: Real> ContactWork<S> {
         let point = sub(centre, &scale(&frame[0], radius));
         let (ContactRows { contact: which, rows, .. }, further) = self.next_mut();
         *which = contact;
-        rows.set_path(topology, link);
         for d in 0..3 {
             let [mx, my, mz] = cross(&point, &frame[d]);
             let [x, y, z] = frame[d];
             rows.base[d] = [mx, my, mz, x, y, z];
         }
-        let path = topology.path(link);
-        match path.split_first() {
-            Some((part, rest)) => {
-                rows.own = joint_rows(topology, links, part, &rows.base);
-                for (part, out) in rest.iter().zip(further.iter_mut()) {
-                    *out = joint_rows(topology, links, part, &rows.base);
-                }
-            }
-            None => rows.own = [[S::zero(); 3]; BLOCK],
-        }
-        if !topology.floating {
-            rows.base = [[S::zero(); 6]; 3];
-        }
-        rows.half_solve(topology, factor, further);
+        build_rows(topology, factor, links, link, rows, further);
         self.finish(topology, solver, solver.ground_compliance);
     }
 
@@ -367,6 +362,32 @@ impl<S: Real> ContactRows<S> {
             active: true,
         }
     }
+}
+
+/// `Z` of three rows that act on a link; their `base` holds the directions, each its moment about the base's origin and its force.
+#[inline(always)]
+pub(super) fn build_rows<S: Real>(
+    topology: &Topology,
+    factor: &Factor<S>,
+    links: &[LinkState<S>],
+    link: usize,
+    rows: &mut SparseRows<S>,
+    further: &mut [JointRows<S>],
+) {
+    rows.set_path(topology, link);
+    match topology.path(link).split_first() {
+        Some((part, rest)) => {
+            rows.own = joint_rows(topology, links, part, &rows.base);
+            for (part, out) in rest.iter().zip(further.iter_mut()) {
+                *out = joint_rows(topology, links, part, &rows.base);
+            }
+        }
+        None => rows.own = [[S::zero(); 3]; BLOCK],
+    }
+    if !topology.floating {
+        rows.base = [[S::zero(); 6]; 3];
+    }
+    rows.half_solve(topology, factor, further);
 }
 
 /// `J` of a block's joints for forces along three directions, given as their moment about the base's origin and themselves.

@@ -24,7 +24,8 @@ pub struct State<S> {
     /// Joint velocities, rad/s, `[joints]`.
     pub joint_velocity: Vec<S>,
     /// Contact impulses of the last physics step (along the contact's normal and two tangents), N s, `[contacts, then
-    /// pairs]`; they warm-start the next one.
+    /// pairs]`, then with torsional or rolling friction the angular ones about these axes, N m s, `[contacts]`; they warm-start the
+    /// next one.
     pub impulse: Vec<[S; 3]>,
     /// Which of them are not zero in every lane: all others must be.
     pub pressing: Vec<u32>,

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::actuators::{actuate, select_targets};
-use super::articulation::Topology;
+use super::articulation::{ContactFriction, Topology};
 use super::blocks::{BLOCK, gather};
 use super::ground_contacts::build_ground_contacts;
 use super::joint_bounds::build_joint_bounds;
@@ -13,7 +13,7 @@ use super::lanes::{Kernel, Lanes, Real};
 use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
-use super::parameters::{BodyNumbers, Parameters, UniformParameters};
+use super::parameters::{BodyNumbers, Parameters, TurningParameters, UniformParameters};
 use super::report::{report_contacts, report_sites};
 use super::rows::ContactWork;
 use super::self_contact::build_pairs;
@@ -57,6 +57,9 @@ impl<L: Lanes> ControlStep<'_, L> {
     /// Makes the step in code that is compiled where this is called: [`kernels`](super::kernels) calls it once per lane type.
     pub(super) fn compute(self) {
         let parameters = self.parameters;
+        if self.topology.friction != ContactFriction::Sliding {
+            return L::vectorize(StepOf { parameters: TurningParameters(parameters), step: self });
+        }
         match self.kind {
             Some(kind) if L::READS_ALIKE => {
                 L::vectorize(StepOf { parameters: UniformParameters { kind, own: parameters }, step: self })

@@ -174,7 +174,7 @@ impl Simulation {
     #[new]
     #[pyo3(signature = (robot, num_envs=1, *, dt=0.005, ground=Some("plane"), gravity=[0.0, 0.0, -9.81],
         engine="articulated".to_string(), fixed_base=false, package_dirs=BTreeMap::new(),
-        locked_joints=BTreeMap::new(), friction=None, restitution=0.0,
+        locked_joints=BTreeMap::new(), friction=None, torsional_friction=0.0, rolling_friction=0.0, restitution=0.0,
         armature=None, self_collision=None, ground_normal=[0.0, 0.0, 1.0], solver_iterations=4, avian_substeps=8, threads=None,
         simd=None, dtype=None))]
     fn new(
@@ -189,6 +189,8 @@ impl Simulation {
         package_dirs: BTreeMap<String, PathBuf>,
         locked_joints: BTreeMap<String, f64>,
         friction: Option<Bound<'_, PyAny>>,
+        torsional_friction: f64,
+        rolling_friction: f64,
         restitution: f64,
         armature: Option<Bound<'_, PyAny>>,
         self_collision: Option<bool>,
@@ -210,6 +212,8 @@ impl Simulation {
             fixed_base,
             package_dirs,
             locked_joints,
+            torsional_friction,
+            rolling_friction,
             restitution,
             self_collision,
             solver_iterations: unsigned(py, "solver_iterations", solver_iterations)?,

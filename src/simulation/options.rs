@@ -45,6 +45,10 @@ pub struct SimulationOptions {
     pub locked_joints: BTreeMap<String, f64>,
     /// Static and dynamic friction coefficient, robot and ground combined. Default: 1.
     pub friction: [f64; 2],
+    /// Coefficient of torsional friction, robot and ground combined, m: torque about a contact's normal per normal force. Default: 0.
+    pub torsional_friction: f64,
+    /// Coefficient of rolling friction, robot and ground combined, m: torque across a contact's normal per normal force. Default: 0.
+    pub rolling_friction: f64,
     /// Restitution coefficient, robot and ground combined. Default: 0.
     pub restitution: f64,
     /// Reflected rotor inertia, kg m^2: one number or `[joints]`. Default: the robot's, 0 for a URDF.
@@ -78,6 +82,8 @@ impl SimulationOptions {
             package_dirs: BTreeMap::new(),
             locked_joints: BTreeMap::new(),
             friction: [1.0, 1.0],
+            torsional_friction: 0.0,
+            rolling_friction: 0.0,
             restitution: 0.0,
             armature: None,
             self_collision: None,
@@ -150,6 +156,15 @@ impl SimulationOptions {
             return Err(Error::argument("ground_normal", format!("{normal:?}"), remedy));
         }
         check_non_negative("friction", &self.friction)?;
+        for (element, coefficient) in
+            [("torsional_friction", self.torsional_friction), ("rolling_friction", self.rolling_friction)]
+        {
+            check_non_negative(element, &[coefficient])?;
+            if coefficient > 0.0 && self.engine() == EngineKind::Avian {
+                let remedy = "pass 0, or use the engine \"articulated\"";
+                return Err(Error::argument(element, "the engine avian has no such friction", remedy));
+            }
+        }
         if !(0.0..=1.0).contains(&self.restitution) {
             return Err(Error::argument("restitution", format!("{}", self.restitution), "pass a number from 0 to 1"));
         }

@@ -168,7 +168,7 @@ impl Simulation {
     }
 
     /// Sets the friction coefficients between robot and ground, already combined: one number or one per env. The dynamic
-    /// one is the static one unless given.
+    /// one is the static one unless given. Torsional and rolling friction stay.
     ///
     /// # Errors
     /// A negative coefficient, another number of values, no such env.

@@ -8,7 +8,7 @@ use super::envs::Env;
 use super::options::{SimulationOptions, check_non_negative};
 use super::rows::Rows;
 use crate::config::Library;
-use crate::dynamics::{ActuatorNetwork, MAX_DEPTH, Parameters, Topology};
+use crate::dynamics::{ActuatorNetwork, ContactFriction, MAX_DEPTH, Parameters, Topology};
 use crate::engine::Kind;
 use crate::error::Error;
 use crate::morphology::{ConfiguredRobot, lowest_point};
@@ -59,6 +59,9 @@ impl Robot {
             robot.nominal.armature = (0..joints).map(|j| rows.get(0, j)).collect();
         }
         [robot.nominal.static_friction, robot.nominal.dynamic_friction] = options.friction;
+        robot.nominal.torsional_friction = options.torsional_friction;
+        robot.nominal.rolling_friction = options.rolling_friction;
+        robot.topology.friction = ContactFriction::of(options.torsional_friction, options.rolling_friction);
         robot.nominal.restitution = options.restitution;
         Ok(robot)
     }

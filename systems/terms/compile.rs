@@ -9,11 +9,13 @@ use serde::Deserialize;
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::{TermKind, TermSpec};
-use crate::config::quantities::SpeedLimit;
+use crate::bounds::MAX_BUCKETS;
+use crate::config::quantities::{FrictionLength, SpeedLimit};
 use crate::config::values;
 use crate::config::{
     ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
 };
+use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -106,6 +108,7 @@ pub struct CompiledTask {
     pub(in crate::systems) reset_body_events: Vec<BodyFn>,
     pub(in crate::systems) reset_events: Vec<ResetFn>,
     action_delay: Option<ActionDelay>,
+    physics_material: Option<PhysicsMaterial>,
     pub(in crate::systems) interval_events: Vec<IntervalEvent>,
     pub(in crate::systems) curriculum: Vec<CurriculumFn>,
 }
@@ -128,6 +131,31 @@ impl ActionDelay {
     /// Fewest and most physics steps for a robot.
     pub(in crate::systems) fn range(&self, morphology: &MorphologyModel) -> [u32; 2] {
         self.delay_range.unwrap_or(morphology.config.randomization.action_delay)
+    }
+}
+
+/// The event that gives robots a surface.
+pub(crate) const PHYSICS_MATERIAL: &str = "physics_material";
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::systems) struct PhysicsMaterial {
+    /// Number of equally spaced materials that are drawn from.
+    #[serde(deserialize_with = "values::count_up_to::<MAX_BUCKETS, _>")]
+    pub(in crate::systems) num_buckets: u32,
+    /// Coefficient of torsional friction, m. Default: each robot's own range.
+    #[serde(default, deserialize_with = "values::optional_range_of::<FrictionLength, _, _>")]
+    torsional_friction_range: Option<[f64; 2]>,
+    /// Coefficient of rolling friction, m. Default: each robot's own range.
+    #[serde(default, deserialize_with = "values::optional_range_of::<FrictionLength, _, _>")]
+    rolling_friction_range: Option<[f64; 2]>,
+}
+
+impl PhysicsMaterial {
+    /// Ranges of a robot's torsional and rolling friction, m; none where the coefficient is not drawn.
+    pub(in crate::systems) fn spin_ranges(&self, morphology: &MorphologyModel) -> [Option<[f64; 2]>; 2] {
+        let own = &morphology.config.randomization;
+        [self.torsional_friction_range.or(own.torsional_friction), self.rolling_friction_range.or(own.rolling_friction)]
     }
 }
 
@@ -262,6 +290,7 @@ impl CompiledTask {
             reset_body_events: Vec::new(),
             reset_events: Vec::new(),
             action_delay: None,
+            physics_material: None,
             interval_events: Vec::new(),
             curriculum: Vec::new(),
             config: config.clone(),
@@ -285,6 +314,9 @@ impl CompiledTask {
                 let problem = "the engine avian cannot change the shapes of links";
                 let remedy = "set physics.engine = \"articulated\", or enabled = false";
                 return Err(ConfigError::invalid(file, element, problem, remedy));
+            }
+            if name == PHYSICS_MATERIAL {
+                self.physics_material = Some(parse_params(file, &element, &event.params)?);
             }
             match event.mode {
                 EventMode::Startup => {
@@ -322,6 +354,17 @@ impl CompiledTask {
     /// The most physics steps by which the task's events delay the targets of a robot, on top of its actuators' delays.
     pub fn max_action_delay(&self, morphology: &MorphologyModel) -> u32 {
         self.action_delay.as_ref().map_or(0, |event| event.range(morphology)[1])
+    }
+
+    /// What friction with the ground resists in the motion of a robot's contacts, by the largest coefficients that the task gives it.
+    pub fn contact_friction(&self, morphology: &MorphologyModel) -> ContactFriction {
+        let (ground, robot) = (&self.config.scene.ground, &self.config.robot_material);
+        let drawn = self.physics_material.as_ref().map_or([None; 2], |event| event.spin_ranges(morphology));
+        let most = |ground: f64, robot: f64, drawn: Option<[f64; 2]>| ground.max(drawn.map_or(robot, |[_, high]| high));
+        ContactFriction::of(
+            most(ground.torsional_friction, robot.torsional_friction, drawn[0]),
+            most(ground.rolling_friction, robot.rolling_friction, drawn[1]),
+        )
     }
 
     /// Terms of a group.

@@ -8,8 +8,8 @@ mod compile;
 mod registry;
 mod spec;
 
-pub(crate) use compile::ACTION_DELAY;
-pub(super) use compile::{ActionDelay, BODY_VARIATION};
+pub(crate) use compile::{ACTION_DELAY, PHYSICS_MATERIAL};
+pub(super) use compile::{ActionDelay, BODY_VARIATION, PhysicsMaterial};
 pub use compile::{CompiledTask, ObservationGroup, ObservationTerm, RewardTerm, TerminationTerm};
 pub(crate) use registry::NoParams;
 pub use registry::Registry;

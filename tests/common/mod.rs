@@ -42,6 +42,13 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
     }
 }
 
+/// The same task on ground that resists turning and rolling, with another coefficient in each env.
+pub fn turning(mut options: SimOptions) -> SimOptions {
+    let more = ["scene.ground.rolling_friction=0.004", "events.physics_material.torsional_friction_range=[0.0, 0.03]"];
+    options.overrides.extend(more.map(String::from));
+    options
+}
+
 /// The path of a task file that extends another task by these lines; `name` tells it from those of other tests.
 pub fn extended_task(name: &str, extends: &str, lines: &str) -> String {
     let folder = std::env::temp_dir().join(format!("polypod-tests-{}", std::process::id()));

@@ -23,7 +23,7 @@ CLOSE = 0.1
 """Largest difference of the velocity errors in the two simulators, m/s."""
 
 
-def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, overrides=()):
+def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, overrides=(), physics=None):
     manifest, state = run_dir.read_manifest(checkpoint), run_dir.load_checkpoint(checkpoint)
     manifest = {**manifest, "overrides": [*manifest["overrides"], *overrides]}
     network = load_network(state, manifest["policy"])
@@ -41,7 +41,7 @@ def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, ove
         bodies,
         step_dt=0.02,
         physics_dt=0.005,
-        physics=twin.Physics(),
+        physics=physics or twin.Physics(),
         delays=np.full((num_envs, 12), float(delay)),
         heights=sim2sim.heights(sim),
         places=sim.env_origins() * [1.0, 1.0, 0.0],
@@ -246,6 +246,18 @@ def test_the_ground_is_the_tasks_own(capsys):
             near = [mujoco.heights.at(at + cell * np.array(step)) for step in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
             slack = 0.5 * (max(near) - min(near)) + 1e-4
             assert 30.0 - distance == pytest.approx(float(mujoco.heights.at(at)), abs=slack)
+
+
+def test_the_ground_in_mujoco_resists_turning_as_the_tasks_does():
+    overrides = ("robot_material.torsional_friction=0.02", "scene.ground.torsional_friction=0.01")
+    rolling = "scene.ground.rolling_friction=0.005"
+    for more, condim, expected in (((), 4, [0.8, 0.02, 0.0]), ((rolling,), 6, [0.8, 0.02, 0.005])):
+        options = sim2sim.Options(envs_per_robot=1, steps=2, overrides=(*overrides, *more))
+        physics = sim2sim.compare(FLAT_POLICY, ["unitree_a1"], options).physics
+        _, mujoco, _ = make_twin("unitree_a1", num_envs=1, physics=physics)
+        model = mujoco.reference.model
+        assert (model.geom_condim == condim).all()
+        assert (model.geom_friction == expected).all()
 
 
 def test_it_climbs_in_both_simulators():

@@ -14,9 +14,10 @@ What is set, and why:
   Its time constant is set to two steps and its impedance to 0.9999, which makes it Coulomb's.
 - Limits of effort, position limits and speed limits, where `bounded`: see `polypod.accuracy.limits`.
 - Shapes touch the ground alone, not each other.
-- Contacts with elliptic cones, three directions (`condim` 3), the same coefficient on both sides. The contact is made
-  as stiff as the step allows: time constant 2 steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal
-  direction (`impratio`). With default settings a standing robot's feet creep apart and it sinks by centimetres.
+- Contacts with elliptic cones, the same coefficients on both sides, in three directions (`condim` 3), with torsional
+  friction in four, with rolling friction in six. The contact is made as stiff as the step allows: time constant 2
+  steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal direction (`impratio`). With default
+  settings a standing robot's feet creep apart and it sinks by centimetres.
 - `inertiafromgeom` is off in the URDFs themselves: else MuJoCo would give the massless feet the mass of their spheres.
   `balanceinertia`, `boundmass`, `discardvisual`, `strippath` and `alignfree` do not matter: inertias are valid, no mesh
   is read, visuals have no mass and a free base keeps the frame of its link.
@@ -84,6 +85,17 @@ class Ground:
     """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that the step allows."""
     heights: Heights | None = None
     """In place of the plane."""
+    torsional_friction: float = 0.0
+    """Torque about a contact's normal per normal force, m."""
+    rolling_friction: float = 0.0
+    """Torque across a contact's normal per normal force, m."""
+
+    @property
+    def condim(self) -> int:
+        """Of MuJoCo's contacts: directions in which they resist."""
+        if self.rolling_friction > 0.0:
+            return 6
+        return 4 if self.torsional_friction > 0.0 else 3
 
 
 def mujoco() -> Any:
@@ -280,8 +292,8 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
         surface = _height_field(mj, spec, ground.heights)
     surface.contype, surface.conaffinity = 0, 1
     for geom in spec.geoms:
-        geom.condim = 3
-        geom.friction = [ground.friction, 0.0, 0.0]
+        geom.condim = ground.condim
+        geom.friction = [ground.friction, ground.torsional_friction, ground.rolling_friction]
         if ground.soft:
             continue
         geom.solref = [2.0 * dt, 1.0]

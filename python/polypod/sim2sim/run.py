@@ -262,7 +262,7 @@ class _Episode:
         self.task_dt: float = task["sim"]["dt"]
         friction = _combined_friction(task) if options.friction is None else options.friction
         dt = options.dt or (self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN))
-        self.physics = Physics(dt, options.integrator, friction, options.soft_contact)
+        self.physics = Physics(dt, options.integrator, friction, options.soft_contact, **_spin_friction(task))
         if options.command is not None:
             self.schedule = walking.Schedule.constant(options.command, self.sim.num_envs, self.steps)
             self.commands = Commands.of(self.schedule)
@@ -427,6 +427,13 @@ def _least_height(share: float, info: dict[str, Any]) -> float:
     height: float = info["base_height"]
     hips = height + float(info.get("hip_height", 0.0))
     return share * height if height >= 0.5 * hips else height - (1.0 - share) * hips
+
+
+def _spin_friction(task: dict[str, Any]) -> dict[str, float]:
+    """Coefficients of torsional and rolling friction of a robot's nominal surface on the ground, m: the larger ones."""
+    surfaces = (task["scene"]["ground"], task["robot_material"])
+    names = ("torsional_friction", "rolling_friction")
+    return {name: max(float(surface.get(name, 0.0)) for surface in surfaces) for name in names}
 
 
 def _check_steps(physics: Physics, step_dt: float, name: str) -> None:

@@ -45,6 +45,10 @@ class Physics:
     """Of feet and links on the ground."""
     soft_contact: bool = False
     """MuJoCo's default contacts, in which feet sink in, in place of the stiffest ones that the step allows."""
+    torsional_friction: float = 0.0
+    """Of feet and links on the ground, m; above 0 contacts have `condim` 4."""
+    rolling_friction: float = 0.0
+    """The same across the normal; above 0 contacts have `condim` 6."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +102,13 @@ class Twin:
             least_height: see `base_height`; one that is lower has fallen, m.
             most_tilt: of the base's z axis from the direction against gravity; one that is farther has fallen, rad.
         """
-        ground = Ground(physics.friction, soft=physics.soft_contact, heights=heights)
+        ground = Ground(
+            physics.friction,
+            soft=physics.soft_contact,
+            heights=heights,
+            torsional_friction=physics.torsional_friction,
+            rolling_friction=physics.rolling_friction,
+        )
         options = {"dt": physics.dt, "integrator": physics.integrator, "ground": ground, "gravity": gravity}
         self.reference = Reference.of(robot, **options)
         free_fall = float(np.linalg.norm(gravity))

@@ -4,6 +4,7 @@ mod bounds;
 mod contacts;
 mod jammed;
 mod push;
+mod spins;
 mod warm_start;
 
 use super::articulation::Topology;
@@ -15,6 +16,7 @@ use bounds::{settle_limits, sweep_bounds};
 use contacts::sweep_contacts;
 use jammed::{sweep_jammed, unsettled};
 use push::push;
+use spins::sweep_spins;
 use warm_start::warm_start;
 
 /// Solves the constraints: warm start, regular sweeps, extra rounds where contacts are jammed, and the push out of penetrations.
@@ -30,13 +32,14 @@ pub(super) fn solve<S: Real, B: BodyNumbers<S>>(
     work: &mut ContactWork<S>,
 ) {
     let solver = &settings.solver;
-    warm_start(topology, work);
+    warm_start(topology, parameters, work);
     let mut active = S::zero().lt(S::one());
     sweep_regularly(topology, parameters, settings, active, work);
     for round in 0..=solver.max_extra_rounds {
         if round > 0 {
             for _ in 0..settings.iterations.min(solver.sweeps_per_round) {
                 sweep_bounds(topology, active, work);
+                sweep_spins(topology, parameters, active, work);
                 sweep_jammed(topology, parameters, solver, active, work);
             }
         }
@@ -76,6 +79,8 @@ fn sweep_regularly<S: Real, B: BodyNumbers<S>>(
             work.moved_joints.copy_from_slice(&work.joints);
         }
         sweep_bounds(topology, active, work);
+        // contacts come last: they hold the normal impulses that bound the turning
+        sweep_spins(topology, parameters, active, work);
         sweep_contacts(topology, parameters, active, work);
         if measures {
             active = S::and(active, changed(&settings.solver, work));

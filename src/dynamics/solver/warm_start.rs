@@ -3,6 +3,7 @@
 use crate::articulation::Topology;
 use crate::blocks::BLOCK;
 use crate::lanes::Real;
+use crate::parameters::BodyNumbers;
 use crate::rows::ContactWork;
 
 /// Keeps the share finite where there are no impulses, kg m^2/s^2.
@@ -14,7 +15,7 @@ const MIN_ENERGY: f64 = 1e-20;
 /// The solution keeps the rows' targets with the least kinetic energy of the change of velocity (Gauss's principle). Along the ray of
 /// the old impulses this energy is a parabola.
 #[inline(always)]
-pub(super) fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
+pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, work: &mut ContactWork<S>) {
     let z = S::zero();
     // the change of the velocity by the whole impulses, in memory that the moved velocity takes over later
     work.moved_base = [z; 6];
@@ -23,6 +24,9 @@ pub(super) fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>
         contacts,
         num_contacts,
         contact_further,
+        spins,
+        num_spins,
+        spin_further,
         bounds,
         bound_further,
         stride,
@@ -36,6 +40,11 @@ pub(super) fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>
         let normal = row.impulse[0];
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
+    }
+    if B::RESISTS_TURNING {
+        for (spin, further) in spins[..*num_spins].iter().zip(spin_further.chunks_exact(*stride)) {
+            spin.apply(topology, further, &spin.impulse, moved_base, moved_joints);
+        }
     }
     for (block, further) in bounds.iter().zip(bound_further.chunks_exact(*stride)) {
         if block.active {
@@ -66,6 +75,13 @@ pub(super) fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>
     for row in &mut work.contacts[..work.num_contacts] {
         for x in &mut row.impulse {
             *x = *x * share;
+        }
+    }
+    if B::RESISTS_TURNING {
+        for spin in &mut work.spins[..work.num_spins] {
+            for x in &mut spin.impulse {
+                *x = *x * share;
+            }
         }
     }
     for block in &mut work.bounds {
