@@ -88,6 +88,18 @@ pub(super) fn draw_command(config: &VelocityCommandConfig, command: &mut Command
     command.heading = rng.uniform(range(config.heading));
     command.holds_heading = rng.unit() < config.rel_heading_envs as f32 && config.heading_command;
     command.standing = rng.unit() < config.rel_standing_envs as f32;
+    let (turning, sideways) = (config.rel_turning_envs as f32, config.rel_sideways_envs as f32);
+    // without such shares nothing is drawn
+    if turning + sideways > 0.0 {
+        let draw = rng.unit();
+        if draw < turning {
+            command.velocity[..2].fill(0.0);
+            command.holds_heading = false;
+        } else if draw < turning + sideways {
+            (command.velocity[0], command.velocity[2]) = (0.0, 0.0);
+            command.holds_heading = false;
+        }
+    }
     command.time_left = config.resampling_time_s as f32;
 }
 

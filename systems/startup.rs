@@ -94,6 +94,9 @@ struct BaseMass {
     /// Whether the inertia is scaled with the mass. Default: yes.
     #[serde(default = "yes")]
     recompute_inertia: bool,
+    /// Range of factors on the base's mass in place of each robot's own offsets, kg. Default: the offsets.
+    #[serde(default, deserialize_with = "values::optional_range_of::<BodyFactor, _, _>")]
+    mass_scale_range: Option<[f64; 2]>,
 }
 
 fn yes() -> bool {
@@ -227,19 +230,22 @@ fn physics_material(p: &PhysicsMaterial, body: &mut NewBody, rng: &mut EnvRng) {
         let share = if last == 0 { 0.5 } else { f64::from(rng.integer([0, last])) / f64::from(last) };
         (low + (high - low) * share) as f32
     };
-    let static_friction = draw(ranges.static_friction);
-    let dynamic_friction = draw(ranges.dynamic_friction).min(static_friction);
+    let static_friction = draw(p.static_friction_range.unwrap_or(ranges.static_friction));
+    let dynamic_friction = draw(p.dynamic_friction_range.unwrap_or(ranges.dynamic_friction)).min(static_friction);
     let [torsional, rolling] = p.spin_ranges(body.morphology).map(|range| range.map(&mut draw));
     body.set_material(static_friction, dynamic_friction);
     body.set_spin_friction(torsional, rolling);
 }
 
-/// Adds mass to the base and, unless told otherwise, scales its inertia with it.
+/// Adds mass to the base, or scales it, and, unless told otherwise, scales its inertia with it.
 fn add_base_mass(p: &BaseMass, body: &mut NewBody, rng: &mut EnvRng) {
     const LIGHTEST: f32 = 0.01;
-    let range = body.morphology.config.randomization.base_mass_offset.map(|x| x as f32);
     let old = body.parameters.mass[0];
-    let new = (old + rng.uniform(range)).max(LIGHTEST);
+    let new = match p.mass_scale_range {
+        None => old + rng.uniform(body.morphology.config.randomization.base_mass_offset.map(|x| x as f32)),
+        Some(range) => old * rng.uniform(range.map(|x| x as f32)),
+    };
+    let new = new.max(LIGHTEST);
     body.parameters.mass[0] = new;
     if p.recompute_inertia {
         for x in &mut body.parameters.inertia[0] {

@@ -19,7 +19,7 @@ const STEPS: usize = 250;
 const STEP_DT: f64 = 0.02;
 
 /// Key in the set, parameters (but for the weight) and weight.
-const TERMS: [(&str, &str, f64); 17] = [
+const TERMS: [(&str, &str, f64); 19] = [
     ("action_rate_l2", "mean = true", -0.01),
     ("base_height_l2", "", -1.0),
     ("desired_contacts", "", -1.0),
@@ -36,6 +36,8 @@ const TERMS: [(&str, &str, f64); 17] = [
     ("joint_vel_l2", "joints = ['L*'], mean = true", -1e-3),
     ("limits_of_knees", "term = 'joint_pos_limits', joints = ['*_KNEE', '*_KFE'], mean = true", -1.0),
     ("low_base", "term = 'base_height_l2', target_height = 0.2", -1.0),
+    ("scaled_acc_l2", "", -1e-2),
+    ("scaled_torques_l2", "", -1.0),
     ("stand_still_joint_deviation_l1", "command_threshold = 0.3", -0.4),
 ];
 
@@ -75,6 +77,7 @@ struct Seen<'a> {
     robot: &'a MorphologyModel,
     command: [f64; 3],
     height: f64,
+    mass: f64,
     /// Cosine of the angle between the base's z axis and the vertical.
     upright: f64,
     position: Vec<f64>,
@@ -107,6 +110,11 @@ impl Seen<'_> {
         slots.filter(|(own, _)| named(&own.slot.to_string())).map(|(_, value)| *value).collect()
     }
 
+    /// Height of the base in the default pose, m.
+    fn stance(&self) -> f64 {
+        f64::from(self.robot.stance.spawn_height) - self.robot.config.reset.spawn_margin
+    }
+
     fn value(&self, key: &str) -> f64 {
         let all = |_: &str| true;
         let deviation: Vec<f64> = self.position.iter().zip(&self.default).map(|(q, d)| (q - d).abs()).collect();
@@ -126,10 +134,9 @@ impl Seen<'_> {
         let knee = |name: &str| name.ends_with("_KNEE") || name.ends_with("_KFE");
         match key {
             "action_rate_l2" => mean(squares(self.action_change.clone())),
-            "base_height_l2" => {
-                let stance = f64::from(self.robot.stance.spawn_height) - self.robot.config.reset.spawn_margin;
-                (self.height - stance).powi(2)
-            }
+            "base_height_l2" => (self.height - self.stance()).powi(2),
+            "scaled_acc_l2" => mean(squares(self.acceleration.clone())) * (self.stance() / 9.81).powi(2),
+            "scaled_torques_l2" => mean(squares(self.torque.clone())) / (self.mass * 9.81 * self.stance()).powi(2),
             "low_base" => (self.height - 0.2).powi(2),
             "desired_contacts" => f64::from(u8::from(self.foot_peak.iter().all(|force| *force <= 1.0))),
             "deviation" => sum(deviation),
@@ -196,6 +203,7 @@ fn see<'a>(world: &mut World, robots: &'a [MorphologyModel]) -> Vec<Seen<'a>> {
             robot,
             command: commands[env],
             height: f64::from(pose.position[2]),
+            mass: wide(&body.0.mass).iter().sum(),
             upright: 1.0 - 2.0 * (x * x + y * y) / (w * w + x * x + y * y + z * z),
             position: by_slot(&joints.position),
             default: by_slot(&robot.stance.default_position),

@@ -1,9 +1,9 @@
 """Bodies that nobody built: quadrupeds, bipeds, humanoids and hexapods of drawn lengths, as a library of robots.
 
-Lengths are drawn, and all else follows from them. A body's mass grows with the cube of its leg's length, and a link's
-share with the link's length. Gains, efforts and speeds grow with weight and leg length as those of the library's robots
-do. The ranges are about those of a thousand published bodies (Velythyl/embodiment-scaling-laws, BSD-3-Clause), whose
-masses stay.
+Lengths, densities, stances and drives are drawn, and the rest follows from them. A body's mass grows with the cube of
+its leg's length, and a link's share with the link's length. Gains, efforts and speeds are shares of weight and leg
+length. The ranges of the lengths are about those of a thousand published bodies (Velythyl/embodiment-scaling-laws,
+BSD-3-Clause); the robots of the library lie within all ranges.
 """
 
 import dataclasses
@@ -77,6 +77,19 @@ class Joint:
 
 
 @dataclasses.dataclass(frozen=True)
+class Drive:
+    """What turns a joint, as shares of weight times leg length."""
+
+    stiffness: float
+    """1/rad."""
+    effort: float
+    damping_time: float
+    """Damping over stiffness, s."""
+    armature: float
+    """s^2."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Body:
     """A robot that was drawn."""
 
@@ -90,8 +103,10 @@ class Body:
     leg_length: float
     """m."""
     reward_set: str
-    stiffness: dict[str, float]
-    """Of each group of actuators over weight times leg length."""
+    drives: dict[str, "Drive"]
+    """Of each group of actuators."""
+    action_scale: float
+    """rad per unit of action."""
 
     @property
     def mass(self) -> float:
@@ -182,53 +197,95 @@ def _rod(name: str, mass: float, length: float, radius: float) -> Link:
     return Link(name, mass, "cylinder", (radius, length), (0.0, 0.0, -length / 2))
 
 
+def _drive(rng: np.random.Generator, stiffness: tuple[float, float]) -> Drive:
+    """A drive of the legs, with a stiffness within a range."""
+    return Drive(
+        stiffness=_log_uniform(rng, *stiffness),
+        effort=_log_uniform(rng, 0.18, 1.4),
+        damping_time=_log_uniform(rng, 1 / 60, 1 / 18),
+        armature=_log_uniform(rng, 2e-5, 4e-4),
+    )
+
+
+def _softer(drive: Drive, stiffness: float, effort: float) -> Drive:
+    """The same with so much less of both."""
+    return dataclasses.replace(
+        drive,
+        stiffness=drive.stiffness * stiffness,
+        effort=max(drive.effort * effort, 0.05),
+        armature=drive.armature * effort,
+    )
+
+
 def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
-    leg = _log_uniform(rng, 0.25, 0.9)
+    leg = _log_uniform(rng, 0.22, 0.9)
     thigh = leg * rng.uniform(0.42, 0.58)
     shank = leg - thigh
-    length, width, height = leg * rng.uniform(0.8, 1.3), leg * rng.uniform(0.25, 0.5), leg * rng.uniform(0.2, 0.35)
-    mass = 15.0 * (leg / 0.426) ** 3 * rng.uniform(0.7, 1.3)
-    hip = leg * rng.uniform(0.12, 0.25)
-    shares = {"hip": 0.045, "thigh": 0.075 * 2 * thigh / leg, "shank": 0.016 * 2 * shank / leg}
+    length, width, height = leg * rng.uniform(0.75, 1.5), leg * rng.uniform(0.2, 0.55), leg * rng.uniform(0.15, 0.35)
+    mass = 15.0 * (leg / 0.426) ** 3 * _log_uniform(rng, 0.5, 1.6)
+    hip = leg * rng.uniform(0.06, 0.28)
+    heavy = {part: _log_uniform(rng, 0.5, 1.8) for part in ("hip", "thigh", "shank")}
+    shares = {
+        "hip": 0.04 * heavy["hip"],
+        "thigh": 0.065 * heavy["thigh"] * 2 * thigh / leg,
+        "shank": 0.016 * heavy["shank"] * 2 * shank / leg,
+    }
     base = 1.0 - 4 * sum(shares.values())
     links = [Link("base", base * mass, "box", (length, width, height))]
     joints: list[Joint] = []
     feet = []
-    radius = 0.05 * leg
+    radius = leg * rng.uniform(0.035, 0.07)
+    # which way knees point in front and behind: both back, towards each other, away from each other, both ahead
+    knees = [(1, 1), (1, -1), (-1, 1), (-1, -1)][rng.choice(4, p=[0.5, 0.3, 0.1, 0.1])]
+    below = leg * rng.uniform(0.66, 0.92)
+    ahead = leg * np.array([rng.uniform(-0.15, 0.05), rng.uniform(-0.2, 0.05)])
+    spread = rng.uniform(-0.03, 0.15)
     for place, x, y in (("LF", 1, 1), ("LH", -1, 1), ("RF", 1, -1), ("RH", -1, -1)):
         names = [f"{place}_{part}" for part in ("hip", "thigh", "shank", "foot")]
-        # the pose in which policies of the library's quadrupeds are trained
-        flexion, bend = _bent((-0.037 if x > 0 else -0.181) * leg, 0.72 * leg, thigh, shank)
+        end = 0 if x > 0 else 1
+        back = knees[end]
+        flexion, bend = (back * angle for angle in _bent(back * float(ahead[end]), below, thigh, shank))
         corner = (x * length / 2, y * width / 2, 0.0)
         if abduction:
             links.append(Link(names[0], shares["hip"] * mass, "sphere", (0.1 * leg,)))
-            joints.append(Joint(f"{place}_HAA", "base", names[0], corner, "x", -0.9, 0.9, "legs", 0.1 * y))
+            joints.append(Joint(f"{place}_HAA", "base", names[0], corner, "x", -0.9, 0.9, "legs", spread * y))
         # legs that cannot spread stand as far apart as those that can
         beside = (corner[0], y * (width / 2 + hip + 0.07 * leg), 0.0)
         parent, at = (names[0], (0.0, y * hip, 0.0)) if abduction else ("base", beside)
         links.append(_rod(names[1], shares["thigh"] * mass, thigh, 0.07 * leg))
         links.append(_rod(names[2], shares["shank"] * mass, shank, 0.035 * leg))
-        joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", -1.5, 3.4, "legs", flexion))
-        joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", -2.7, -0.5, "knees", bend))
+        hips, knee = sorted((-1.5 * back, 3.4 * back)), sorted((-2.7 * back, -0.3 * back))
+        joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", *hips, "legs", flexion))
+        joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", *knee, "knees", bend))
         feet.append((names[3], names[2], (0.0, 0.0, -shank), radius))
     kind = "quadruped" if abduction else "quadruped8"
-    rewards = "unitree" if mass < 30.0 else "unitree_large"
-    return Body(name, kind, links, joints, feet, leg, rewards, {"legs": 0.46, "knees": 0.46})
+    # bent legs carry the weight on longer levers
+    crouch = (0.9 * leg / below) ** 2
+    legs = _drive(rng, (0.2 * crouch, 0.7 * crouch))
+    drives = {"legs": legs, "knees": _softer(legs, 1.0, rng.uniform(1.0, 1.6))}
+    return Body(name, kind, links, joints, feet, leg, "quadruped", drives, rng.uniform(0.2, 0.5))
+
+
+HIP_ORDERS = ("yaw roll pitch", "pitch roll yaw", "roll yaw pitch", "roll pitch yaw", "pitch yaw roll")
+"""From the base to the thigh."""
 
 
 def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
-    leg = _log_uniform(rng, 0.35, 1.0)
+    leg = _log_uniform(rng, 0.3, 1.0)
     thigh = leg * rng.uniform(0.44, 0.56)
     shank = leg - thigh
-    mass = 36.0 * (leg / 0.7) ** 3 * rng.uniform(0.7, 1.3)
-    width = leg * rng.uniform(0.25, 0.4)
-    sole = (leg * rng.uniform(0.28, 0.36), leg * rng.uniform(0.12, 0.16), 0.04 * leg)
+    mass = 36.0 * (leg / 0.7) ** 3 * _log_uniform(rng, 0.5, 1.6)
+    width = leg * rng.uniform(0.2, 0.4)
+    sole = (leg * rng.uniform(0.24, 0.4), leg * rng.uniform(0.09, 0.18), 0.04 * leg)
     ankle_roll, torso = bool(rng.random() < 0.7), arms and bool(rng.random() < 0.5)
+    has_soles = arms or bool(rng.random() < 0.8)
+    order = str(rng.choice(HIP_ORDERS)).split()
     upper_arm, forearm = leg * rng.uniform(0.3, 0.4), leg * rng.uniform(0.3, 0.4)
+    heavy = {part: _log_uniform(rng, 0.6, 1.5) for part in ("hip", "thigh", "shank")}
     shares = {
-        "hip": 0.03,
-        "thigh": 0.09 * 2 * thigh / leg,
-        "shank": 0.05 * 2 * shank / leg,
+        "hip": 0.03 * heavy["hip"],
+        "thigh": 0.08 * heavy["thigh"] * 2 * thigh / leg,
+        "shank": 0.045 * heavy["shank"] * 2 * shank / leg,
         "ankle": 0.01,
         "sole": 0.02,
     }
@@ -238,6 +295,7 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
     pelvis = (0.2 * leg, width, 0.16 * leg)
     links: list[Link] = []
     joints: list[Joint] = []
+    feet: list[tuple[str, str, Vector, float]] = []
     add = joints.append
     if torso:
         links.append(Link("base", 0.35 * rest * mass, "box", pelvis))
@@ -245,19 +303,29 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
         box = (0.2 * leg, width, chest)
         links.append(Link("base", rest * mass, "box", box, (0.0, 0.0, chest / 2 - 0.08 * leg)))
     # hips above the middle of the soles, knees bent forwards
-    flexion, bend = _bent(0.0, 0.95 * leg, thigh, shank)
+    flexion, bend = _bent(0.0, rng.uniform(0.88, 0.97) * leg, thigh, shank)
     flexion, bend = -flexion, -bend
-    foot = (0.1 * sole[0], 0.0, -0.06 * leg)
+    foot = (rng.uniform(0.0, 0.2) * sole[0], 0.0, -0.06 * leg)
+    turns = {"yaw": ("z", -0.8, 0.8, 0.0), "roll": ("x", -0.6, 0.6, 0.0), "pitch": ("y", -2.0, 1.0, flexion)}
+    if not has_soles:
+        # on points there is nothing to turn about
+        order = [turn for turn in order if turn != "yaw"]
     for place, y in (("L", 1), ("R", -1)):
-        names = [f"{place}_{part}" for part in ("hip_yaw", "hip_roll", "thigh", "shank", "ankle", "sole")]
-        links.append(Link(names[0], shares["hip"] * mass, "sphere", (0.05 * leg,)))
-        links.append(Link(names[1], shares["hip"] * mass, "sphere", (0.05 * leg,)))
+        names = [f"{place}_{part}" for part in ("hip_1", "hip_2", "thigh", "shank", "ankle", "sole")]
+        hips = [*names[: len(order) - 1], names[2]]
+        for hip in hips[:-1]:
+            links.append(Link(hip, shares["hip"] * mass, "sphere", (0.05 * leg,)))
         links.append(_rod(names[2], shares["thigh"] * mass, thigh, 0.07 * leg))
         links.append(_rod(names[3], shares["shank"] * mass, shank, 0.05 * leg))
-        add(Joint(f"{place}_HIP_YAW", "base", names[0], (0.0, y * width / 2, -0.1 * leg), "z", -0.8, 0.8, "legs"))
-        add(Joint(f"{place}_HIP_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", -0.6, 0.6, "legs"))
-        add(Joint(f"{place}_HIP_PITCH", names[1], names[2], (0.0, 0.0, 0.0), "y", -2.0, 1.0, "legs", flexion))
+        at: Vector = (0.0, y * width / 2, -0.1 * leg)
+        for turn, parent, child in zip(order, ["base", *hips[:-1]], hips, strict=True):
+            axis, lower, upper, angle = turns[turn]
+            add(Joint(f"{place}_HIP_{turn.upper()}", parent, child, at, axis, lower, upper, "legs", angle))
+            at = (0.0, 0.0, 0.0)
         add(Joint(f"{place}_KNEE", names[2], names[3], (0.0, 0.0, -thigh), "y", 0.0, 2.4, "legs", bend))
+        if not has_soles:
+            feet.append((names[5], names[3], (0.0, 0.0, -shank), 0.04 * leg))
+            continue
         tilt = -flexion - bend
         end = names[5]
         if ankle_roll:
@@ -287,9 +355,16 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
             low, high = (-0.3, 1.6) if y > 0 else (-1.6, 0.3)
             add(Joint(f"{place}_SHOULDER_ROLL", names[0], names[1], (0.0, 0.0, 0.0), "x", low, high, "arms", 0.1 * y))
             add(Joint(f"{place}_ELBOW", names[1], names[2], (0.0, 0.0, -upper_arm), "y", -2.2, 0.1, "arms", -0.4))
+    legs = _drive(rng, (0.3, 1.0))
     # like machines: too soft at the ankles to stand without a policy
-    stiffness = {"legs": 0.7, "ankles": 0.25} | ({"arms": 0.08} if arms else {})
-    return Body(name, "humanoid" if arms else "biped", links, joints, [], leg, "biped", stiffness)
+    drives = {"legs": legs}
+    if has_soles:
+        drives["ankles"] = _softer(legs, rng.uniform(0.15, 0.6), rng.uniform(0.2, 0.6))
+    if arms:
+        drives["arms"] = _softer(legs, rng.uniform(0.08, 0.2), rng.uniform(0.1, 0.3))
+    rewards = "two_legs" if has_soles else "two_points"
+    kind = "humanoid" if arms else "biped"
+    return Body(name, kind, links, joints, feet, leg, rewards, drives, rng.uniform(0.25, 0.5))
 
 
 def _hexapod(name: str, rng: np.random.Generator) -> Body:
@@ -321,7 +396,8 @@ def _hexapod(name: str, rng: np.random.Generator) -> Body:
         knee = math.pi / 2 - lift - 0.15
         joints.append(Joint(f"{place}_KNEE", names[1], names[2], (femur, 0.0, 0.0), "y", 0.2, 2.7, "legs", knee))
         feet.append((names[3], names[2], (tibia, 0.0, 0.0), 0.045 * leg))
-    return Body(name, "hexapod", links, joints, feet, leg, "hexapod", {"legs": 0.35})
+    drives = {"legs": _drive(rng, (0.3, 1.2))}
+    return Body(name, "hexapod", links, joints, feet, leg, "six_legs", drives, rng.uniform(0.2, 0.4))
 
 
 def _number(x: float) -> str:
@@ -390,7 +466,7 @@ def _limits(body: Body) -> dict[str, tuple[float, float]]:
     """Effort (N m) and speed (rad/s) of each group: strong enough for gains to hold, speeds of like motion."""
     load = body.mass * GRAVITY * body.leg_length
     speed = 20.0 * math.sqrt(0.4 / body.leg_length)
-    return {group: (max(0.4, 0.6 * share) * load, speed) for group, share in body.stiffness.items()}
+    return {group: (drive.effort * load, speed) for group, drive in body.drives.items()}
 
 
 def toml(body: Body, seed: int) -> str:
@@ -403,7 +479,7 @@ def toml(body: Body, seed: int) -> str:
         f'title = "{body.name.replace("_", " ").title()}"',
         f'urdf = "assets/robots/{body.name}/robot.urdf"',
         f'reward_set = "{body.reward_set}"',
-        "action_scale = 0.25          # rad per unit of action",
+        f"action_scale = {_real(body.action_scale)}          # rad per unit of action",
         "self_collisions = false",
         "",
         "[joint_roles]",
@@ -414,18 +490,21 @@ def toml(body: Body, seed: int) -> str:
     ]
     for group, (effort, velocity) in _limits(body).items():
         joints = ", ".join(f'"{joint.name}"' for joint in body.joints if joint.group == group)
-        stiffness = body.stiffness[group] * load
+        drive = body.drives[group]
+        stiffness = drive.stiffness * load
         lines += [
             "",
             f"[actuators.{group}]",
             f"joints = [{joints}]",
             'model = "ideal_pd"',
             f"stiffness = {_real(stiffness)}             # N m / rad",
-            f"damping = {_real(stiffness / 30.0)}               # N m s / rad",
+            f"damping = {_real(stiffness * drive.damping_time)}               # N m s / rad",
             f"effort_limit = {_real(effort)}          # N m",
             f"velocity_limit = {_real(velocity)}        # rad/s",
-            f"armature = {_real(2e-4 * load)}            # kg m^2",
+            f"armature = {_real(drive.armature * load)}            # kg m^2",
         ]
+    lines += ["", "[commands.base_velocity]      # what such a body can be asked for, m/s"]
+    lines += [f"{key} = [{_real(low)}, {_real(high)}]" for key, (low, high) in _commands(body).items()]
     tenth = _real(0.1 * body.mass)
     lever = _real(0.05 * body.leg_length)
     lines += [
@@ -451,6 +530,19 @@ def toml(body: Body, seed: int) -> str:
     return "\n".join(lines)
 
 
+def _commands(body: Body) -> dict[str, tuple[float, float]]:
+    """Ranges of the commands: speeds of like motion, and no side-steps for legs that cannot spread."""
+    fast = min(1.0, math.sqrt(body.leg_length / 0.35))
+    ahead, back, aside = {
+        "quadruped": (fast, fast, fast),
+        "quadruped8": (fast, fast, 0.0),
+        "biped": (fast, 0.5 * fast, 0.4 * fast),
+        "humanoid": (fast, 0.5 * fast, 0.4 * fast),
+        "hexapod": (0.6 * fast, 0.6 * fast, 0.4 * fast),
+    }[body.kind]
+    return {"lin_vel_x": (-back, ahead), "lin_vel_y": (-aside, aside)}
+
+
 def _real(x: float) -> str:
     """A TOML float of six digits."""
     text = f"{x:.6g}" if abs(x) > 1e-12 else "0.0"
@@ -461,19 +553,13 @@ def _tasks(names: list[str]) -> dict[str, str]:
     """Tasks of all bodies, by file name."""
     robots = "\n".join(f'    "{name}",' for name in names)
     flat = f"""# Velocity tracking on flat ground of all bodies of this library.
-extends = "velocity_flat_legged"
+extends = "velocity_flat_any_legged"
 name = "Velocity-Flat-Generated-v0"
 aliases = ["{TASK}"]
 experiment_name = "generated_flat"
 robots = [
 {robots}
 ]
-
-# Bodies of all weights share a set: torques count little.
-[rewards.hexapod.dof_torques_l2]
-weight = -2.0e-5
-[rewards.unitree.dof_torques_l2]
-weight = -2.0e-5
 """
     play = f"""# The task for watching and measuring a policy: no noise, no randomisation, no pushes.
 extends = ["{TASK}", "velocity_flat_play"]

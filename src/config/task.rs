@@ -229,6 +229,12 @@ pub struct VelocityCommandConfig {
     /// Share of envs told to stand still. Default: none.
     #[serde(default, deserialize_with = "values::fraction")]
     pub rel_standing_envs: f64,
+    /// Share of envs told to turn on the spot, at a yaw rate of the range. Default: none.
+    #[serde(default, deserialize_with = "values::fraction")]
+    pub rel_turning_envs: f64,
+    /// Share of envs told to walk sideways alone, at a speed of the range. Default: none.
+    #[serde(default, deserialize_with = "values::fraction")]
+    pub rel_sideways_envs: f64,
     /// Time between two draws, s.
     #[serde(deserialize_with = "values::number_of::<Duration, _, _>")]
     pub resampling_time_s: f64,

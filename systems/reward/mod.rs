@@ -4,6 +4,7 @@ mod contact_terms;
 mod gait_terms;
 mod joint_terms;
 mod motion_terms;
+mod scaled_terms;
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -73,6 +74,7 @@ pub(super) fn register(registry: &mut Registry) {
     joint_terms::register(registry);
     contact_terms::register(registry);
     gait_terms::register(registry);
+    scaled_terms::register(registry);
 }
 
 /// Sum of squares.

@@ -10,7 +10,7 @@ use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
 use super::spec::{TermKind, TermSpec};
 use crate::bounds::MAX_BUCKETS;
-use crate::config::quantities::{FrictionLength, SpeedLimit};
+use crate::config::quantities::{FrictionCoefficient, FrictionLength, SpeedLimit};
 use crate::config::values;
 use crate::config::{
     ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
@@ -143,6 +143,12 @@ pub(in crate::systems) struct PhysicsMaterial {
     /// Number of equally spaced materials that are drawn from.
     #[serde(deserialize_with = "values::count_up_to::<MAX_BUCKETS, _>")]
     pub(in crate::systems) num_buckets: u32,
+    /// Static coefficient of friction. Default: each robot's own range.
+    #[serde(default, deserialize_with = "values::optional_range_of::<FrictionCoefficient, _, _>")]
+    pub(in crate::systems) static_friction_range: Option<[f64; 2]>,
+    /// Dynamic coefficient of friction, at most the static one. Default: each robot's own range.
+    #[serde(default, deserialize_with = "values::optional_range_of::<FrictionCoefficient, _, _>")]
+    pub(in crate::systems) dynamic_friction_range: Option<[f64; 2]>,
     /// Coefficient of torsional friction, m. Default: each robot's own range.
     #[serde(default, deserialize_with = "values::optional_range_of::<FrictionLength, _, _>")]
     torsional_friction_range: Option<[f64; 2]>,

@@ -46,6 +46,33 @@ def test_more_bodies_change_none(tmp_path):
     assert few == more[:6]
 
 
+def test_the_librarys_quadrupeds_lie_within_what_is_drawn():
+    """Mass, height, drive and action scale of each, in shares of weight and leg length."""
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(size(300, 3000)):
+        body = bodies.draw("quadruped", "x", rng)
+        drive = body.drives["legs"]
+        drawn.append([body.mass / body.leg_length**3, drive.stiffness, drive.effort, body.action_scale])
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    sim = _core.VecSim("velocity_flat_legged_play", 24)
+    info = json.loads(sim.robot_info())
+    count = 0
+    for robot in sim.robots:
+        own = info[robot]
+        if own["class"] != "quadruped" or len(own["joint_names"]) != 12:
+            continue
+        count += 1
+        # legs are a little longer than the base is high
+        leg = own["base_height"] / 0.82
+        load = own["mass"] * _core.EARTH_GRAVITY * leg
+        stiffness, effort = np.median(own["stiffness"]) / load, np.median(own["effort_limit"]) / load
+        found = [own["mass"] / leg**3, stiffness, effort, own["action_scale"]]
+        assert (low * 0.95 <= found).all(), (robot, found, low)
+        assert (found <= high * 1.05).all(), (robot, found, high)
+    assert count >= 14
+
+
 def test_masses_follow_lengths():
     rng = np.random.default_rng(0)
     drawn = [bodies.draw("quadruped", "x", rng) for _ in range(200)]
@@ -57,26 +84,29 @@ def test_masses_follow_lengths():
 
 
 def test_they_are_of_all_kinds_and_stand_in_one_batch(library):
-    """Two legs do not stand without a policy, as those of machines do not: they begin to fall, slowly."""
+    """Two legs do not stand without a policy, as those of machines do not: they begin to fall, slowly. So do few of the
+    others, on soft and narrow legs."""
     names = [body.name for body in library]
     env = polypod.make(bodies.TASK + "_play", COUNT, seed=0, autoreset="disabled")
     assert env.robots == names
     env.reset()
     balanced = np.array([body.kind in ("biped", "humanoid") for body in library])
     actions = np.zeros((COUNT, env.sim.num_actions), dtype=np.float32)
+    fallen = np.zeros(COUNT, dtype=np.bool_)
     for step in range(300):
         ended = env.step(actions)[2]
-        assert not ended[~balanced].any(), np.array(names)[ended & ~balanced]
+        fallen |= ended
         if ended.any():
             assert step > 25
             env.reset(options={"reset_mask": ended})
+    assert fallen[~balanced].mean() <= 0.05, np.array(names)[fallen & ~balanced]
     assert env.state.valid.all()
     joints = {body.kind: {len(other.joints) for other in library if other.kind == body.kind} for body in library}
     assert set(joints) == set(bodies.KINDS)
     assert joints["quadruped"] == {12}
     assert joints["quadruped8"] == {8}
     assert joints["hexapod"] == {18}
-    assert joints["biped"] <= {10, 12}
+    assert joints["biped"] <= {6, 10, 12}
     assert min(joints["humanoid"]) >= 16
 
 

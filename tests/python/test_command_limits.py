@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import polypod
+from common import size
 from polypod import _core
 from polypod.evaluation import rollout
 from polypod.sim2sim import commands, run
@@ -88,6 +89,8 @@ def test_mujoco_is_given_commands_within_them():
         "heading_control_stiffness": 5.0,
         "rel_heading_envs": 0.5,
         "rel_standing_envs": 0.0,
+        "rel_turning_envs": 0.0,
+        "rel_sideways_envs": 0.0,
         "resampling_time_s": 0.5,
     }
     drawn = commands.Commands.draw(config, run._ranges(batch), 500, 0.02, seed=0)
@@ -108,3 +111,48 @@ def test_an_export_says_them(exported_policy):
 def test_polypod_make_takes_them_too():
     env = polypod.make("velocity_flat_humanoid", 5, seed=0)
     assert env.sim.command_ranges()["unitree_g1"]["lin_vel_y"] == [-0.5, 0.5]
+
+
+def test_shares_of_envs_turn_on_the_spot_and_step_aside():
+    shares = {"standing": 0.1, "turning": 0.3, "sideways": 0.2}
+    overrides = [f"commands.base_velocity.rel_{kind}_envs={share}" for kind, share in shares.items()]
+    batch = _core.VecSim("velocity_flat", size(4000, 40_000), seed=3, overrides=overrides)
+    batch.reset(3)
+    ahead, aside, turn = np.abs(batch.command).T > 0.0
+    found = {
+        "standing": ~(ahead | aside | turn),
+        "turning": turn & ~ahead & ~aside,
+        "sideways": aside & ~ahead & ~turn,
+    }
+    # those that stand are drawn apart from the others
+    moving = 1.0 - shares["standing"]
+    wanted = {"standing": 0.1, "turning": 0.3 * moving, "sideways": 0.2 * moving}
+    for kind, share in wanted.items():
+        slack = 4.0 * np.sqrt(share * (1.0 - share) / batch.num_envs)
+        assert found[kind].mean() == pytest.approx(share, abs=slack), kind
+    # a pure turn is no heading to be reached: the yaw rate stays what it is
+    turning, before = found["turning"], batch.command.copy()
+    for _ in range(20):
+        batch.step(np.zeros((batch.num_envs, batch.num_actions), dtype=np.float32))
+    same = turning & (batch.command[:, :2] == 0.0).all(axis=1)
+    np.testing.assert_array_equal(batch.command[same], before[same])
+    assert same.sum() > 0.9 * turning.sum()
+
+
+def test_mujoco_is_given_the_same_shares():
+    count = 4000
+    ranges = {key: np.tile([[-1.0], [1.0]], count) for key in KEYS}
+    config = {
+        "heading": [-3.0, 3.0],
+        "heading_command": True,
+        "heading_control_stiffness": 0.5,
+        "rel_heading_envs": 1.0,
+        "rel_standing_envs": 0.0,
+        "rel_turning_envs": 0.3,
+        "rel_sideways_envs": 0.2,
+        "resampling_time_s": 2.0,
+    }
+    told = commands.Commands.draw(config, ranges, 10, 0.02, seed=0).at(0, np.full(count, 0.5))
+    ahead, aside, turn = np.abs(told).T > 0.0
+    assert (turn & ~ahead & ~aside).mean() == pytest.approx(0.3, abs=0.03)
+    assert (aside & ~ahead & ~turn).mean() == pytest.approx(0.2, abs=0.03)

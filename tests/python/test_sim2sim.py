@@ -142,6 +142,8 @@ def test_commands_follow_the_heading():
         "heading_control_stiffness": 0.5,
         "rel_heading_envs": 1.0,
         "rel_standing_envs": 0.1,
+        "rel_turning_envs": 0.0,
+        "rel_sideways_envs": 0.0,
         "resampling_time_s": 2.0,
     }
     drawn = commands.Commands.draw(config, ranges, 250, 0.02, seed=0)

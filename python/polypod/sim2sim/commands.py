@@ -54,12 +54,21 @@ class Commands:
             return random.uniform(low, high, size=shape)
 
         holds = config["heading_command"] & (random.uniform(size=shape) < config["rel_heading_envs"])
+        linear = np.stack([uniform("lin_vel_x"), uniform("lin_vel_y")], axis=-1)
+        heading, turning = uniform("heading"), uniform("ang_vel_z")
+        standing = random.uniform(size=shape) < config["rel_standing_envs"]
+        turns, sideways = config["rel_turning_envs"], config["rel_sideways_envs"]
+        kind = random.uniform(size=shape)
+        on_the_spot, to_the_side = kind < turns, (kind >= turns) & (kind < turns + sideways)
+        linear[on_the_spot] = 0.0
+        linear[to_the_side, 0] = 0.0
+        turning[to_the_side] = 0.0
         return cls(
-            linear=np.stack([uniform("lin_vel_x"), uniform("lin_vel_y")], axis=-1),
-            heading=uniform("heading"),
-            turning=uniform("ang_vel_z"),
-            holds_heading=holds,
-            standing=random.uniform(size=shape) < config["rel_standing_envs"],
+            linear=linear,
+            heading=heading,
+            turning=turning,
+            holds_heading=holds & ~on_the_spot & ~to_the_side,
+            standing=standing,
             steps_per_draw=steps_per_draw,
             stiffness=config["heading_control_stiffness"],
             turn_range=ranges["ang_vel_z"],

@@ -1,0 +1,37 @@
+//! Reward terms on joints in units of the body, so that one weight serves bodies of 2 and of 90 kg.
+//!
+//! Units are those of dynamic similarity (Alexander and Jayes, 1983): a torque counts as a share of the weight times the height of
+//! the base in the default pose, an acceleration as a share of gravity over that height. All are means over the joints.
+
+use super::sum_of_squares;
+use crate::systems::terms::{NoParams, Registry};
+use crate::systems::view::RobotView;
+
+pub(super) fn register(registry: &mut Registry) {
+    registry.reward("scaled_torques_l2", |_: &NoParams, r| {
+        let load = weight(r) * stance_height(r);
+        if load > 0.0 { mean_square(&r.effort.applied) / (load * load) } else { 0.0 }
+    });
+    registry.reward("scaled_acc_l2", |_: &NoParams, r| {
+        let gravity = r.ground.free_fall();
+        let unit = if gravity > 0.0 { stance_height(r) / gravity } else { 0.0 };
+        mean_square(&r.effort.acceleration) * (unit * unit)
+    });
+}
+
+#[inline(always)]
+fn mean_square(x: &[f32]) -> f32 {
+    sum_of_squares(x) / x.len().max(1) as f32
+}
+
+/// Of the robot as randomised, N.
+#[inline(always)]
+fn weight(r: &RobotView) -> f32 {
+    r.body.total_mass() * r.ground.free_fall()
+}
+
+/// Of the base above level ground in this body's default pose, m.
+#[inline(always)]
+fn stance_height(r: &RobotView) -> f32 {
+    r.stance.spawn_height - r.morphology.config.reset.spawn_margin as f32
+}
