@@ -26,9 +26,11 @@ from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
 from polypod.networks.agreement import TOLERANCE, difference, expected, untouched
 from polypod.networks.onnx_network import OnnxNetwork
+from polypod.observation import layout_of, terms_of
 from polypod.registration import task_of
 from polypod.training import manifest as manifests
 from polypod.training import run_dir
+from polypod.training.schema import URMA
 from polypod.vector_env import FloatArray, VectorEnv
 
 if TYPE_CHECKING:
@@ -111,10 +113,12 @@ class LoadedPolicy:
 def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None = None) -> LoadedPolicy:
     """Loads a policy; nothing in the file is executed.
 
+    Weights of a network of joints know no slots: it is made ready for the slots of the task and robots that are named.
+
     Args:
-        path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat, rough or legged.
-        task: what an ONNX file is made for that does not say so itself. Others are taken at their word.
-        robots: its robots, likewise; None: those of the task.
+        path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat, rough, legged or quadruped.
+        task: what it is for; None: what it says itself.
+        robots: its robots, likewise; None: those that it says itself, or those of the task.
 
     Raises:
         ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.
@@ -125,7 +129,26 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     data = run_dir.read_checkpoint(path)
     state, manifest = run_dir.checkpoint_of(data, path), run_dir.read_manifest(path)
     digest = hashlib.sha256(data).hexdigest()
+    if manifest["policy"]["class_name"] == URMA and (task is not None or robots is not None):
+        manifest = _for_bodies(manifest, task, robots)
     return LoadedPolicy(load_network(state, manifest["policy"]), manifest, path, digest, state.get("iter"))
+
+
+def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str] | None) -> dict[str, Any]:
+    """The manifest of a network of joints with the slots of these bodies in the place of those of its training."""
+    sources = list(manifest["robot_sources"] if robots is None else robots)
+    name = _core.play_task(task or manifest["task"])
+    sim = _core.VecSim(name, len(sources), robots=sources, threads=1, overrides=manifest["overrides"])
+    slots = sim.canonical_joint_names
+    policy = {
+        **manifest["policy"],
+        "num_obs": sim.num_obs,
+        "num_actions": sim.num_actions,
+        "observation_layout": layout_of(terms_of(sim)),
+        "joint_names": slots,
+    }
+    sizes = [{"term": term, "size": size} for term, size in sim.observation_layout]
+    return {**manifest, "canonical_joint_names": slots, "observation_layout": sizes, "policy": policy}
 
 
 def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path:

@@ -63,7 +63,7 @@ def export_checkpoint(
         ConfigError: for a checkpoint, robot or directory that cannot be used, and where a package is missing.
         PolypodError: for a graph that does not compute what the checkpoint does.
     """
-    policy = load(checkpoint)
+    policy = load(checkpoint, robots=robots)
     manifest = policy.manifest
     if isinstance(policy.network, OnnxNetwork) and "torchscript" in formats:
         raise _core.ConfigError(f"{checkpoint} is an ONNX file, of which no TorchScript is made; use --formats onnx")

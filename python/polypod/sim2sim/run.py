@@ -172,7 +172,7 @@ def compare(
             raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
     if options.command is not None and not all(math.isfinite(value) for value in options.command):
         raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
-    loaded = load(checkpoint)
+    loaded = load(checkpoint, robots=robots)
     network, manifest = loaded.network, loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)

@@ -17,6 +17,7 @@ from rsl_rl.utils import check_nan
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.networks import UrmaModel
 from polypod.rsl_rl import VecEnv
 from polypod.training import deviations, run_dir
 from polypod.training.advantages import normalize_per_robot
@@ -426,13 +427,23 @@ class Runner(OnPolicyRunner):
             if self._distils:
                 self.alg.get_policy().load_state_dict(state["actor_state_dict"])
             else:
-                self.alg.load(state, {"actor": True, "critic": True}, True)
+                self.alg.load(state, {"actor": True, "critic": self._critic_fits(path, state)}, True)
         except (AttributeError, RuntimeError, LookupError, TypeError, ValueError) as error:
             raise _core.ConfigError(
                 f"--init {path} does not fit this run's networks, {_first_line(error)}: "
                 "use its task and its train config's sizes"
             ) from error
         self._limit_deviations(str(path))
+
+    def _critic_fits(self, path: Path, state: dict[str, Any]) -> bool:
+        """Whether a checkpoint's critic is this run's. An actor whose weights know no slots may go on with another one."""
+        if not isinstance(self.alg.actor, UrmaModel):
+            return True
+        own, other = self.alg.critic.state_dict(), state["critic_state_dict"]
+        if own.keys() == other.keys() and all(own[key].shape == other[key].shape for key in own):
+            return True
+        self.reporter.message(f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on")
+        return False
 
     def learn_from(self, teacher: Path) -> None:
         """Takes over the network that a distillation learns from. Raises ConfigError where it does not fit."""
