@@ -23,6 +23,7 @@ from polypod.commands.list import List
 from polypod.commands.play import Play
 from polypod.commands.results import ResultsOf
 from polypod.commands.robot import Robot
+from polypod.commands.robustness import Robustness
 from polypod.commands.sim2sim import Sim2sim
 from polypod.commands.sweep import SweepOf
 from polypod.commands.terrain import Terrain
@@ -34,6 +35,7 @@ Command = (
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
+    | Annotated[Robustness, tyro.conf.subcommand("robustness")]
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[FilmOf, tyro.conf.subcommand("film")]
     | Annotated[Check, tyro.conf.subcommand("check")]
@@ -54,8 +56,8 @@ COMMANDS: tuple[str, ...] = tuple(typing.get_args(command)[1].name for command i
 def main(arguments: Sequence[str]) -> int:
     """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
 
-    `sim2sim` returns 3 for a policy that does not hold its bounds in MuJoCo. `train` returns 143 after SIGTERM and 129
-    after SIGHUP.
+    `sim2sim` and `robustness` return 3 for a policy that does not hold its bounds. `train` returns 143 after SIGTERM
+    and 129 after SIGHUP.
     """
     if arguments and arguments[0] in _VERSION:
         # as in most programs, nothing else counts then

@@ -96,7 +96,7 @@ def evaluate(
         raise _core.ConfigError(f"grid = {grid} has more than {MAX_GRID:,} commands; choose fewer")
     name = play_task(task)
     named = list(robots) if robots is not None else None
-    switches = _disturbances(name, trained) if randomized else undisturbed(name, trained)
+    switches = as_trained(name, trained) if randomized else undisturbed(name, trained)
     changes = [*trained, *switches, *overrides]
     if num_envs is None:
         num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name, changes))
@@ -210,6 +210,6 @@ def _held(sim: _core.VecSim, commands: Mapping[str, npt.NDArray[np.float32]], ep
     return held
 
 
-def _disturbances(play: str, trained: Sequence[str]) -> list[str]:
+def as_trained(play: str, trained: Sequence[str]) -> list[str]:
     """Overrides that give a Play variant the noise and the events of the task that it is a variant of."""
     return [f"{key}=true" for key in _core.disturbances(_core.training_task(play), list(trained))]

@@ -176,7 +176,7 @@ def compare(
     network, manifest = loaded.network, loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
-    episode = _Episode(manifest, sources, options)
+    episode = Episode(manifest, sources, options)
     physics = episode.physics
     for name in known:
         _check_steps(physics, episode.step_dt, name)
@@ -223,10 +223,11 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
     return shlex.join(words)
 
 
-class _Episode:
+class Episode:
     """What both simulators are given."""
 
     def __init__(self, manifest: dict[str, Any], sources: list[str], options: Options) -> None:
+        """Draws the initial states and the commands. Raises ConfigError."""
         name, trained = play_task(manifest["task"]), manifest["overrides"]
         self.sim = _core.VecSim(
             name,
@@ -328,7 +329,7 @@ def heights(sim: _core.VecSim) -> reference.Heights | None:
     return reference.Heights(terrain["heights"], (x, y), terrain["cell"]).widened(MARGIN)
 
 
-def _run_polypod(episode: _Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
+def _run_polypod(episode: Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
     sim = episode.sim
     command, width = _columns(sim, "velocity_command")
     given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
@@ -366,15 +367,10 @@ def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
     )
 
 
-def _run_mujoco(
-    episode: _Episode,
-    name: str,
-    source: str,
-    interface: RobotInterface,
-    policy: OnnxPolicy,
-    progress: Progress,
-    watch: Watch | None,
-) -> Figures:
+def twin_of(
+    episode: "Episode", name: str, source: str, interface: RobotInterface, policy: OnnxPolicy, late: int = 0
+) -> Twin:
+    """One robot of an episode in MuJoCo, before its first reset; `late` physics steps are added to its delays."""
     robot = accuracy_robot.of(episode.sim, name, source)
     ends = episode.terminations
     groups = {"base", "torso", *ends.get("illegal_contact", {}).get("bodies", ())}
@@ -384,7 +380,7 @@ def _run_mujoco(
     if lowest is not None:
         share = lowest.get("minimum_share", _MINIMUM_SHARE)
         least_height = lowest.get("minimum_height", _least_height(share, interface.info))
-    twin = Twin(
+    return Twin(
         robot,
         interface,
         policy,
@@ -392,7 +388,7 @@ def _run_mujoco(
         step_dt=episode.step_dt,
         physics_dt=episode.task_dt,
         physics=episode.physics,
-        delays=episode.delays(robot),
+        delays=episode.delays(robot) + late,
         network_torques=functools.partial(episode.sim.network_torques, name),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
@@ -400,6 +396,18 @@ def _run_mujoco(
         least_height=least_height,
         most_tilt=ends.get("bad_orientation", {}).get("limit_angle", np.pi),
     )
+
+
+def _run_mujoco(
+    episode: Episode,
+    name: str,
+    source: str,
+    interface: RobotInterface,
+    policy: OnnxPolicy,
+    progress: Progress,
+    watch: Watch | None,
+) -> Figures:
+    twin = twin_of(episode, name, source, interface, policy)
     twin.reset(*episode.start[name])
     commands = episode.commands_of(name)
     envs = slice(*episode.sim.env_ids(name))

@@ -186,6 +186,17 @@ class Twin:
         velocity, rate = self.base_velocity()
         return Observed(velocity[:, :2] + (rate @ self.interface.lever())[:, :2], rate[:, 2], fell)
 
+    def refresh(self) -> None:
+        """Computes what MuJoCo derives from the model's numbers anew, after some of them were changed."""
+        model = self.reference.model
+        self._mj.mj_setConst(model, self._mj.MjData(model))
+
+    def push(self, velocity: npt.NDArray[np.float32]) -> None:
+        """Adds velocities [envs, 3] to the bases, world axes, m/s."""
+        for env, (data, added) in enumerate(zip(self._data, velocity, strict=True)):
+            data.qvel[self.reference.v[:3]] += added
+            self._read(env)
+
     def sensors(self) -> dict[str, Array]:
         """What the robot's sensors read, named as the folded graph's inputs, [envs, size]."""
         velocity, rate = self.base_velocity()

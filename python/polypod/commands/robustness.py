@@ -1,0 +1,98 @@
+"""`polypod robustness`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+from polypod import _core
+from polypod.commands.arguments import (
+    Count,
+    Overrides,
+    RobotNames,
+    Robots,
+    arg,
+    check_names,
+    names,
+    thread_count,
+    write_json,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Robustness:
+    """Run a policy through a fixed battery of conditions, in polypod and in MuJoCo; MuJoCo needs export and bench.
+
+    Exit code 3 when a robot misses a bound; docs/robustness.md lists conditions and bounds.
+    """
+
+    checkpoint: Path
+    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
+    policy: flat, rough or legged."""
+    robots: RobotNames = None
+    """Names of the robots, with commas between. Default: the run's."""
+    conditions: Robots = None
+    """Names of conditions or of families of them, with commas between, such as nominal,friction,turn. Default: all."""
+    simulators: Annotated[str, arg(metavar="A,B")] = "polypod,mujoco"
+    """Where to run: polypod, mujoco or both."""
+    condims: Annotated[str | None, arg(metavar="N,N")] = None
+    """Dimensions of MuJoCo's contacts for every condition: 3 (sliding), 4 (with torsional friction), 6 (with rolling
+    friction). Default: 3, and 4 and 6 where they matter most."""
+    num_envs: int = 100
+    """Envs per robot and condition in polypod."""
+    mujoco_envs: int = 4
+    """Envs per robot and condition in MuJoCo."""
+    steps: Count = None
+    """Control steps per episode. Default: those of 20 s."""
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Also write the figures to this file."""
+    picture: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Also draw robots by conditions (.png, .svg, .pdf); needs the extra bench."""
+    seed: int = 0
+    """Seed of initial states, commands, pushes and wrong descriptions."""
+    threads: Count = None
+    """Threads of the simulators and the policy. Default: one per core."""
+    set: Overrides = ()
+    """Changes the task's configuration, on top of the run's own changes and below the conditions'. May be repeated."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code: 3 where a bound is missed."""
+        check_names(None, names(self.robots))
+        import torch
+
+        from polypod import bundled, robustness
+        from polypod.drawing import pyplot_for
+        from polypod.robustness import picture, report
+
+        threads = thread_count(self.threads, "--threads")
+        if threads is not None:
+            torch.set_num_threads(threads)
+        conditions, robots = names(self.conditions), names(self.robots)
+        options = robustness.Options(
+            conditions=None if conditions is None else tuple(conditions),
+            simulators=tuple(names(self.simulators) or ()),
+            condims=self._condims(),
+            num_envs=self.num_envs,
+            mujoco_envs=self.mujoco_envs,
+            steps=self.steps,
+            seed=self.seed,
+            threads=threads,
+            overrides=self.set,
+        )
+        options.check()
+        if self.picture is not None:
+            pyplot_for("--picture")
+        with report.Progress() as progress:
+            battery = robustness.measure(bundled.resolve(self.checkpoint), robots, options, progress)
+        report.show(battery)
+        write_json(self.json, battery.as_dict())
+        if self.picture is not None:
+            picture.draw(battery, self.picture)
+        return 0 if battery.is_within else 3
+
+    def _condims(self) -> tuple[int, ...] | None:
+        texts = names(self.condims)
+        if texts is None:
+            return None
+        if not all(text in ("3", "4", "6") for text in texts):
+            raise _core.ConfigError(f"--condims {self.condims} must be 3, 4 or 6, with commas between")
+        return tuple(dict.fromkeys(map(int, texts)))

@@ -1,0 +1,79 @@
+"""What a condition has to know of a robot to say how it changes it."""
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping
+from xml.etree import ElementTree
+
+from polypod import _core
+from polypod.compat import tomllib
+
+UPRIGHT = ("biped", "humanoid")
+"""Classes of robots that are allowed twice the bounds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """A robot of the battery."""
+
+    name: str
+    source: str
+    """Its name in the library, or the path of its config."""
+    kind: str
+    """Its class: quadruped, biped, humanoid, hexapod ..."""
+    actuator_groups: tuple[str, ...]
+    """Names of its groups of actuators."""
+    trunk_mass: float
+    """Of the base with all that is fixed to it, kg."""
+    base_height: float
+    """Of the base in the default pose, m."""
+    ranges: Mapping[str, tuple[float, float]]
+    """Its command box: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s)."""
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether it is a biped or a humanoid."""
+        return self.kind in UPRIGHT
+
+
+def bodies(sim: _core.VecSim, sources: Iterable[str]) -> dict[str, Body]:
+    """The robots of a simulation by name, in its order; `sources` are what they were made from, in the same order."""
+    infos, configs = json.loads(sim.robot_info()), tomllib.loads(sim.resolved_config())["robots"]
+    ranges = sim.command_ranges()
+    return {
+        name: Body(
+            name=name,
+            source=source,
+            kind=infos[name]["class"],
+            actuator_groups=tuple(configs[name]["actuators"]),
+            trunk_mass=trunk_mass(_core.robot_urdf(source), sim.link_names(name)[0], infos[name]["joint_names"]),
+            base_height=infos[name]["base_height"],
+            ranges={key: (low, high) for key, (low, high) in ranges[name].items()},
+        )
+        for name, source in zip(sim.robots, sources, strict=True)
+    }
+
+
+def trunk_mass(urdf: str, base: str, moving: Iterable[str]) -> float:
+    """Mass of a URDF's link `base` and of all links that no joint of `moving` lies between, kg."""
+    tree, moves = ElementTree.fromstring(urdf), set(moving)
+    neighbours: dict[str, list[str]] = {}
+    for joint in tree.findall("joint"):
+        if joint.get("name") in moves:
+            continue
+        ends = [element.get("link", "") for tag in ("parent", "child") for element in joint.findall(tag)]
+        for one, other in (ends, ends[::-1]):
+            neighbours.setdefault(one, []).append(other)
+    found, open_ = {base}, [base]
+    while open_:
+        for link in neighbours.get(open_.pop(), []):
+            if link not in found:
+                found.add(link)
+                open_.append(link)
+    masses = (
+        mass.get("value", "0")
+        for link in tree.findall("link")
+        if link.get("name") in found
+        for mass in link.findall("inertial/mass")
+    )
+    return sum(map(float, masses))

@@ -1,0 +1,127 @@
+"""The battery in MuJoCo: each robot and condition for itself, on the twin of `polypod.sim2sim`."""
+
+import dataclasses
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod.evaluation.walking import Record, Schedule
+from polypod.export import onnx_graph
+from polypod.export.robot import RobotInterface, interfaces
+from polypod.export.runtime import OnnxPolicy
+from polypod.policy import LoadedPolicy
+from polypod.robustness import schedules, twins
+from polypod.robustness.body import Body
+from polypod.robustness.conditions import Condition
+from polypod.robustness.in_polypod import Setting
+from polypod.sim2sim import Twin, run
+
+Floats = npt.NDArray[np.float32]
+
+
+class PolicyPerEnv:
+    """Several graphs of the same inputs, one for each row."""
+
+    def __init__(self, policies: Sequence[OnnxPolicy]) -> None:
+        """Takes one policy per env."""
+        self._policies = policies
+        self.inputs: dict[str, int] = policies[0].inputs
+
+    def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Floats]:
+        """Runs each graph on its row; see `OnnxPolicy`."""
+        rows = [
+            policy(**{name: np.asarray(value)[env : env + 1] for name, value in inputs.items()})
+            for env, policy in enumerate(self._policies)
+        ]
+        return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+    def reset(self) -> None:
+        """Forgets what all rows have seen."""
+        for policy in self._policies:
+            policy.reset()
+
+
+class Mujoco:
+    """A policy and its robots in MuJoCo."""
+
+    def __init__(self, loaded: LoadedPolicy, setting: Setting, num_envs: int) -> None:
+        """Draws the initial states, as polypod does.
+
+        Args:
+            loaded: the policy.
+            setting: that of the battery.
+            num_envs: envs of each robot.
+
+        Raises:
+            ConfigError: for a policy that cannot be exported, a task with obstacles, and where MuJoCo, ONNX or
+                onnxruntime is missing.
+        """
+        manifest: dict[str, Any] = loaded.manifest
+        options = run.Options(envs_per_robot=num_envs, steps=setting.steps, seed=setting.seed, overrides=setting.given)
+        overrides = [*manifest["overrides"], *setting.given]
+        self._network = loaded.network
+        self._interfaces = interfaces({**manifest, "overrides": overrides}, setting.sources)
+        self._episode = run.Episode(manifest, list(setting.sources), options)
+        self._setting, self.num_envs = setting, num_envs
+        self._stops = threading.Event()
+
+    def stop(self) -> None:
+        """Lets all threads leave `run` soon."""
+        self._stops.set()
+
+    def schedule(self, condition: Condition, body: Body) -> Schedule | None:
+        """Commands of a robot's envs; None where its command box has none of that kind."""
+        steps = self._setting.length(self._episode.sim)
+        return condition.commands(body.ranges, self.num_envs, steps, self._episode.step_dt, self._setting.seed)
+
+    def twin(self, condition: Condition, condim: int, body: Body) -> Twin:
+        """A robot as the condition makes it, in its initial states."""
+        interface, late = self._interfaces[body.name], round(condition.delay_s / self._episode.task_dt)
+        twin = run.twin_of(self._episode, body.name, body.source, interface, self._policy(condition, interface), late)
+        twins.contact(condim, condition.torsional)(twin, body)
+        if condition.twin is not None:
+            condition.twin(twin, body)
+        twin.refresh()
+        twin.reset(*self._episode.start[body.name])
+        return twin
+
+    def run(self, condition: Condition, condim: int, body: Body, schedule: Schedule) -> Record:
+        """Runs an episode of a condition with contacts of `condim`."""
+        twin = self.twin(condition, condim, body)
+        step_dt = self._episode.step_dt
+        pushes = None
+        if condition.is_pushed:
+            pushes = schedules.Pushes.draw(self.num_envs, schedule.steps, step_dt, self._setting.seed)
+        record = Record(schedule, step_dt)
+        for step in range(schedule.steps):
+            if pushes is not None and (added := pushes.at(step)) is not None:
+                twin.push(added)
+            seen = twin.step(schedule.at(step), record.active)
+            record.add(seen.velocity, seen.yaw_rate, seen.fell)
+            if self._stops.is_set() or not record.active.any():
+                break
+        return record
+
+    def _policy(self, condition: Condition, interface: RobotInterface) -> OnnxPolicy | PolicyPerEnv:
+        if condition.description_error == 0.0:
+            return self._folded(interface)
+        sizes = {term: len(numbers) for term, numbers in interface.constants.items()}
+        factors = schedules.description_factors(
+            self.num_envs, sum(sizes.values()), condition.description_error, self._setting.seed
+        )
+        return PolicyPerEnv([self._folded(_misdescribed(interface, row)) for row in factors])
+
+    def _folded(self, interface: RobotInterface) -> OnnxPolicy:
+        return OnnxPolicy(onnx_graph.robot_model(self._network, interface, {}).SerializeToString())
+
+
+def _misdescribed(interface: RobotInterface, factors: Floats) -> RobotInterface:
+    """The interface with other numbers of the robot, by the factors of all terms in order."""
+    constants: dict[str, Floats] = {}
+    for term, numbers in interface.constants.items():
+        share, factors = factors[: len(numbers)], factors[len(numbers) :]
+        constants[term] = numbers * share
+    return dataclasses.replace(interface, constants=constants)

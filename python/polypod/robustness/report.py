@@ -1,0 +1,111 @@
+"""What a user of `polypod robustness` sees: progress, and a table with a row per condition and simulator."""
+
+import math
+from collections.abc import Iterable
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+
+from polypod.robustness.results import Battery, Row
+from polypod.tables import Rows, console_of_output
+
+COLUMNS = ("falls", "most", "of", "kept", "err xy", "still", "err yaw", "turn err", "turn", "drift", "within")
+"""Of the table. `most` and `of` are of the worst robot, the others are means over the robots."""
+
+
+class Progress:
+    """A bar per simulator on a terminal, nothing elsewhere."""
+
+    def __init__(self) -> None:
+        """Looks at standard error."""
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bars = Bars(*columns, console=console) if console.is_terminal else None
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> "Progress":
+        """Shows the bars."""
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leaves them as they are."""
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, simulator: str, done: int, total: int) -> None:
+        """Moves a bar."""
+        if self._bars is None:
+            return
+        if simulator not in self._tasks:
+            self._tasks[simulator] = self._bars.add_task(simulator, total=total)
+        self._bars.update(self._tasks[simulator], completed=done)
+
+
+def show(battery: Battery) -> None:
+    """Prints the table, the robots that miss a bound, and what was left out."""
+    console = console_of_output()
+    envs = ", ".join(f"{count} in {simulator}" for simulator, count in battery.envs.items())
+    console.print(
+        f"{battery.checkpoint['file']} in {battery.task}: {len(battery.robots)} robots, episodes of "
+        f"{battery.duration_s:g} s, {envs} per robot and condition (errors in m/s and rad/s; still: planar error of a "
+        "robot that stands still; turn: yaw rate of pure turns over the commanded one)",
+        markup=False,
+    )
+    table = Rows("condition", "in", *COLUMNS)
+    for row in battery.rows:
+        table.add_row(row.condition, row.simulator, *figures(row))
+    table.print(console)
+    for row in battery.rows:
+        for name, cell in row.robots.items():
+            if cell.faults:
+                console.print(f"{row.condition}, {row.simulator}: {name}: {'; '.join(cell.faults)}", markup=False)
+    for row in battery.rows:
+        for reason in dict.fromkeys(row.not_applicable.values()):
+            names = [name for name, why in row.not_applicable.items() if why == reason]
+            who = "" if len(names) == len(battery.robots) else f" for {', '.join(names)}"
+            console.print(f"{row.condition}, {row.simulator}: not applicable{who}: {reason}", markup=False)
+    if not any(row.robots for row in battery.rows):
+        console.print("no condition applies, so no bound is kept to", markup=False)
+
+
+def figures(row: Row) -> tuple[str, ...]:
+    """The cells of a row of the table, see `COLUMNS`."""
+    cells = list(row.robots.values())
+    if not cells or row.worst is None:
+        return (*(["-"] * (len(COLUMNS) - 1)), "not applicable")
+    worst = row.robots[row.worst]
+    return (
+        f"{_mean(cell.fall_rate for cell in cells):.1%}",
+        f"{worst.fall_rate:.1%}",
+        row.worst,
+        f"{_mean(cell.kept for cell in cells):.1%}",
+        _number(cell.error_vel_xy for cell in cells),
+        _number(cell.still_error_vel_xy for cell in cells),
+        _number(cell.error_vel_yaw for cell in cells),
+        _number(cell.turn_error for cell in cells),
+        _share(cell.turn_reached for cell in cells),
+        _number(cell.drift_xy for cell in cells),
+        "yes" if row.is_within else f"no, {sum(bool(cell.faults) for cell in cells)} of {len(cells)} miss",
+    )
+
+
+def _mean(values: Iterable[float]) -> float:
+    """The mean of those that were measured; NaN without one."""
+    measured = [value for value in values if not math.isnan(value)]
+    return sum(measured) / len(measured) if measured else math.nan
+
+
+def _number(values: Iterable[float]) -> str:
+    mean = _mean(values)
+    return "-" if math.isnan(mean) else f"{mean:.3f}"
+
+
+def _share(values: Iterable[float]) -> str:
+    mean = _mean(values)
+    return "-" if math.isnan(mean) else f"{mean:.0%}"
