@@ -116,6 +116,28 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--steps": COUNTS, "--dt": FLOATS, "--friction": FLOATS}
         | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES},
     ),
+    "robustness": (
+        (
+            *_CHECKPOINT,
+            "--num-envs",
+            "1",
+            "--mujoco-envs",
+            "1",
+            "--steps",
+            "1",
+            "--robots",
+            "spot",
+            "--conditions",
+            "nominal",
+            "--threads",
+            "1",
+        ),
+        _COMMON
+        | {"--checkpoint": FILES, "--num-envs": COUNTS, "--mujoco-envs": COUNTS, "--steps": COUNTS}
+        | {"--conditions": [*NAMES, "frction", "nominal,x"], "--simulators": [*NAMES, "polypod,x"]}
+        | {"--condims": [*COUNTS, "3,", "3,x"], "--threads": COUNTS, "--json": OUTPUTS, "--picture": OUTPUTS}
+        | {"--robot": NAMES},
+    ),
     "train": (
         ("--num-envs", "64", "--max-iterations", "1", "--logger", "none", "--robots", "spot"),
         _WITH_TASK

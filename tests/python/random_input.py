@@ -331,6 +331,18 @@ _OF_POLYPOD = {
     "play": ("play", *_CHECKPOINT, "--headless", "--seconds", "0.1"),
     "terrain": ("terrain", "--out", "map.npz"),
     "sim2sim": ("sim2sim", *_CHECKPOINT, "--num-envs", "1", "--steps", "2"),
+    "robustness": (
+        "robustness",
+        *_CHECKPOINT,
+        "--num-envs",
+        "1",
+        "--mujoco-envs",
+        "1",
+        "--steps",
+        "2",
+        "--conditions",
+        "nominal",
+    ),
     "train": ("train", "--num-envs", "16", "--max-iterations", "1", "--logger", "none", "--train-config", "quick"),
 }
 
@@ -348,12 +360,12 @@ def line(program: str, index: int) -> Line:
             count = str(8 * len(robots))
             base = ["rollout", "--num-envs", count, "--steps", "2", "--task", task, "--robots", ",".join(robots)]
             return (*base, *small, *settings(draw, tables))
-        command = draw.choice(["eval", "eval", "play", "terrain", "sim2sim", "train", "train"])
+        command = draw.choice(["eval", "eval", "play", "terrain", "sim2sim", "robustness", "train", "train"])
         base = list(_OF_POLYPOD[command])
         if command == "terrain":
             task, small = "velocity_rough", [word for key in SMALL for word in ("--set", key)]
             return (*base, "--task", task, *small, *settings(draw, {"scene": resolved(task, ("spot",))["scene"]}))
-        if command == "sim2sim":
+        if command in ("sim2sim", "robustness"):
             robots = ["spot"]
             return (*base, "--robots", "spot", *settings(draw, resolved("velocity_flat", ("spot",))))
         if command == "train" and draw.random() < 0.5:

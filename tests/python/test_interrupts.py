@@ -62,6 +62,7 @@ COMMANDS = {
     "export": ("--checkpoint", str(FLAT_POLICY), "--out", "out", "--robots", "spot"),
     "terrain": ("--task", "velocity_rough", "--out", "map.npz"),
     "sim2sim": ("--checkpoint", str(FLAT_POLICY), "--num-envs", "8", "--robots", "spot"),
+    "robustness": ("--checkpoint", str(FLAT_POLICY), "--robots", "spot", "--conditions", "nominal"),
     "eval": ("--checkpoint", str(FLAT_POLICY)),
     "play": ("--checkpoint", str(FLAT_POLICY), "--headless"),
     "robot": ("new", str(FLAT_POLICY.parents[2] / "robots" / "anymal_c" / "robot.urdf"), "--out", "drafted.toml"),

@@ -44,6 +44,7 @@ COMMANDS = {
     "export": ("export", "--formats", "onnx", "--checkpoint"),
     "play": ("play", "--headless", "--seconds", "0.1", "--checkpoint"),
     "sim2sim": ("sim2sim", "--num-envs", "1", "--steps", "1", "--checkpoint"),
+    "robustness": ("robustness", "--num-envs", "1", "--mujoco-envs", "1", "--steps", "1", "--checkpoint"),
     "resume": ("train", "--logger", "none", "--max-iterations", "1", "--resume"),
     "init": ("train", "--logger", "none", "--max-iterations", "1", "--num-envs", "64", "--init"),
 }

@@ -15,7 +15,7 @@ from common import size
 SHARE = size(0.02, 1.0)
 """How many of a kind's files are drawn, of the thousand that all kinds have."""
 CODES = {"polypod": (0, 2, 3), "polypod-sim": (0, 1, 2)}
-"""3: `sim2sim` found falls; 1: `replay` found other bits."""
+"""3: `sim2sim` or `robustness` found falls; 1: `replay` found other bits."""
 SECONDS = 60
 MEMORY = 6 << 30
 

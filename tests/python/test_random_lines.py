@@ -15,7 +15,7 @@ from common import size
 LINES = {"polypod": size(6, 1000), "polypod-sim": size(40, 1000)}
 CHUNKS = size(1, 20)
 CODES = {"polypod": (0, 2, 3), "polypod-sim": (0, 1, 2)}
-"""3: `sim2sim` found falls; 1: `replay` found other bits."""
+"""3: `sim2sim` or `robustness` found falls; 1: `replay` found other bits."""
 SECONDS = 60
 MEMORY = 6 << 30
 

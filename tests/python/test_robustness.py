@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -373,14 +374,14 @@ def battery_of(fell_of):
     )
 
 
-def test_the_exit_code_is_that_of_the_bounds(main, monkeypatch, tmp_path):
+def test_the_exit_code_is_that_of_the_bounds(cli, monkeypatch, tmp_path):
     for fell_of, code in ((5, 0), (6, 3)):
         monkeypatch.setattr(robustness, "measure", lambda *given, fell_of=fell_of: battery_of(fell_of))
         out = tmp_path / "out.json"
-        ended, output, _ = main("robustness", "--checkpoint", "flat", "--json", str(out))
-        assert ended == code
-        assert ("spot: falls in 6.0%" in output) == (code == 3)
-        assert "not applicable for cassie: it has none" in output
+        ended = cli("robustness", "--checkpoint", "flat", "--json", str(out))
+        assert ended.returncode == code
+        assert ("spot: falls in 6.0%" in ended.stdout) == (code == 3)
+        assert "not applicable for cassie: it has none" in ended.stdout
         assert json.loads(out.read_text())["is_within"] == (code == 0)
 
 
@@ -411,7 +412,7 @@ def test_the_picture_has_both_panels(tmp_path):
     assert (tmp_path / "battery.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_unknown_names_are_refused_with_suggestions(main):
+def test_unknown_names_are_refused_with_suggestions(cli):
     for words, message in (
         (("--conditions", "frction_0.4"), "there is no condition 'frction_0.4'; did you mean 'friction_0.4'"),
         (("--conditions", ""), "there is no condition ''"),
@@ -422,10 +423,10 @@ def test_unknown_names_are_refused_with_suggestions(main):
         (("--steps", "0"), "--steps 0 must be from 1"),
         (("--robots", "spott"), "spot"),
     ):
-        code, _, errors = main("robustness", "--checkpoint", "flat", *words)
-        assert code == 2
-        assert message in errors
-        assert errors.count("\n") == 1
+        ended = cli("robustness", "--checkpoint", "flat", *words)
+        assert ended.returncode == 2
+        assert message in ended.stderr
+        assert ended.stderr.count("\n") == 1
 
 
 def test_families_stand_for_their_conditions():
@@ -504,3 +505,22 @@ def test_the_randomisation_is_that_of_the_training(loaded):
     calm = tomllib.loads(setting_of(loaded).sim(1).resolved_config())["task"]
     assert not calm["observations"]["enable_noise"]
     assert not calm["events"]["push_robot"]["enabled"]
+
+
+def test_the_page_lists_all_conditions():
+    """With what they change, their bounds and where they run."""
+
+    def bounds(bound):
+        yield from [f"falls {100.0 * bound.falls:g} %"] if bound.falls < 1.0 else []
+        yield from [f"turn err {bound.turn_error:g} rad/s"] if bound.turn_error is not None else []
+        yield from [f"keeps {100.0 * bound.kept:g} %"] if bound.kept is not None else []
+        yield from ["walks"] if bound.walks else []
+
+    rows = [
+        f"| `{entry.name}` | {entry.varies} | {', '.join(bounds(entry.bound))} | "
+        f"{'-' if entry.twin is None else ', '.join(map(str, entry.condims))} |"
+        for entry in robustness.CONDITIONS
+    ]
+    page = (Path(__file__).parents[2] / "docs" / "robustness.md").read_text(encoding="utf-8")
+    head = "| condition | what it changes | bounds | MuJoCo |\n|---|---|---|---|\n"
+    assert head + "\n".join(rows) + "\n\n" in page

@@ -39,7 +39,7 @@ class Robustness:
     friction). Default: 3, and 4 and 6 where they matter most."""
     num_envs: int = 100
     """Envs per robot and condition in polypod."""
-    mujoco_envs: int = 4
+    mujoco_envs: int = 2
     """Envs per robot and condition in MuJoCo."""
     steps: Count = None
     """Control steps per episode. Default: those of 20 s."""

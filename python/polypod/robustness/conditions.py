@@ -78,7 +78,7 @@ def _conditions() -> tuple[Condition, ...]:
             Condition(
                 f"friction_{value}",
                 "friction",
-                f"friction {value}, sliding {overrides.SLIDING * value:.2g}",
+                f"friction {value}, sliding {overrides.SLIDING * value:.3g}",
                 usual,
                 overrides.friction(value),
                 twins.friction(value),
@@ -143,7 +143,7 @@ def _conditions() -> tuple[Condition, ...]:
             Condition(
                 name,
                 "payload",
-                f"mass of the trunk {change:+.0%}",
+                f"mass of the trunk {100.0 * change:+.0f} %",
                 usual,
                 overrides.trunk_mass(change),
                 twins.trunk_mass(1.0 + change),
@@ -154,7 +154,7 @@ def _conditions() -> tuple[Condition, ...]:
             Condition(
                 f"com_{name}",
                 "com",
-                f"trunk's centre of mass {name} by {max(map(abs, shift)):.0%} of the base's height",
+                f"trunk's centre of mass {name} by {100.0 * max(map(abs, shift)):.0f} % of the base's height",
                 usual,
                 overrides.trunk_com(*shift),
                 twins.trunk_com(*shift),

@@ -18,6 +18,7 @@ from polypod.robustness.body import Body
 from polypod.robustness.conditions import Condition
 from polypod.robustness.in_polypod import Setting
 from polypod.sim2sim import Twin, run
+from polypod.sim2sim.twin import FoldedPolicy
 
 Floats = npt.NDArray[np.float32]
 
@@ -65,6 +66,8 @@ class Mujoco:
         self._network = loaded.network
         self._interfaces = interfaces({**manifest, "overrides": overrides}, setting.sources)
         self._episode = run.Episode(manifest, list(setting.sources), options)
+        for name in self._interfaces:
+            run.check_steps(self._episode.physics, self._episode.step_dt, name)
         self._setting, self.num_envs = setting, num_envs
         self._stops = threading.Event()
 
@@ -105,7 +108,7 @@ class Mujoco:
                 break
         return record
 
-    def _policy(self, condition: Condition, interface: RobotInterface) -> OnnxPolicy | PolicyPerEnv:
+    def _policy(self, condition: Condition, interface: RobotInterface) -> FoldedPolicy:
         if condition.description_error == 0.0:
             return self._folded(interface)
         sizes = {term: len(numbers) for term, numbers in interface.constants.items()}

@@ -39,7 +39,7 @@ class Options:
     """Dimensions of MuJoCo's contacts; None: those of each condition."""
     num_envs: int = 100
     """Envs per robot and condition in polypod: one of a hundred falls is 1 %."""
-    mujoco_envs: int = 4
+    mujoco_envs: int = 2
     """Envs per robot and condition in MuJoCo."""
     steps: int | None = None
     """Control steps per episode; None: a whole one."""

@@ -26,7 +26,7 @@ from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
-from polypod.sim2sim.twin import Physics, Twin
+from polypod.sim2sim.twin import FoldedPolicy, Physics, Twin
 
 MAX_STEPS = 50_000_000
 """Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
@@ -179,7 +179,7 @@ def compare(
     episode = Episode(manifest, sources, options)
     physics = episode.physics
     for name in known:
-        _check_steps(physics, episode.step_dt, name)
+        check_steps(physics, episode.step_dt, name)
     when = measured()
     in_polypod = _run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
@@ -368,7 +368,7 @@ def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
 
 
 def twin_of(
-    episode: "Episode", name: str, source: str, interface: RobotInterface, policy: OnnxPolicy, late: int = 0
+    episode: Episode, name: str, source: str, interface: RobotInterface, policy: FoldedPolicy, late: int = 0
 ) -> Twin:
     """One robot of an episode in MuJoCo, before its first reset; `late` physics steps are added to its delays."""
     robot = accuracy_robot.of(episode.sim, name, source)
@@ -444,6 +444,7 @@ def _spin_friction(task: dict[str, Any]) -> dict[str, float]:
     return {name: max(float(surface.get(name, 0.0)) for surface in surfaces) for name in names}
 
 
-def _check_steps(physics: Physics, step_dt: float, name: str) -> None:
+def check_steps(physics: Physics, step_dt: float, name: str) -> None:
+    """Raises ConfigError unless MuJoCo's steps make up the control steps of a robot."""
     if physics.dt <= 0.0 or abs(step_dt / physics.dt - round(step_dt / physics.dt)) > 1e-6:
         raise _core.ConfigError(f"dt = {physics.dt} s does not divide the control step of {step_dt} s ({name})")

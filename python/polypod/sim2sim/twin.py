@@ -12,8 +12,8 @@ state.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,6 @@ from polypod import _core
 from polypod.accuracy.reference import GRAVITY, Ground, Heights, Integrator, Reference, mujoco, states
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
-from polypod.export.runtime import OnnxPolicy
 from polypod.sim2sim.commands import Array, heading_of
 
 FALL_FORCE = 1.0
@@ -32,6 +31,20 @@ FALL_FORCE = 1.0
 Floats = npt.NDArray[np.float32]
 NetworkTorques = Callable[[Floats, Floats, Floats | None], tuple[Floats, Floats]]
 """`VecSim.network_torques` of a robot: from errors, velocities and memory to torques and memory."""
+
+
+class FoldedPolicy(Protocol):
+    """A policy folded for a robot, such as `OnnxPolicy`."""
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """Names and sizes of its inputs."""
+
+    def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Floats]:
+        """Outputs for inputs [envs, size]."""
+
+    def reset(self) -> None:
+        """Forgets what all envs have seen."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +83,7 @@ class Twin:
         self,
         robot: Robot,
         interface: RobotInterface,
-        policy: OnnxPolicy,
+        policy: FoldedPolicy,
         base_bodies: Sequence[str],
         *,
         step_dt: float,
