@@ -71,6 +71,7 @@ SWITCH = [None, "x", ""]
 """What a flag without a value takes: nothing, or what does not belong to it."""
 
 _CHECKPOINT = ("--checkpoint", str(FLAT_POLICY))
+_ONE_CONDITION = (*_CHECKPOINT, "--robots", "spot", "--conditions", "nominal")
 _SEEDS = COUNTS[:9]
 _COMMON = {"--robots": NAMES, "--set": OVERRIDES, "--seed": _SEEDS}
 _WITH_TASK = _COMMON | {"--task": NAMES, "--threads": COUNTS}
@@ -117,21 +118,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES},
     ),
     "robustness": (
-        (
-            *_CHECKPOINT,
-            "--num-envs",
-            "1",
-            "--mujoco-envs",
-            "1",
-            "--steps",
-            "1",
-            "--robots",
-            "spot",
-            "--conditions",
-            "nominal",
-            "--threads",
-            "1",
-        ),
+        (*_ONE_CONDITION, "--num-envs", "1", "--mujoco-envs", "1", "--steps", "1", "--threads", "1"),
         _COMMON
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--mujoco-envs": COUNTS, "--steps": COUNTS}
         | {"--conditions": [*NAMES, "frction", "nominal,x"], "--simulators": [*NAMES, "polypod,x"]}

@@ -326,6 +326,7 @@ def _flags(draw: random.Random, command: str, flags: dict[str, list[str | None]]
 
 
 _CHECKPOINT = ("--checkpoint", "flat")
+_ONE_ENV = ("--num-envs", "1", "--mujoco-envs", "1")
 _OF_POLYPOD = {
     "eval": ("eval", *_CHECKPOINT, "--num-envs", "8", "--steps", "2"),
     "play": ("play", *_CHECKPOINT, "--headless", "--seconds", "0.1"),

@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -189,7 +189,7 @@ def _in_mujoco(
     return rows
 
 
-def _as_they_end(futures: dict[Future[Cell], tuple[Row, object]]) -> Iterator[Future[Cell]]:
+def _as_they_end(futures: Iterable[Future[Cell]]) -> Iterator[Future[Cell]]:
     """The futures as they end; the main thread hears Ctrl-C meanwhile."""
     left = set(futures)
     while left:
