@@ -97,7 +97,8 @@ def schedules_of(
 
 def description_columns(sim: _core.VecSim) -> npt.NDArray[np.intp]:
     """Columns of the observation that describe the robot."""
-    columns, start = [], 0
+    columns: list[int] = []
+    start = 0
     for term in terms_of(sim):
         if term.source == "robot_constant":
             columns += range(start, start + term.size)

@@ -108,17 +108,12 @@ class Battery:
 
 
 def _cells(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Cell]:
-    return {
-        name: Cell(
-            **{
-                key: math.nan if value is None and key in FIGURES else value
-                for key, value in cell.items()
-                if key != "faults"
-            },
-            faults=tuple(cell["faults"]),
-        )
-        for name, cell in content.items()
-    }
+    return {name: Cell(**{**_numbers(cell), "faults": tuple(cell["faults"])}) for name, cell in content.items()}
+
+
+def _numbers(cell: Mapping[str, Any]) -> dict[str, Any]:
+    """The cell with NaN in the place of figures that JSON has no word for."""
+    return {key: math.nan if value is None and key in FIGURES else value for key, value in cell.items()}
 
 
 def cell(record: Record, envs: slice, bound: Bound, *, whole: bool) -> Cell:
