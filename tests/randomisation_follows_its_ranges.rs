@@ -251,6 +251,29 @@ fn torsional_and_rolling_friction_come_from_even_buckets() {
 }
 
 #[test]
+fn a_task_gives_all_robots_one_range_of_friction_and_of_mass() {
+    let changes = [
+        "events.physics_material.static_friction_range=[0.3, 0.6]",
+        "events.physics_material.dynamic_friction_range=[0.1, 0.2]",
+        "events.add_base_mass.mass_scale_range=[0.5, 2.0]",
+    ];
+    // light and heavy, with offsets in kg of their own that a factor leaves aside
+    for robot in ["solo12", "unitree_b2"] {
+        let mut sim = Sim::new(&options(robot, &[], &changes, 3)).unwrap();
+        let nominal = sim.morphologies()[0].nominal.clone();
+        let bodies = bodies(&mut sim);
+        let drawn = |f: &dyn Fn(&Body) -> f64| bodies.iter().map(f).collect::<Vec<_>>();
+        let factor = column("mass", [0.5, 2.0], drawn(&|b| f64::from(b.0.mass[0] / nominal.mass[0])));
+        assert_uniform(&factor);
+        let bucket = |x: f32, [low, high]: [f64; 2]| ((f64::from(x) - low) / (high - low) * 63.0 * 1e3).round() / 1e3;
+        let statics = drawn(&|b| bucket(b.0.static_friction, [0.3, 0.6]));
+        let dynamics = drawn(&|b| bucket(b.0.dynamic_friction, [0.1, 0.2]));
+        assert_even("static friction", &statics, 64);
+        assert_even("dynamic friction", &dynamics, 64);
+    }
+}
+
+#[test]
 fn the_inertia_follows_the_added_mass_unless_told_otherwise() {
     for recompute in [true, false] {
         let more = format!("events.add_base_mass.recompute_inertia={recompute}");

@@ -36,7 +36,8 @@ impl Sensor for JointDescriptors {
     const IS_SAVED: bool = false;
 
     fn settings(task: &TaskConfig) -> Option<()> {
-        task.observations.policy.iter().any(|entry| entry.term == TERM).then_some(())
+        let observed = &task.observations;
+        observed.policy.iter().chain(observed.groups.values().flatten()).any(|entry| entry.term == TERM).then_some(())
     }
 
     fn new((): &(), morphology: &MorphologyModel) -> Self {

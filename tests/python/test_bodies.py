@@ -84,8 +84,10 @@ def test_masses_follow_lengths():
 
 
 def test_they_are_of_all_kinds_and_stand_in_one_batch(library):
-    """Two legs do not stand without a policy, as those of machines do not: they begin to fall, slowly. So do few of the
-    others, on soft and narrow legs."""
+    """Two legs do not stand without a policy, as those of machines do not, and begin to fall, slowly.
+
+    So do few of the others, on soft and narrow legs.
+    """
     names = [body.name for body in library]
     env = polypod.make(bodies.TASK + "_play", COUNT, seed=0, autoreset="disabled")
     assert env.robots == names

@@ -7,6 +7,7 @@ import pytest
 
 import polypod
 from common import ROBOTS
+from polypod import _core
 
 CRITIC = (
     'observations.critic=[{term="base_lin_vel"}, {term="joint_pos_rel"}, {term="contact_friction"}, '
@@ -238,3 +239,19 @@ def test_a_file_of_ones_own(tmp_path):
     )
     env = polypod.make(str(tmp_path / "mine.toml"), robots=ROBOTS)
     assert env.sim.observation_groups == {"policy": (0, 60), "critic": (60, 63)}
+
+
+def test_joints_are_described_to_the_critic_alone():
+    """What the policy's observation lacks is measured for another group all the same."""
+    group = ["observations.critic=[{term='joint_descriptors'}]"]
+    robots = ["unitree_go2", "spot"]
+    sims = [
+        _core.VecSim(task, 2, robots=robots, seed=0, threads=1, overrides=changes)
+        for task, changes in (("velocity_flat_play", group), ("velocity_flat_joints_play", []))
+    ]
+    for sim in sims:
+        sim.reset(0)
+    alone, beside = sims
+    described = alone.observation_of("critic")
+    assert (described != 0.0).any()
+    np.testing.assert_array_equal(described, beside.observation[:, -described.shape[1] :])

@@ -1,5 +1,6 @@
 """What rsl_rl can do is switched on in train configs: asymmetric critics, recurrent networks, RND, distillation."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def test_the_shipped_config_teaches_a_network_of_joints(tmp_path):
     assert list(evaluate_checkpoint(checkpoint, num_envs=2, steps=5).robots) == robots
 
 
-def test_a_network_of_joints_remembers_and_is_exported(tmp_path):
+def test_a_network_of_joints_remembers_and_acts_for_any_bodies(tmp_path, capsys):
     options = session.Options(
         log_dir=tmp_path,
         **TINY,
@@ -102,6 +103,14 @@ def test_a_network_of_joints_remembers_and_is_exported(tmp_path):
     layout = run_dir.read_manifest(checkpoint)["policy"]["observation_layout"]
     assert {entry["term"]: entry.get("history_length", 1) for entry in layout}["joint_pos_rel"] == 3
     assert export_checkpoint(checkpoint, tmp_path / "exported").difference <= 1e-5
+    # bodies with slots that the training had not: the same weights act, and learn beside a new critic
+    others = {"task": "velocity_flat_legged_joints", "robots": ["phantomx", "unitree_g1"]}
+    evaluation = evaluate_checkpoint(checkpoint, num_envs=2, steps=5, **others)
+    assert list(evaluation.robots) == others["robots"]
+    assert export_checkpoint(checkpoint, tmp_path / "other", ["phantomx"]).difference <= 1e-5
+    capsys.readouterr()
+    assert session.train(dataclasses.replace(options, **others, init=checkpoint, log_dir=tmp_path / "more")) == 0
+    assert "a new one learns from here on" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["gru", "lstm"])

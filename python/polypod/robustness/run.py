@@ -89,7 +89,7 @@ def measure(
     """
     options = options or Options()
     options.check()
-    loaded = load(checkpoint)
+    loaded = load(checkpoint, robots=robots)
     sources = list(loaded.manifest["robot_sources"] if robots is None else robots)
     setting = Setting.of(
         loaded.manifest,

@@ -436,13 +436,15 @@ class Runner(OnPolicyRunner):
         self._limit_deviations(str(path))
 
     def _critic_fits(self, path: Path, state: dict[str, Any]) -> bool:
-        """Whether a checkpoint's critic is this run's. An actor whose weights know no slots may go on with another one."""
+        """Whether a checkpoint's critic is this run's. An actor whose weights know no slots may do with another one."""
         if not isinstance(self.alg.actor, UrmaModel):
             return True
         own, other = self.alg.critic.state_dict(), state["critic_state_dict"]
         if own.keys() == other.keys() and all(own[key].shape == other[key].shape for key in own):
             return True
-        self.reporter.message(f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on")
+        self.reporter.message(
+            f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on"
+        )
         return False
 
     def learn_from(self, teacher: Path) -> None:
