@@ -254,9 +254,9 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
         parent, at = (names[0], (0.0, y * hip, 0.0)) if abduction else ("base", beside)
         links.append(_rod(names[1], shares["thigh"] * mass, thigh, 0.07 * leg))
         links.append(_rod(names[2], shares["shank"] * mass, shank, 0.035 * leg))
-        hips, knee = sorted((-1.5 * back, 3.4 * back)), sorted((-2.7 * back, -0.3 * back))
-        joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", *hips, "legs", flexion))
-        joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", *knee, "knees", bend))
+        (low, high), (lower, upper) = ((-1.5, 3.4), (-2.7, -0.3)) if back > 0 else ((-3.4, 1.5), (0.3, 2.7))
+        joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", low, high, "legs", flexion))
+        joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", lower, upper, "knees", bend))
         feet.append((names[3], names[2], (0.0, 0.0, -shank), radius))
     kind = "quadruped" if abduction else "quadruped8"
     # bent legs carry the weight on longer levers

@@ -5,7 +5,7 @@ import functools
 import json
 import math
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -430,7 +430,7 @@ def _combined_friction(task: dict[str, Any]) -> float:
     return float(rules[ground["friction_combine"]])
 
 
-def _least_height(share: float, info: dict[str, Any]) -> float:
+def _least_height(share: float, info: Mapping[str, Any]) -> float:
     """Height of a base that has sunk to a share of its height, m: `MorphologyModel::least_height` of the simulator."""
     height: float = info["base_height"]
     hips = height + float(info.get("hip_height", 0.0))

@@ -80,7 +80,8 @@ class TrainingLogger(Logger):
     def keep_on_host(self) -> None:
         """Counts in the memory of the CPU, for a learner that tells of its steps from there."""
         self.device = "cpu"
-        self.cur_reward_sum, self.cur_episode_length = self.cur_reward_sum.cpu(), self.cur_episode_length.cpu()
+        for name in ("cur_reward_sum", "cur_episode_length"):
+            setattr(self, name, getattr(self, name).cpu())
 
     def process_env_step(
         self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any], intrinsic_rewards: Any = None
