@@ -5,7 +5,12 @@ from pathlib import Path
 from polypod import _core
 
 FOLDER = Path(__file__).parent / "policies"
-NAMES = {"flat": "flat_universal", "rough": "rough_universal", "legged": "legged_masked"}
+NAMES = {
+    "flat": "flat_universal",
+    "rough": "rough_universal",
+    "legged": "legged_masked",
+    "quadruped": "quadruped",
+}
 """Names on the command line, and folders."""
 DEFAULT = "flat"
 
