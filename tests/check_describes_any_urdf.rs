@@ -82,7 +82,7 @@ fn packages_are_looked_up() {
     let lost = printed(&[&file]);
     assert_words(
         &lost,
-        &["\"package://meshes/cube.stl\" is not found", "no legged robot: leg LF has no collision shape"],
+        &["\"package://meshes/cube.stl\" is not found", "link \"lf_shank\": its collision meshes are missing"],
     );
     let found = printed(&[&file, "--package-dir", &format!("meshes={}", data("meshes"))]);
     assert_words(&found, &["\nquadruped (+", "hull of 8 points"]);

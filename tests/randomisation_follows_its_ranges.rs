@@ -259,7 +259,7 @@ fn a_task_gives_all_robots_one_range_of_friction_and_of_mass() {
     ];
     // light and heavy, with offsets in kg of their own that a factor leaves aside
     for robot in ["solo12", "unitree_b2"] {
-        let mut sim = Sim::new(&options(robot, &[], &changes, 3)).unwrap();
+        let mut sim = Sim::new(&options(robot, &[], &changes, 4)).unwrap();
         let nominal = sim.morphologies()[0].nominal.clone();
         let bodies = bodies(&mut sim);
         let drawn = |f: &dyn Fn(&Body) -> f64| bodies.iter().map(f).collect::<Vec<_>>();

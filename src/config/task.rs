@@ -229,7 +229,7 @@ pub struct VelocityCommandConfig {
     /// Share of envs told to stand still. Default: none.
     #[serde(default, deserialize_with = "values::fraction")]
     pub rel_standing_envs: f64,
-    /// Share of envs told to turn on the spot, at a yaw rate of the range. Default: none.
+    /// Share of envs told to turn in place, at a yaw rate of the range. Default: none.
     #[serde(default, deserialize_with = "values::fraction")]
     pub rel_turning_envs: f64,
     /// Share of envs told to walk sideways alone, at a speed of the range. Default: none.
