@@ -806,7 +806,7 @@ fn steps_finitely(model: &Model) -> bool {
         drive: &Drive::zeros(topology, 1),
         substeps: 0..settings.decimation,
         state: &mut state,
-        report: &mut Report::zeros(topology, settings.decimation as usize),
+        report: &mut Report::zeros(topology, settings.decimation),
         work: &mut Workspace::new(topology),
     }
     .run();

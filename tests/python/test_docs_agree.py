@@ -5,6 +5,7 @@ that it must find, so that no rule passes because it reads nothing.
 """
 
 import io
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stdout
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from polypod import _core, cli
+from polypod import _core, bundled, cli
 from polypod.compat import tomllib
 from polypod.training import config
 
@@ -95,9 +96,9 @@ def library(pages: Pages) -> list[str]:
 
 
 def judged() -> list[dict[str, dict[str, str]]]:
-    """The tables of docs/results.md that say which robots walk: of `flat`, `legged` and `rough`, rows by robot."""
+    """The tables of docs/results.md that say which robots walk: of each bundled policy, rows by robot."""
     found = [rows for rows in tables(PAGES["docs/results.md"]) if "walks" in rows[0]]
-    assert len(found) == 3
+    assert len(found) == len(bundled.NAMES)
     return [{row["robot"]: row for row in rows} for rows in found]
 
 
@@ -120,17 +121,24 @@ def policies(pages: Pages) -> list[str]:
     for found in quadrupeds:
         walked = sum(row["walks"] == "yes" for row in found.values())
         problems += every(pages, rf"\bwalk with {NUMBER} of eight quadrupeds", walked)
-    (legged,) = (found for found in judged() if len(found) == robots_of("velocity_flat_legged"))
     names = {"err xy": "velocity error (m/s)", "turn": "turn", "drift": "drift (m/s)", "walks": "walks"}
-    shown = [row for rows in tables(pages["docs/networks.md"]) if "walks" in rows[0] for row in rows]
-    for row in shown:
-        measured = legged[row["robot"]]
-        problems += [
-            f"docs/networks.md: {row['robot']}: {name} is {row[name]}, and docs/results.md says {measured[key]}"
-            for name, key in names.items()
-            if row[name] != measured[key]
-        ]
-    return problems if len(shown) == len(legged) else [*problems, "docs/networks.md: a robot's row is missing"]
+    shown = [rows for rows in tables(pages["docs/networks.md"]) if "walks" in rows[0]]
+    by_size = {len(found): found for found in judged() if found not in quadrupeds}
+    if sorted(map(len, shown)) != sorted(by_size):
+        problems.append("docs/networks.md: a robot's row is missing")
+        shown = [rows for rows in shown if len(rows) in by_size]
+    for rows in shown:
+        for row in rows:
+            measured = by_size[len(rows)][row["robot"]]
+            problems += [
+                f"docs/networks.md: {row['robot']}: {name} is {row[name]}, and docs/results.md says {measured[key]}"
+                for name, key in names.items()
+                if row[name] != measured[key]
+            ]
+    manifest = json.loads((bundled.checkpoint("quadruped").parent / "manifest.json").read_text(encoding="utf-8"))
+    count = len(manifest["robots"])
+    walked = sum(row["walks"] == "yes" for row in by_size[count].values())
+    return [*problems, *every(pages, rf"\b{NUMBER} of (?:the )?\[?{count}\b", walked)]
 
 
 def speeds(pages: Pages) -> list[str]:

@@ -14,7 +14,7 @@ class Eval:
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough or legged. Of several, the seeds of one training, the mean and its interval too."""
+    policy: flat, rough, legged or quadruped. Of several, the seeds of one training, the mean and its interval too."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None

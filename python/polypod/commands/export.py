@@ -15,7 +15,7 @@ class Export:
 
     checkpoint: Path
     """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough or legged."""
+    policy: flat, rough, legged or quadruped."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where to. Default: exported/ beside the checkpoint."""
     robots: RobotNames = None

@@ -24,7 +24,7 @@ class FilmOf:
     """The film: .gif, .webp or .mp4."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough or legged. Of a training also the folder of its run. Default: flat."""
+    policy: flat, rough, legged or quadruped. Of a training also the folder of its run. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Annotated[tuple[float, float, float], arg(metavar="VX VY WZ")] = (0.6, 0.0, 0.0)

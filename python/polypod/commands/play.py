@@ -23,7 +23,7 @@ class Play:
 
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough or legged. Default: flat."""
+    policy: flat, rough, legged or quadruped. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None

@@ -169,7 +169,7 @@ class DistillationConfig:
     """
 
     teacher: str
-    """A model_<n>.pt beside its manifest.json, or a bundled policy: flat, rough or legged."""
+    """A model_<n>.pt beside its manifest.json, or a bundled policy: flat, rough, legged or quadruped."""
     gradient_length: int = 15
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
