@@ -135,10 +135,22 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
 
 
 def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str] | None) -> dict[str, Any]:
-    """The manifest of a network of joints with the slots of these bodies in the place of those of its training."""
-    sources = list(manifest["robot_sources"] if robots is None else robots)
+    """The manifest of a network of joints with the slots that these bodies need, beside those of its training.
+
+    In another task the slots are those of the bodies alone.
+    """
+    trained = list(manifest["robot_sources"])
+    sources = trained if robots is None else list(robots)
     name = _core.play_task(task or manifest["task"])
-    sim = _core.VecSim(name, len(sources), robots=sources, threads=1, overrides=manifest["overrides"])
+
+    def batch(of: list[str]) -> _core.VecSim:
+        return _core.VecSim(name, len(of), robots=of, threads=1, overrides=manifest["overrides"])
+
+    sim = batch(sources)
+    if name == _core.play_task(manifest["task"]):
+        if set(sim.canonical_joint_names) <= set(manifest["canonical_joint_names"]):
+            return manifest
+        sim = batch([*trained, *(robot for robot in sources if robot not in trained)])
     slots = sim.canonical_joint_names
     policy = {
         **manifest["policy"],

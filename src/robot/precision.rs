@@ -8,14 +8,15 @@ use super::error::{Diagnosis, RobotError};
 use super::inertia::{MassProperties, principal_moments};
 use super::merge::MAX_EXTENT;
 use super::model::{JointKind, Model};
-use super::plausible::LARGEST_LENGTH;
 
 /// Least inertia that a joint or the base moves, over that of all that hangs on it. The engine computes the former as a difference of
 /// numbers of the size of the latter, in single precision (6e-8). States became infinite at up to 1.5e-5; known robots have 2e-3 or more.
 const LEAST_SHARE: f64 = 2e-5;
 /// Farthest link, m: limbs of a humanoid in millimetres reach a little farther than one length may.
 const REACH: f64 = 2.0 * MAX_EXTENT;
-/// Mass, kg, and principal moment of a link, kg m^2, up to which any share is taken: makers write token inertias for light links.
+/// Extent, m, mass, kg, and principal moment of a link, kg m^2, up to which any share is taken: makers write token inertias for light
+/// links, and a chain of many links turns its first one easily.
+const LONG: f64 = 10.0;
 const HEAVY: f64 = 1e3;
 const BULKY: f64 = 3e4;
 
@@ -40,7 +41,7 @@ pub(super) fn check(model: &Model, file: &Path) -> Result<(), RobotError> {
     }
     let mass = model.total_mass();
     let is_bulky = model.links.iter().any(|link| principal_moments(&link.inertia)[2] > BULKY);
-    if extent <= LARGEST_LENGTH && mass <= HEAVY && !is_bulky {
+    if extent <= LONG && mass <= HEAVY && !is_bulky {
         return Ok(());
     }
     let least = Moved::least(model);

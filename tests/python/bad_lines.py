@@ -83,7 +83,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         (*_CHECKPOINT, "--num-envs", "8", "--steps", "1"),
         _WITH_TASK
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--episodes": COUNTS, "--steps": COUNTS, "--grid": COUNTS}
-        | {"--json": OUTPUTS, "--plot": OUTPUTS, "--quadrupeds": NAMES},
+        | {"--json": OUTPUTS, "--plot": OUTPUTS, "--quadrupeds": NAMES, "--commands": NAMES},
     ),
     "export": (
         (*_CHECKPOINT, "--formats", "onnx", "--out", "out"),
@@ -115,7 +115,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         (*_CHECKPOINT, "--num-envs", "1", "--steps", "1", "--robots", "spot"),
         _COMMON
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--steps": COUNTS, "--dt": FLOATS, "--friction": FLOATS}
-        | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES},
+        | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES}
+        | {"--commands": NAMES},
     ),
     "robustness": (
         (*_ONE_CONDITION, "--num-envs", "1", "--mujoco-envs", "1", "--steps", "1", "--threads", "1"),

@@ -120,7 +120,7 @@ def test_roles_follow_from_geometry(library, tmp_path):
         stated = tomllib.loads(text)["joint_roles"]
         begin, end = text.index("[joint_roles]"), text.index("[default_pose]")
         path.write_text(text[:begin] + text[end:])
-        (info,) = json.loads(_core.VecSim("velocity_flat_legged_play", 1, robots=[body.name]).robot_info()).values()
+        (info,) = json.loads(_core.VecSim("velocity_flat_any_legged_play", 1, robots=[body.name]).robot_info()).values()
         assert set(info["joint_names"]) == set(stated)
 
 

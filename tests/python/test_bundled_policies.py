@@ -9,11 +9,13 @@ WALKS = {
     "flat": ["anymal_d", "anymal_b", "unitree_go2"],
     "rough": ["anymal_c", "unitree_go1", "unitree_go2"],
     "legged": ["unitree_a1", "unitree_b1", "box_quadruped", "anymal_b_kinova", "phantomx"],
+    "quadruped": ["unitree_go1", "unitree_b2", "solo12", "box_quadruped"],
 }
-"""Robots of each; of `legged` on four and six legs, with eight to 18 joints."""
+"""Robots of each; of `legged` on four and six legs, with eight to 18 joints, of `quadruped` of 2.5 to 75 kg."""
 FALLS_SHORT = {
     "flat": ("spot", {"drift", "yaw drift"}),
     "legged": ("booster_t1", {"turn", "yaw error"}),
+    "quadruped": ("spot", {"drift"}),
 }
 """A robot of each that does not walk, and what it does not keep."""
 

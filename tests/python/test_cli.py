@@ -246,7 +246,7 @@ def test_check(main, tmp_path):
     assert code == 0
     assert "\nquadruped (+" in output
     assert "hull of 8 points" in output
-    assert "no legged robot" in main("check", "robot.urdf")[1]
+    assert "its collision meshes are missing; the box of its inertia" in main("check", "robot.urdf")[1]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\x00\x89", b"<robot>" * 100_000, b"<robot name='r'/>"])

@@ -167,7 +167,10 @@ def test_a_base_frame_below_the_soles_ends_no_episode(tmp_path, kind, height):
         for _ in range(5):
             ended = env.step(np.zeros((4, env.sim.num_actions), dtype=np.float32))[2]
             assert not ended.any()
-    assert stood[0] == stood[1]
+    (holds, falls, reason), (holds_below, falls_below, reason_below) = stood
+    assert (holds, reason) == (holds_below, reason_below)
+    # a body that balances falls or not by the last bit of its numbers, which are about another frame
+    assert abs(falls - falls_below) <= 1
     assert env.state.base_pos[:, 2].max() < 0.3 * height
 
 

@@ -198,7 +198,7 @@ def test_mujoco_runs_it(trained, cli, tmp_path):
     _, path, _ = trained
     done = cli("sim2sim", "--checkpoint", str(path), "--num-envs", "2", "--steps", "4", "--json", "out.json")
     # these policies do not walk, which is the result 1
-    assert done.returncode in (0, 1), done.stderr
+    assert done.returncode in (0, 3), done.stderr
     assert json.loads((tmp_path / "out.json").read_text())["robots"].keys() == set(ROBOTS)
 
 

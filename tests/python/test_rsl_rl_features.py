@@ -107,7 +107,6 @@ def test_a_network_of_joints_remembers_and_acts_for_any_bodies(tmp_path, capsys)
     others = {"task": "velocity_flat_legged_joints", "robots": ["phantomx", "unitree_g1"]}
     evaluation = evaluate_checkpoint(checkpoint, num_envs=2, steps=5, **others)
     assert list(evaluation.robots) == others["robots"]
-    assert export_checkpoint(checkpoint, tmp_path / "other", ["phantomx"]).difference <= 1e-5
     capsys.readouterr()
     assert session.train(dataclasses.replace(options, **others, init=checkpoint, log_dir=tmp_path / "more")) == 0
     assert "a new one learns from here on" in capsys.readouterr().err
@@ -193,7 +192,7 @@ def test_a_student_learns_what_its_teacher_does(tmp_path, monkeypatch):
         (["train.actor.rnn_type=gru"], "rnn_type is of recurrent networks"),
         (["train.rnd={weight=0.0}"], "must be from 1e-12"),
         (["train.rnd={wait=1.0}"], "unknown key 'wait'; did you mean 'weight'"),
-        (['train.distillation={teacher="none.pt", gradient_length=4}'], "cannot read"),
+        (['train.distillation={teacher="none.pt", gradient_length=4}'], "has no group 'teacher', but policy; add"),
         (['train.distillation={teacher="none.pt", loss_type="l1"}'], "not one of mse, huber"),
     ],
 )

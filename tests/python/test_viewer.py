@@ -390,7 +390,8 @@ def test_other_checkpoints_of_a_run_can_be_chosen(tmp_path):
     for number in (5, 100, 20):
         (tmp_path / f"model_{number}.pt").touch()
     names = list(session._policies(tmp_path / "model_20.pt"))
-    assert names == ["model_20.pt", "model_5.pt", "model_100.pt", "bundled: flat", "bundled: rough", "bundled: legged"]
+    shipped = [f"bundled: {name}" for name in ("flat", "rough", "legged", "quadruped")]
+    assert names == ["model_20.pt", "model_5.pt", "model_100.pt", *shipped]
     assert list(session._policies(bundled.checkpoint("rough")))[:2] == ["bundled: rough", "bundled: flat"]
 
 
