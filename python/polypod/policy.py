@@ -117,8 +117,8 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
 
     Args:
         path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat, rough, legged or quadruped.
-        task: what it is for; None: what it says itself.
-        robots: its robots, likewise; None: those that it says itself, or those of the task.
+        task: of an ONNX file that does not say so itself, and of a network of joints; others are taken at their word.
+        robots: likewise; None: those that the file says, or those of the task.
 
     Raises:
         ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.

@@ -61,6 +61,7 @@ class Robustness:
 
         from polypod import bundled, robustness
         from polypod.drawing import pyplot_for
+        from polypod.progress import Progress
         from polypod.robustness import picture, report
 
         threads = thread_count(self.threads, "--threads")
@@ -81,7 +82,7 @@ class Robustness:
         options.check()
         if self.picture is not None:
             pyplot_for("--picture")
-        with report.Progress() as progress:
+        with Progress(8) as progress:
             battery = robustness.measure(bundled.resolve(self.checkpoint), robots, options, progress)
         report.show(battery)
         write_json(self.json, battery.as_dict())

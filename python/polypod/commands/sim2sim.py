@@ -47,7 +47,8 @@ class Sim2sim:
         """Runs the command and returns its exit code."""
         check_names(None, names(self.robots))
         from polypod import bundled, sim2sim
-        from polypod.sim2sim.report import Progress, show
+        from polypod.progress import Progress
+        from polypod.sim2sim.report import show
 
         options = sim2sim.Options(
             envs_per_robot=self.num_envs,
@@ -61,7 +62,11 @@ class Sim2sim:
             soft_contact=self.soft_contact,
             overrides=self.set,
         )
-        with Progress() as progress:
+        with Progress(14) as bars:
+
+            def progress(name: str, done: int, total: int) -> None:
+                bars(name if name == "polypod" else f"mujoco {name}", done, total)
+
             comparison = sim2sim.compare(bundled.resolve(self.checkpoint), names(self.robots), options, progress)
         show(comparison)
         write_json(self.json, comparison.as_dict())

@@ -1,50 +1,13 @@
-"""What a user of `polypod robustness` sees: progress, and a table with a row per condition and simulator."""
+"""What a user of `polypod robustness` sees: a table with a row per condition and simulator."""
 
 import math
 from collections.abc import Iterable
-from types import TracebackType
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bars
 
 from polypod.robustness.results import Battery, Row
 from polypod.tables import Rows, console_of_output
 
 COLUMNS = ("falls", "most", "of", "kept", "err xy", "still", "err yaw", "turn err", "turn", "drift", "within")
 """Of the table. `most` and `of` are of the worst robot, the others are means over the robots."""
-
-
-class Progress:
-    """A bar per simulator on a terminal, nothing elsewhere."""
-
-    def __init__(self) -> None:
-        """Looks at standard error."""
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bars = Bars(*columns, console=console) if console.is_terminal else None
-        self._tasks: dict[str, TaskID] = {}
-
-    def __enter__(self) -> "Progress":
-        """Shows the bars."""
-        if self._bars is not None:
-            self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leaves them as they are."""
-        if self._bars is not None:
-            self._bars.stop()
-
-    def __call__(self, simulator: str, done: int, total: int) -> None:
-        """Moves a bar."""
-        if self._bars is None:
-            return
-        if simulator not in self._tasks:
-            self._tasks[simulator] = self._bars.add_task(simulator, total=total)
-        self._bars.update(self._tasks[simulator], completed=done)
 
 
 def show(battery: Battery) -> None:

@@ -1,46 +1,9 @@
-"""What a user of `polypod sim2sim` sees: progress, and a table with both simulators side by side."""
+"""What a user of `polypod sim2sim` sees: a table with both simulators side by side."""
 
 import math
-from types import TracebackType
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bars
 
 from polypod.sim2sim.run import Comparison, Figures
 from polypod.tables import Rows, console_of_output
-
-
-class Progress:
-    """A bar per simulator and robot on a terminal, nothing elsewhere."""
-
-    def __init__(self) -> None:
-        """Looks at standard error."""
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bars = Bars(*columns, console=console) if console.is_terminal else None
-        self._tasks: dict[str, TaskID] = {}
-
-    def __enter__(self) -> "Progress":
-        """Shows the bars."""
-        if self._bars is not None:
-            self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leaves them as they are."""
-        if self._bars is not None:
-            self._bars.stop()
-
-    def __call__(self, name: str, done: int, total: int) -> None:
-        """Moves a bar."""
-        if self._bars is None:
-            return
-        if name not in self._tasks:
-            self._tasks[name] = self._bars.add_task(name if name == "polypod" else f"mujoco {name}", total=total)
-        self._bars.update(self._tasks[name], completed=done)
 
 
 def show(comparison: Comparison) -> None:
