@@ -56,7 +56,10 @@ from polypod.__main__ import main
 
 signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGINT))
 signal.setitimer(signal.ITIMER_REAL, float(sys.argv.pop(1)))
-sys.exit(main())
+code = main()
+# a signal that has not come by now does not come: Python gives SIGALRM its default back as it ends
+signal.setitimer(signal.ITIMER_REAL, 0.0)
+sys.exit(code)
 """
 COMMANDS = {
     "export": ("--checkpoint", str(FLAT_POLICY), "--out", "out", "--robots", "spot"),
@@ -74,12 +77,16 @@ COMMANDS = {
 @pytest.mark.parametrize("command", size(("export", "terrain", "robot"), tuple(COMMANDS)))
 def test_an_interrupted_command_says_so(tmp_path, command, seconds):
     """Whether it still imports, builds, or is at work: 130, and no traceback."""
-    line = [sys.executable, "-c", COMMAND, str(seconds), command, *COMMANDS[command]]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
-    assert done.returncode == 130 or (done.returncode in (0, 3) and seconds > 0.5), (done.returncode, done.stderr)
+    for _ in range(8):
+        line = [sys.executable, "-c", COMMAND, str(seconds), command, *COMMANDS[command]]
+        done = subprocess.run(line, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+        if done.returncode not in {0, 3}:
+            break
+        seconds /= 2.0  # the command was done before the signal: a fast machine
+    assert done.returncode == 130, (done.returncode, done.stderr)
     assert "Traceback" not in done.stderr
     assert "panic" not in done.stderr
-    if done.returncode == 130 and command != "train":
+    if command != "train":
         assert done.stderr.splitlines()[-1] == "polypod: interrupted"
 
 
