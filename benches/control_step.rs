@@ -13,7 +13,7 @@ const ROBOTS: [(&str, Option<&str>); 4] =
 /// Long before a measurement, so that what is measured lasts.
 const WARM_UP: usize = 50;
 
-/// What robots do while their physics is measured.
+/// Actions of the robots while their physics is measured.
 #[derive(Clone, Copy)]
 enum Scene {
     /// Targets within this of the default pose, rad: all stay on their feet.
@@ -83,7 +83,7 @@ fn sim(robot: Option<&str>, num_envs: usize, threads: usize, overrides: &[&str])
     Sim::new(&options).expect("the built-in task and robots load")
 }
 
-/// Steps with actions up to `reach`, drawn anew each time, after a while of the same: with 1 some robots stand, some are in the
+/// Steps with random actions up to `reach`, after a while of the same: with 1 some robots stand, some are in the
 /// air, some fall.
 fn bench(c: &mut Criterion, group: &str, id: BenchmarkId, reach: f32, mut sim: Sim) {
     let mut rng = EnvRng::new(0, 0);
@@ -146,7 +146,7 @@ fn shares(c: &mut Criterion) {
     }
 }
 
-/// What bodies in Avian's world that follow the robots' links cost.
+/// Cost of bodies in Avian's world that follow the robots' links.
 fn mirrors(c: &mut Criterion) {
     for num_envs in [64, 1024, 4096] {
         for (name, overrides) in

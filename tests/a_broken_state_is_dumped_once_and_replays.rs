@@ -34,7 +34,7 @@ fn under_way(options: &SimOptions) -> Sim {
     sim
 }
 
-/// What a test changes of a robot.
+/// Change of a robot by a test.
 type Change = fn(&mut BasePose, &mut BaseVelocity, &mut JointState, &mut Body);
 
 fn damage(sim: &mut Sim, env: usize, change: Change) {

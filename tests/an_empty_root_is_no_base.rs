@@ -92,7 +92,7 @@ fn chains_and_specks_of_mass_are_no_bodies_either() {
 
 #[test]
 fn an_empty_root_that_carries_the_legs_stays_the_base() {
-    // the inertia of the body in a link of its own, as some makers write it
+    // the inertia of the body in a separate link, as some makers write it
     let text = urdf(ROBOT);
     let at = text.find("<inertial").unwrap();
     let end = text.find("</inertial>").unwrap() + "</inertial>".len();

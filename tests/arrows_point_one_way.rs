@@ -105,7 +105,7 @@ fn names_after(code: &str, prefix: &str) -> Vec<String> {
     names
 }
 
-/// Which room a file belongs to, and how deep in it it is.
+/// Room of a file, and the file's depth in it.
 fn room(root: &Path, path: &Path) -> (String, usize) {
     let parts: Vec<&str> = path.strip_prefix(root).unwrap().iter().map(|part| part.to_str().unwrap()).collect();
     (parts[0].trim_end_matches(".rs").to_string(), parts.len() - 1)

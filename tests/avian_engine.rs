@@ -144,7 +144,7 @@ fn step_response(robot: &str, joint: usize) -> (f64, f64) {
     (rest, off)
 }
 
-/// Of a step of 0.1 rad.
+/// Bound for a step of 0.1 rad.
 const STEP_BOUND: f64 = 0.01;
 
 #[test]

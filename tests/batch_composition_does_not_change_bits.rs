@@ -1,4 +1,4 @@
-//! What happens in an env depends on the seed, its robot, its place among that robot's envs and its actions, and on no
+//! An env depends on the seed, its robot, its place among that robot's envs and its actions, and on no
 //! other env or robot.
 
 use bevy_ecs::component::{Component, Mutable};
@@ -179,7 +179,7 @@ fn every_lane_gives_the_same_bits() {
         .collect();
     for t in 0..60 {
         for (place, sim) in sims.iter_mut().enumerate() {
-            // both act alike, the others as ever
+            // both take the same actions, the others their own
             let width = sim.batch().num_actions;
             let actions: Vec<f32> = (0..sim.batch().actions.len())
                 .map(|i| common::noise(0, if i / width == place { 0 } else { i / width }, t, i % width))

@@ -17,7 +17,7 @@ fn printed(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// What is printed for a file that is refused.
+/// Output for a file that is refused.
 fn refused(file: &Path) -> String {
     let output = run(&[&file.display().to_string()]);
     let error = String::from_utf8(output.stderr).unwrap();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use polypod::config::{ConfigError, ConfigErrorKind, Library, parse_params};
 
-/// A root of its own for each test, below cargo's folder for such files.
+/// A separate root for each test, below cargo's folder for such files.
 struct Root(PathBuf);
 
 impl Root {

@@ -23,7 +23,7 @@ const MARGIN: f64 = 0.02;
 const EXACT: f64 = 1e-5;
 /// Shapes sit this far from their body's origin, along each axis, m.
 const LEVER: f64 = 0.3;
-/// What eight sweeps may leave of the coupling of friction and normal impulse in one step at up to 2 m/s and 3 rad/s, m.
+/// Largest rest of the coupling of friction and normal impulse after eight sweeps in one step at up to 2 m/s and 3 rad/s, m.
 /// (Measured: 2.5 mm at most; 86 of 16,500 bodies above `EXACT`, of which 200 sweeps leave 7.)
 const UNSOLVED: f64 = 3e-3;
 /// The lowest point of a rim is looked for when the cylinder leans by more than this, rad.
@@ -236,7 +236,7 @@ fn articulation(geometry: &Geometry, origin: &Pose, mass: f64, com: DVec3, inert
     Articulation::new(&model, true, &[], None)
 }
 
-/// What a physics step led to.
+/// Result of a physics step.
 struct Outcome {
     state: State<f32>,
     force: DVec3,
@@ -301,7 +301,7 @@ fn motion(state: &State<f32>) -> ([f32; 3], [f32; 4], [f32; 3], [f32; 3]) {
     (state.position, state.rotation, state.linear_velocity, state.angular_velocity)
 }
 
-/// What is wrong with a sample, if anything.
+/// Fault of a sample, if any.
 fn check(sample: &Sample) -> Result<(), String> {
     let ensure = |holds: bool, what: &dyn Fn() -> String| if holds { Ok(()) } else { Err(what()) };
     let mut bench = PackWorkspace::new(sample);

@@ -23,7 +23,7 @@ fn matrix_vector(m: &[f64], v: &[f64]) -> Vec<f64> {
     m.chunks_exact(v.len()).map(|row| row.iter().zip(v).map(|(a, b)| a * b).sum()).collect()
 }
 
-/// What a sum of products is made of before it cancels.
+/// Magnitude of a sum of products before it cancels.
 fn magnitude(m: &[f64], v: &[f64]) -> f64 {
     m.chunks_exact(v.len()).map(|row| row.iter().zip(v).map(|(a, b)| (a * b).abs()).sum()).fold(0.0, f64::max)
 }

@@ -1,4 +1,4 @@
-//! What all robots of a kind have in common is in memory once; what one has of its own is its own.
+//! Numbers that all robots of a kind share are in memory once; a robot's own numbers are separate.
 
 use polypod::components::{Body, EnvId};
 use polypod::dynamics::{Parameters, SharedArray};

@@ -17,7 +17,7 @@ fn options(task: &str, overrides: &[&str]) -> SimOptions {
     }
 }
 
-/// What friction resists in a task with these changes.
+/// Friction coefficients of a task with these changes.
 fn friction_of(overrides: &[&str]) -> ContactFriction {
     let sim = Sim::new(&options("velocity_flat", overrides)).unwrap();
     let topology = &sim.morphologies()[0].topology;

@@ -64,7 +64,7 @@ fn ball(sim: &mut Sim, env: u32, at: Vec3, velocity: Vec3) -> Entity {
     sim.world_mut().spawn((tags, Position(at), LinearVelocity(velocity), surface, SleepingDisabled)).id()
 }
 
-/// What a ray downwards from 3 m above a place meets: entity and height.
+/// Hit of a ray downwards from 3 m above a place: entity and height.
 fn below(sim: &mut Sim, at: Vec3) -> (Entity, f32) {
     let mut rays: SystemState<SpatialQuery> = SystemState::new(sim.world_mut());
     let query = rays.get(sim.world()).unwrap();
@@ -72,7 +72,7 @@ fn below(sim: &mut Sim, at: Vec3) -> (Entity, f32) {
     (hit.entity, at.z + 3.0 - hit.distance)
 }
 
-/// Largest distance (m) and turn (rad) of any mirror from its link as the model has it.
+/// Largest distance (m) and turn (rad) of any mirror from its link's pose in the model.
 fn farthest(sim: &mut Sim) -> (f32, f32) {
     let world = sim.world_mut();
     let robots: Vec<(EnvId, Morphology, BasePose, JointState)> = world
@@ -227,7 +227,7 @@ fn a_ball_bounces_off_the_robot_of_its_env_only() {
         if spacing > 0.0 {
             assert!((on - speed).length() < 1e-4, "{on}");
         } else {
-            // here it met the robot of its own env
+            // here it met the robot of the same env
             assert!(on.y > 1.0, "{on}");
         }
     }

@@ -454,7 +454,7 @@ fn robot() -> impl Strategy<Value = String> {
     })
 }
 
-/// A folder of its own for one test, removed at its end.
+/// A separate folder for one test, removed at its end.
 struct Folder(PathBuf);
 
 impl Folder {

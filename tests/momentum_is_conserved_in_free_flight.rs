@@ -22,7 +22,7 @@ fn drift(case: &Case, gravity: [f64; 3], steps: usize) -> [f64; 3] {
     let change = |a: [f64; 3], b: [f64; 3]| DVec3::from_array(b) - DVec3::from_array(a);
     let mass = parameters.total_mass();
     let impulse = DVec3::from_array(gravity) * mass * time;
-    // a body at rest has no scale of its own: 0.1 m/s
+    // a body at rest has no scale: 0.1 m/s
     let kinetic_scale = kinetic + 0.005 * mass;
     // momentum of the same energy in a translation, and in a turn with a radius of gyration of 0.1 m
     let scale = (2.0 * mass * kinetic_scale).sqrt();

@@ -1,4 +1,4 @@
-//! A term that remembers holds its env's last numbers, oldest first, and begins anew with each episode; a group beside the
+//! A term that remembers holds its env's last numbers, oldest first, and restarts with each episode; a further group next to the
 //! policy's changes none of its bits.
 
 use std::ops::Range;

@@ -133,7 +133,7 @@ fn what_a_robot_lacks_is_zero() {
         }
     }
     assert!(finals > 10, "{finals} episodes ended");
-    // feet, while no robot has begun anew
+    // feet, while no robot has restarted
     let mut sim = self::sim(&BODIES);
     sim.step(&vec![0.0; sim.batch().actions.len()]).unwrap();
     let width = sim.state_width(StateField::FeetPos);
@@ -216,7 +216,7 @@ fn a_snapshot_of_a_mixed_batch_goes_on_exactly() {
     let (first, second) = (runs.next().unwrap(), runs.next().unwrap());
     drop(runs);
     assert!(first == second);
-    // another simulation goes on alike
+    // another simulation continues with the same bits
     let mut other = self::sim(&BODIES);
     other.restore(&snapshot).unwrap();
     for t in 20..STEPS {

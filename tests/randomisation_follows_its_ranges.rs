@@ -1,4 +1,4 @@
-//! What events draw lies in its range, reaches its ends, has its distribution, and depends on nothing else that is drawn.
+//! Draws of events lie in their ranges, reach their ends, have their distributions, and depend on no other draw.
 //!
 //! Distributions are tested by Kolmogorov and Smirnov, or for whole numbers by chi-square, independence by correlation, each on a
 //! level of 1 in 1000 or less. The draws are seeded: what passes once passes always.
@@ -324,7 +324,7 @@ fn a_delayed_action_moves_the_joints_that_many_steps_later() {
     for steps in [1, 2, 5] {
         let late = moved(steps);
         let apart = |t: usize| (on_time[t] - late[t]).abs() > 1e-3;
-        // in time the joint moves at once after step 3, late by so many steps
+        // in time the joint moves at once after step 3, late by this many steps
         assert!(apart(3), "{steps}: {on_time:?} {late:?}");
         let still = moved(8);
         let first = (0..12).find(|&t| (late[t] - still[t]).abs() > 1e-3);
@@ -416,7 +416,7 @@ fn a_task_may_draw_bodies_of_any_size_and_stance() {
         share(|b| b.0.stiffness[0], 4.0);
         share(|b| b.0.damping[0], 4.5);
         share(|b| b.0.effort_limit[0], 4.0);
-        // LF and RF are spread alike
+        // LF and RF are spread equally
         let outward = |slot: usize| stance.default_position[joint(slot)] - model.stance.default_position[joint(slot)];
         assert!((outward(0) + outward(2)).abs() < 1e-6, "{stance:?}");
     }

@@ -84,10 +84,10 @@ const SETS: [(&str, &[(&str, f64)]); 4] = [
     ),
 ];
 
-/// What the formulas need of one robot after a step, in double precision.
+/// Inputs of the formulas for one robot after a step, in double precision.
 struct Seen {
     command: [f64; 3],
-    /// Of the base's centre of mass, base axes.
+    /// Velocity of the base's centre of mass, base axes.
     linear: [f64; 3],
     angular: [f64; 3],
     gravity: [f64; 3],

@@ -1,4 +1,4 @@
-//! Each robot is paid by the terms of its own set and by no other, and each term is worth what its formula gives for two states
+//! Each robot is paid by the terms of its set and by no other, and each term has its formula's value for two states
 //! worked out by hand.
 
 use polypod::components::{

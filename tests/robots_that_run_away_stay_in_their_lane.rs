@@ -13,7 +13,7 @@ use crate::common::noise;
 const STEPS: usize = 8;
 const DECIMATION: usize = 2;
 
-/// What is stepped, and where its joints begin.
+/// Simulation of one body, and the place where its joints begin.
 struct Body {
     topology: Topology,
     parameters: Parameters<f32>,

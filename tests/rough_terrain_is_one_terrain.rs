@@ -254,7 +254,7 @@ fn threads_and_resets_keep_every_bit_on_rough_ground() {
     let expected = run(&mut one, 40..80);
     two.restore(&snapshot).unwrap();
     assert!(run(&mut two, 40..80) == expected, "a restored simulation");
-    // levels changed on the way, and a seed begins everything anew
+    // levels changed on the way, and a seed restarts everything
     one.reset(Some(5), None).unwrap();
     assert!(run(&mut one, 0..40) == run(&mut Sim::new(&options(1)).unwrap(), 0..40), "a seeded reset");
 }

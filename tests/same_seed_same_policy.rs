@@ -67,7 +67,7 @@ fn trained(simd: Simd, threads: usize, symmetry: Symmetry) -> u64 {
     learnt(sim, learner, 1)
 }
 
-/// What a learner has learnt after some iterations. Of several workers, each has only seen its share of the episodes.
+/// Hash of a learner after some iterations. With several workers, each has only seen its share of the episodes.
 fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     fill(&mut learner);
     let (mut rate, mut episodes) = (1e-3, 0);
@@ -125,7 +125,7 @@ impl Peers for Threads {
     }
 }
 
-/// What each of several workers has learnt.
+/// Hash of each of several workers' learners.
 fn trained_by(count: usize, options: &Options) -> Vec<u64> {
     let (barrier, sent) = (Arc::new(Barrier::new(count)), Arc::new(Mutex::new(vec![Vec::new(); count])));
     let worker = |index: usize| {
@@ -184,7 +184,7 @@ fn mirror_images_change_the_policy() {
     assert!(none != both && none != alternate && both != alternate);
 }
 
-/// What the training of this file learns on any machine. Whoever changes it changes every policy that is trained from now on.
+/// Hash of this file's training on any machine. A change of it changes every policy that is trained from now on.
 #[test]
 fn the_policy_is_the_one_that_it_was() {
     if size(true, false) {

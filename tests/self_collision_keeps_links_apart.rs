@@ -79,7 +79,7 @@ impl Body {
     }
 }
 
-/// Targets that cross the legs: drawn anew every half second from the whole range of the joints.
+/// Targets that cross the legs: redrawn every half second from the whole range of the joints.
 fn random_target(body: &Body, seed: u64, step: usize, joint: usize) -> f64 {
     let (low, high) = (body.parameters.lower[joint].max(-3.0), body.parameters.upper[joint].min(3.0));
     low + (high - low) * 0.5 * (1.0 + f64::from(common::noise(seed, 0, step / 100, joint)))

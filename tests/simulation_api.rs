@@ -97,7 +97,7 @@ fn a_snapshot_belongs_to_its_simulation() {
 fn numbers_given_again_change_no_bit() {
     let make = || Simulation::new(&SimulationOptions::new("unitree_a1", 20)).unwrap();
     let mut sims = [make(), make()];
-    // each env has it of its own from here on
+    // from here on each env has a separate value
     let limits = sims[1].effort_limit();
     sims[1].set_effort_limit(None, &limits).unwrap();
     for t in 0..200 {

@@ -115,7 +115,7 @@ fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Puts other values in the place of every so many bytes of a snapshot, and the checksum right: each is restored or refused, and
+/// Replaces some bytes of a snapshot at regular distances and corrects the checksum: each is restored or refused, and
 /// what is refused leaves the state `before`. `restore` gives the outcome and the state after it. Returns how many were refused.
 fn refused(
     engine: &str,

@@ -72,7 +72,7 @@ fn options(overrides: &[String]) -> SimOptions {
     }
 }
 
-/// What the formulas need of one robot after a step; joints in the robot's own order of slots.
+/// Inputs of the formulas for one robot after a step; joints in the robot's own order of slots.
 struct Seen<'a> {
     robot: &'a MorphologyModel,
     command: [f64; 3],

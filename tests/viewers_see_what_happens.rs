@@ -1,4 +1,4 @@
-//! What a viewer reads is what the simulation does, and a push is a change of velocity.
+//! A viewer reads the simulation's state, and a push is a change of velocity.
 
 use polypod::components::BaseVelocity;
 use polypod::{Sim, SimOptions};

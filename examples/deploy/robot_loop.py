@@ -27,18 +27,18 @@ Array = npt.NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """What a robot tells, as `LowState` does: joints in the order of the policy's metadata."""
+    """State of a robot, as in `LowState`: joints in the order of the policy's metadata."""
 
     joint_pos: Array
     """rad."""
     joint_vel: Array
     """rad/s."""
     quaternion: Array
-    """Of the base: w, x, y, z."""
+    """Orientation of the base: w, x, y, z."""
     angular_velocity: Array
-    """Of the base, its own axes, rad/s."""
+    """Angular velocity of the base, base axes, rad/s."""
     linear_velocity: Array
-    """Of the base's origin, its own axes, m/s. A real robot estimates it."""
+    """Velocity of the base's origin, base axes, m/s. A real robot estimates it."""
 
 
 class Robot(Protocol):
@@ -98,14 +98,14 @@ class Policy:
             for key in ("joint_stiffness", "joint_damping", "default_joint_pos", "joint_pos_lower", "joint_pos_upper")
         )
         self.fed_back = {"last_action": "actions"}
-        """What the policy gives back to itself: its last action, and what it remembers."""
+        """Inputs that earlier outputs fill: the last action and the states."""
         if "state_inputs" in said:
             states = zip(said["state_inputs"].split(","), said["state_outputs"].split(","), strict=True)
             self.fed_back |= dict(states)
         self.reset()
 
     def reset(self) -> None:
-        """Begins anew."""
+        """Starts an episode."""
         self.memory = {
             entry.name: np.zeros([size if isinstance(size, int) else 1 for size in entry.shape], dtype=np.float32)
             for entry in self.session.get_inputs()

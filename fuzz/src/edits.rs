@@ -83,7 +83,7 @@ pub fn sealed(mut body: Vec<u8>) -> Vec<u8> {
     body
 }
 
-/// What was sealed.
+/// Content without the seal.
 pub fn unsealed(bytes: &[u8]) -> &[u8] {
     &bytes[..bytes.len() - size_of::<u64>()]
 }

@@ -1,4 +1,4 @@
-//! What the fuzz targets do with their input. The tests include this file and do the same with `tests/data/hostile`.
+//! Bodies of the fuzz targets. The tests include this file and run it with `tests/data/hostile`.
 //!
 //! Each function panics where polypod breaks a promise, and returns whether polypod accepts the input.
 

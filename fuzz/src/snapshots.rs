@@ -13,7 +13,7 @@ const STEPS: usize = 3;
 /// Bytes that a header has at most.
 const HEADER: usize = 64;
 
-/// What can be restored and stepped.
+/// Simulations that can be restored and stepped.
 trait Restores {
     fn snapshot(&mut self) -> Vec<u8>;
     fn restore(&mut self, bytes: &[u8]) -> Result<(), String>;
@@ -54,7 +54,7 @@ struct Target {
     sim: Box<dyn Restores>,
     /// Where it is before every input.
     home: Vec<u8>,
-    /// What is edited: an earlier state.
+    /// Snapshot that is edited: an earlier state.
     base: Vec<u8>,
 }
 

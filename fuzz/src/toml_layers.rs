@@ -9,7 +9,7 @@ use polypod::{Sim, SimOptions};
 
 use super::folder::{folder, put};
 
-/// What a scene may have to be built and stepped here: more of it takes time and shows nothing else.
+/// Largest counts of a scene that is built and stepped here: larger ones take time and show nothing else.
 const FEW: usize = 3;
 
 /// Resolves the layers, checks what comes out, and steps the task if it is small.

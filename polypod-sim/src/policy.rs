@@ -20,7 +20,7 @@ use tract_onnx::prelude::*;
 /// Largest network that is read, bytes: twice what `polypod export` writes for the largest one that it accepts.
 const MAX_NETWORK: u64 = 1 << 30;
 
-/// Largest observation or action of a policy, as `polypod.training.manifest.MAX_LAYER` has it.
+/// Largest observation or action of a policy, equal to `polypod.training.manifest.MAX_LAYER`.
 const MAX_LAYER: usize = 65536;
 
 /// Most states of a network: those of an LSTM are two.
@@ -32,20 +32,20 @@ const MAX_STATES: usize = 8;
 pub struct PolicyError {
     /// The policy or its manifest.
     pub file: PathBuf,
-    /// Which part of it.
+    /// Part of the file.
     pub element: String,
-    /// What is wrong.
+    /// Problem of the part.
     pub problem: String,
-    /// What to do.
+    /// Remedy.
     pub remedy: String,
 }
 
-/// What `polypod export` says of a policy; the manifest holds more.
+/// Description of a policy by `polypod export`; the manifest holds more.
 #[derive(Clone, Debug, Deserialize)]
 pub struct PolicyManifest {
-    /// Of the manifest's layout; 1.
+    /// Version of the manifest's layout; 1.
     pub format: u32,
-    /// Which of the exported graphs it describes: `policy`, or `robot` for one that is folded for a robot.
+    /// Kind of the exported graph: `policy`, or `robot` for one that is folded for a robot.
     pub kind: String,
     /// Name of the task that the policy was trained on.
     pub task: String,
@@ -62,7 +62,7 @@ pub struct PolicyManifest {
     pub observation_layout: Vec<TermLayout>,
     /// Length of an action.
     pub num_actions: usize,
-    /// What the network remembers from one control step to the next.
+    /// States of the network from one control step to the next.
     #[serde(default)]
     pub states: Vec<StateLayout>,
     /// SHA-256 of the export's graphs by their file names, hexadecimal.
@@ -91,7 +91,7 @@ pub struct StateLayout {
 
 /// A network for a fixed number of envs.
 pub struct Policy {
-    /// What its manifest says.
+    /// Manifest of the graph.
     pub manifest: PolicyManifest,
     file: PathBuf,
     network: Arc<TypedRunnableModel>,
@@ -323,13 +323,13 @@ impl Policy {
     }
 }
 
-/// A state of so many envs at the beginning.
+/// Initial state of `num_envs` envs.
 fn zeros(state: &StateLayout, num_envs: usize) -> Tensor {
     let [layers, _, units] = state.shape;
     Tensor::zero::<f32>(&[layers, num_envs, units]).unwrap_or_default()
 }
 
-/// SHA-256 as a manifest has it, hexadecimal.
+/// SHA-256 in hexadecimal, as in manifests.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

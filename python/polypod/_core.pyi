@@ -62,7 +62,7 @@ class RobotDraft(TypedDict):
     name: str
     toml: str
     notes: list[str]
-    """What was assumed, one line each."""
+    """Assumptions that were made, one line each."""
     kind: str
     """`biped`, `humanoid`, `quadruped`, `hexapod` ..."""
     needs_policy: str | None
@@ -294,7 +294,7 @@ class VecSim:
     total_num_envs: int
     """Number of envs of all shares."""
     share: tuple[int, int]
-    """Which of them are simulated here."""
+    """Robots of the batch that this process simulates, of all robots."""
     simd: str
     """Instruction set of the physics."""
     num_obs: int
@@ -306,7 +306,7 @@ class VecSim:
     step_dt: float
     """Seconds between control steps."""
     gravity: tuple[float, float, float]
-    """Of the task, m/s^2, world axes."""
+    """Gravity of the task, m/s^2, world axes."""
     robots: list[str]
     """Names of the robots, in the order of their blocks of envs."""
     canonical_joint_names: list[str]
@@ -579,7 +579,7 @@ class VecSim:
     def reward_sums(self, robot: str) -> npt.NDArray[np.float32]:
         """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`, summed over the episode so far. A copy.
 
-        What they grow by in a step adds up to `reward`. Raises UnknownNameError.
+        The change of their sum in a step is `reward`. Raises UnknownNameError.
         """
 
     def height_scan(self) -> npt.NDArray[np.float32]:
@@ -745,7 +745,7 @@ class Simulation:
         """Worker threads."""
     @property
     def warnings(self) -> list[str]:
-        """What was assumed while reading the URDF; each names the file, the element and the remedy."""
+        """Assumptions made while reading the URDF; each names the file, the element and the remedy."""
 
     @property
     def default_qpos(self) -> npt.NDArray[np.float64]:
@@ -794,7 +794,7 @@ class Simulation:
         qvel: npt.ArrayLike | None = None,
         env_ids: npt.ArrayLike | None = None,
     ) -> None:
-        """Sets positions, velocities or both; contacts start anew, `time` goes on.
+        """Sets positions, velocities or both; contact impulses are cleared, `time` goes on.
 
         Args:
             qpos: [nq] or [n, nq]; quaternions are normalised. None: as they are.
@@ -1012,7 +1012,7 @@ def check(
     package_dirs: Mapping[str, str | os.PathLike[str]] = ...,
     locked_joints: Mapping[str, float] = ...,
 ) -> str:
-    """What the URDF file at `path` is read as: links, joints, contact bodies, legs, and every warning.
+    """Description of a URDF file: links, joints, contact bodies, legs, and every warning.
 
     `package_dirs` names the folder of each ROS package in `package://` names, `locked_joints` the position (rad or m)
     of each joint that is held. Raises RobotError.

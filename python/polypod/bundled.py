@@ -67,7 +67,7 @@ def _exists(path: Path) -> bool:
 
 
 def shown(checkpoint: Path) -> str:
-    """What stands in a command for a checkpoint: the name of a bundled policy, or the path."""
+    """Name of a bundled policy, or the path: the form in which commands show a checkpoint."""
     for name, folder in NAMES.items():
         if checkpoint.parent == FOLDER / folder:
             return name

@@ -96,7 +96,7 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     except Exception:
         if interrupts.happened():
-            # a library has turned the KeyboardInterrupt within its import into an error of its own
+            # a library has turned the KeyboardInterrupt within its import into another error
             return interrupts.ended()
         traceback.print_exc()
         print("polypod: this is a bug; please report the lines above and the command", file=sys.stderr)
@@ -158,7 +158,7 @@ def _respelled(arguments: Sequence[str]) -> list[str]:
 
 
 _BARE = {"--resume": "latest", "--ray": "auto"}
-"""What flags mean without a value."""
+"""Values of flags that are given without a value."""
 
 
 def _with_bare_flags(arguments: Sequence[str]) -> list[str]:

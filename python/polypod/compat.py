@@ -1,4 +1,4 @@
-"""What older Pythons lack, under the names of newer ones."""
+"""Features that older Pythons lack, under the names of newer ones."""
 
 import sys
 

@@ -7,7 +7,7 @@ from polypod import _core
 from polypod.files import read_bytes, write_text
 
 MAX_BYTES = 16 << 20
-"""Of a document."""
+"""Largest size of a document, bytes."""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -37,7 +37,7 @@ def replace(document: Path, name: str, text: str) -> None:
 
 
 def _parts(document: Path, name: str) -> tuple[str, str]:
-    """What stands before and after the marks."""
+    """Text before and after the marks."""
     try:
         content = read_bytes(document, MAX_BYTES).decode()
     except OSError as error:

@@ -17,7 +17,7 @@ class Block:
     """Consecutive numbers of a term of the kind `body`."""
 
     per: str
-    """What they belong to: body, length, width, role or joint; see `VecSim.observation_terms`."""
+    """Kind of owner: body, length, width, role or joint; see `VecSim.observation_terms`."""
     count: int
     """How many for each: of the body, of one role, of one joint."""
 
@@ -28,7 +28,7 @@ class Block:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Treatment:
-    """What the task does to a term after it is measured, in this order."""
+    """Operations on a term after it is measured, in this order."""
 
     offset: float = 0.0
     """Taken off."""
@@ -45,25 +45,25 @@ class Term:
     term: str
     """Its name."""
     size: int
-    """Of its numbers, those that it remembers included."""
+    """Number of its values, history included."""
     history_length: int = 1
     """Control steps that it remembers, the present one included; the oldest come first."""
     kind: str = "scalar"
     units: str = ""
     description: str = ""
     source: str = "measured"
-    """What it is computed from on a robot, and by which formula."""
+    """Name of the formula that computes the term on a robot."""
     inputs: tuple[str, ...] = ()
-    """What a robot's sensors have to give for it, in the order in which the formula takes them."""
+    """Inputs of the formula from the robot's sensors, in order."""
     magnitude: float = 1.0
     """Typical magnitude of its numbers, in `units`."""
     blocks: tuple[Block, ...] = ()
-    """What its numbers belong to, for the kind `body`."""
+    """Owners of the values, for the kind `body`."""
     treatment: Treatment = Treatment()
 
     @property
     def width(self) -> int:
-        """Of its numbers, those of one control step."""
+        """Number of values of one control step."""
         return self.size // self.history_length
 
     @classmethod
@@ -94,7 +94,7 @@ def terms_of(sim: _core.VecSim, group: str = "policy") -> tuple[Term, ...]:
 
 
 def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:
-    """What a network of joints has to know of an observation, for its manifest."""
+    """Layout of an observation for a network of joints, for its manifest."""
     return [
         {
             "term": term.term,

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 METADATA = "polypod"
 """Key of an ONNX model's metadata under which the manifest stands, as JSON."""
 MAX_BYTES = 1 << 30
-"""Of an ONNX file."""
+"""Largest size of an ONNX file, bytes."""
 OPSET = 17
-"""Of the files that `save_onnx` writes."""
+"""Opset of the files that `save_onnx` writes."""
 _ROWS = 64
 
 
@@ -77,9 +77,9 @@ class LoadedPolicy:
     """`polypod.training.manifest.Manifest`, of an ONNX file the part of it that `OnnxManifest` describes."""
     file: Path
     sha256: str
-    """Of the file, hexadecimal."""
+    """Checksum of the file, hexadecimal."""
     iteration: int | None = None
-    """Of the training, if it is known."""
+    """Iteration of the training, if known."""
 
     @property
     def task(self) -> str:
@@ -118,7 +118,7 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     Args:
         path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat, rough, legged or quadruped.
         task: of an ONNX file that does not say so itself, and of a network of joints; others are taken at their word.
-        robots: likewise; None: those that the file says, or those of the task.
+        robots: names, as `task`; None: those that the file names, or those of the task.
 
     Raises:
         ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.

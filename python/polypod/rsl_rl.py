@@ -114,7 +114,7 @@ class VecEnv(rsl_rl.env.VecEnv):
 
         Returns:
             Observations; rewards float32 [num_envs]; dones int64 [num_envs]; extras with `time_outs`, float32
-            [num_envs]: 1 where the episode was truncated and did not terminate, whose return is to be bootstrapped.
+            [num_envs]: 1 where the episode was truncated and did not terminate: its return is bootstrapped.
 
         Raises:
             ValueError: for another shape, and for a NaN or an infinity.
@@ -166,7 +166,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         return self._source.log()
 
     def refresh(self) -> None:
-        """Observes anew what a restored snapshot has brought back."""
+        """Observes the state of a restored snapshot."""
         if isinstance(self._source, CustomTerms):
             self._source.refresh()
 

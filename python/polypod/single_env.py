@@ -39,7 +39,7 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
             raise _core.ConfigError(f"a single env holds one robot, not {len(robots)}; use polypod.make for many")
         if robots is None:
             options["robots"] = _first_robot(task_id, options)
-        # a thread of its own has nothing to do for one robot
+        # a second thread has nothing to do for one robot
         options.setdefault("threads", 1)
         self.batch = VectorEnv(task_id, 1, **options)
         self.render_mode = self.batch.render_mode

@@ -12,7 +12,7 @@ FloatArray = npt.NDArray[np.float32]
 
 
 class State:
-    """What the robots are doing now, as terms of your own read it.
+    """Present state of the robots, for terms in Python.
 
     Each property is a float32 array [num_envs, n], gathered when it is asked for: a copy, yours to keep, of the state
     after the last step or reset. Under same-step autoreset that is the new episode's state where one has ended; build

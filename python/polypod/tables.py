@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 _PLAIN_WIDTH = 120
-"""Of output that no terminal shows, characters."""
+"""Width of output that no terminal shows, characters."""
 _GAPS = (2, 1)
 """Spaces between columns, the preferred number first."""
 

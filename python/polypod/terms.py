@@ -263,7 +263,7 @@ class CustomTerms(_VectorWrapper):
         return values.astype(np.float32)
 
     def _array(self, what: str, value: Any) -> npt.NDArray[Any]:
-        """What a term has given as an array. Raises ConfigError, which begins with `what`."""
+        """Returns a term's value as an array. Raises ConfigError, which begins with `what`."""
         try:
             return np.asarray(value)
         except Exception as error:  # of the caller's type, such as a tensor that wants a gradient

@@ -277,7 +277,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         return self._stepped(sim)
 
     def send(self, actions: FloatArray) -> None:
-        """Begins a control step in a thread of its own and returns at once; `recv` gives what `step` would have.
+        """Starts a control step in another thread and returns at once; `recv` returns the results of `step`.
 
         With two envs, one is simulated while the policy acts on the other's observations. Until `recv` nothing else of
         this env may be used; arrays handed out before stay readable, as after a `step`.
@@ -357,7 +357,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         if self.render_mode is None:
             return None
         if self._pictures is None:
-            # drawing has dependencies of its own
+            # drawing needs an extra
             from polypod.play.pictures import Pictures
 
             self._pictures = Pictures(self.sim)
@@ -460,7 +460,7 @@ def _toml(value: Any, key: str) -> str:
 def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest actions, [num_actions] each: where targets reach the limits of a joint.
 
-    Of several robots the wider limits count. Where a joint has no limit, half a turn from the default pose counts as
+    With several robots the wider limits count. Where a joint has no limit, half a turn from the default pose counts as
     one. No bound is beyond what `step` takes.
     """
     low, high = np.zeros(sim.num_actions), np.zeros(sim.num_actions)
@@ -496,7 +496,7 @@ def _render_mode(mode: str | None) -> str | None:
 
 
 def _spec(task: str, num_envs: int, options: "EnvOptions") -> gymnasium.envs.registration.EnvSpec | None:
-    """What Gymnasium's `make_vec` builds the same env from; None for a task that is not registered, such as a path."""
+    """Gymnasium's spec, from which `make_vec` builds the same env; None for an unregistered task, such as a path."""
     known = {name: entry["name"] for entry in _core.tasks() for name in (entry["name"], *entry["aliases"])}
     registered = gymnasium.registry.get(NAMESPACE + known.get(task, task))
     if registered is None:

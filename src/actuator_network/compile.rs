@@ -17,7 +17,7 @@ const MAX_NODES: usize = 1000;
 /// Most numbers that a network remembers of a joint: LSTMs of 256 units in four layers.
 const MAX_MEMORY: usize = 2048;
 
-/// What ONNX calls the type of single precision, double precision and 64-bit integers.
+/// ONNX's codes of single precision, double precision and 64-bit integers.
 const FLOAT: i32 = 1;
 const INT64: i32 = 7;
 const DOUBLE: i32 = 11;
@@ -25,13 +25,13 @@ const DOUBLE: i32 = 11;
 const OPERATORS: &str = "Gemm, MatMul, LSTM, Add, Sub, Mul, Div, Relu, LeakyRelu, Elu, Tanh, Sigmoid, Softsign, Abs, Neg, \
     Identity, Dropout, Cast, Flatten, Reshape, Squeeze, Unsqueeze, Transpose, Gather, Slice";
 
-/// What a name of the graph stands for.
+/// Value of a name in the graph.
 #[derive(Clone)]
 enum Value {
     /// Numbers that are the same for every joint, row-major.
     Floats(Rc<[f32]>, Vec<usize>),
     Ints(Rc<[i64]>),
-    /// Features of a joint, the last axis of a tensor with so many axes.
+    /// Features of a joint, the last axis of a tensor with this many axes.
     Features(Span, usize),
     /// Nothing that is known, and why.
     Unknown(NetworkError),
@@ -230,7 +230,7 @@ impl Compiler {
         Ok(first)
     }
 
-    /// What a node gives.
+    /// Outputs of a node.
     fn node(&mut self, node: &Node, given: &[Option<&Value>]) -> Result<Vec<Value>, NetworkError> {
         let failed = |problem: String, remedy: &str| NetworkError::new(node.title(), problem, remedy);
         if !node.domain.is_empty() && node.domain != "ai.onnx" {

@@ -15,7 +15,7 @@ use crate::dynamics::NetworkProgram;
 /// Largest network file, bytes. Actuator networks have thousands of weights; these are a million.
 pub(crate) const MAX_BYTES: u64 = 4 << 20;
 
-/// What is wrong with a network file.
+/// Problem of a network file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NetworkError {
     /// Where: a node, an input, a tensor.

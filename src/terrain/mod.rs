@@ -1,6 +1,6 @@
 //! Generated terrain: tiles of several types and levels of difficulty, as triangles.
 //!
-//! The shapes are those of Isaac Lab's rough terrain. Each tile is drawn from a stream of its own, so that it does not
+//! The shapes are those of Isaac Lab's rough terrain. Each tile is drawn from a separate stream, so that it does not
 //! depend on the others.
 
 mod mesh;
@@ -29,7 +29,7 @@ pub struct TerrainLayout {
 }
 
 impl TerrainLayout {
-    /// Of a terrain.
+    /// Layout of a terrain's tiles.
     pub fn new(config: &TerrainConfig) -> Self {
         let last = config.num_rows.saturating_sub(1);
         Self {
@@ -48,7 +48,7 @@ impl TerrainLayout {
         [middle(level, self.num_rows, self.size[0]), middle(column, self.num_cols, self.size[1])]
     }
 
-    /// The column of the env at place `index` among those of its robot. Every robot meets every column alike: `num_cols` envs in
+    /// Column of the env at `index` among its robot's envs. Robots meet columns equally often: `num_cols` envs in
     /// a row have all columns, a few have columns far apart.
     pub fn column_of(&self, index: usize) -> u32 {
         let columns = u64::from(self.num_cols);

@@ -1,4 +1,4 @@
-//! What publishers' descriptions say, as read by other means, and the comparison with it.
+//! Figures of publishers' descriptions, read by other means, and the comparison with them.
 
 use polypod::robot::Model;
 use serde::Deserialize;
@@ -18,7 +18,7 @@ pub struct Tolerances {
     pub mass: f64,
     /// m
     pub com: f64,
-    /// Of the link's largest number.
+    /// Bound as a share of the link's largest number.
     pub inertia: f64,
 }
 

@@ -1,4 +1,4 @@
-//! What several promises share: a task in which much happens, reproducible actions, and envs as bits.
+//! Helpers that several promises share: an eventful task, reproducible actions, and envs as bits.
 
 pub mod facts;
 

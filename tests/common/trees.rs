@@ -280,7 +280,7 @@ pub fn tree(joints: RangeInclusive<usize>, floating: impl Strategy<Value = bool>
     )
 }
 
-/// A built-in robot as its URDF has it.
+/// Model of a built-in robot, read from its URDF.
 pub fn robot(name: &str) -> Model {
     let loaded = Library::new(Vec::new()).robot(name).unwrap();
     let options = robot::LoadOptions {

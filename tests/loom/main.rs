@@ -32,7 +32,7 @@ impl Watched {
     }
 }
 
-/// Tries every order with at most so many switches away from a thread that could go on.
+/// Tries every order with at most `switches` switches away from a thread that could go on.
 fn explore(switches: usize, test: impl Fn() + Send + Sync + 'static) {
     let mut builder = Builder::new();
     builder.preemption_bound = Some(switches);

@@ -68,7 +68,7 @@ FILMS = [
 PAGES = ["/nothing/x.html", "file/below.viser", "loop/x.html", "a" * 5000 + ".html"]
 """Names of recordings that cannot be written."""
 SWITCH = [None, "x", ""]
-"""What a flag without a value takes: nothing, or what does not belong to it."""
+"""Words after a flag without a value: nothing, or words that do not belong to it."""
 
 _CHECKPOINT = ("--checkpoint", str(FLAT_POLICY))
 _ONE_CONDITION = (*_CHECKPOINT, "--robots", "spot", "--conditions", "nominal")

@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Fixtures that the tests share."""
 
 import contextlib
 import logging
@@ -109,7 +109,7 @@ def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 @pytest.fixture
 def cli_process(tmp_path: Path) -> Callable[..., Finished]:
-    """Runs `polypod` as `cli` does, in a process of its own."""
+    """Runs `polypod` as `cli` does, in a separate process."""
 
     def run(*arguments: str, cwd: Path = tmp_path) -> Finished:
         command = [sys.executable, "-m", "polypod", *arguments]

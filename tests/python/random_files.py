@@ -34,7 +34,7 @@ EXPORT = FLAT_POLICY.parent / "exported"
 
 @dataclasses.dataclass
 class Case:
-    """What reads the files of a draw."""
+    """Command that reads the files of a draw."""
 
     commands: list[tuple[str, list[str]]]
     """Programs and words."""

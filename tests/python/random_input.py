@@ -219,7 +219,7 @@ def toml(value: Any) -> str:
 
 
 def toml_file(tables: dict[str, Any]) -> str:
-    """Tables as a file, each key on a line of its own."""
+    """Tables as a file, one line for each key."""
     return "".join(f"{toml(key)} = {toml(value)}\n" for key, value in tables.items())
 
 
@@ -419,7 +419,7 @@ def config_of(words: Line) -> dict[str, Any] | None:
 
 
 def complaint_of(code: int, output: str, seconds: float, codes: tuple[int, ...]) -> str | None:
-    """What is wrong with how a command ended; None for nothing."""
+    """Fault in the end of a command; None for no fault."""
     if code in (-9, -24):
         return f"took more than {seconds:.0f} s"
     if bad := re.search(r"Traceback|this is a bug|panicked|memory allocation|Segmentation|core dumped", output):
@@ -520,7 +520,7 @@ def _steps(sim: Any, count: int) -> int:
 
 
 def reports_nan() -> int:
-    """What `steps_finitely` does with a reward that is not finite in two of four envs from the third step on."""
+    """Result of `steps_finitely` for a reward that is not finite in two of four envs from the third step on."""
     import numpy as np
 
     class Broken:

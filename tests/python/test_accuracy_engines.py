@@ -1,4 +1,4 @@
-"""The two engines stand, respond and hold together alike, and what `polypod accuracy` tells of them is so."""
+"""The two engines stand, respond and hold together equally, and `polypod accuracy` tells the truth about them."""
 
 import dataclasses
 

@@ -167,7 +167,7 @@ def test_torques_are_torchs(robot, case, engine):
 
     for step in range(60):
         if step == 25:
-            # an episode that begins anew begins with a history of zeros
+            # an episode starts with a history of zeros
             compare(tracks[0])
             sim.reset(mask=np.array([True, False]))
         rows = seen.step(random_actions(sim, step))
@@ -490,7 +490,7 @@ def test_a_model_with_gains_needs_them(tmp_path, monkeypatch):
 
 
 def test_random_bytes_break_nothing(robot):
-    """What is left of a file gives an error or a network, and no panic."""
+    """The rest of a file gives an error or a network, and no panic."""
     data = onnx_of(lstm())
     random = np.random.default_rng(0)
     refused = []

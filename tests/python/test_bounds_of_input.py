@@ -13,7 +13,7 @@ from polypod import _core
 
 URDF = Path(__file__).parents[1] / "data/urdf"
 OPTIONS = "{}"
-"""Of a learner; they are read after its numbers."""
+"""Options of a learner; they are read after its numbers."""
 
 
 def refusal(call):
@@ -72,7 +72,7 @@ def test_steps_of_a_simulation(n):
 
 @pytest.mark.parametrize("number", [-1, 2**64, 2**70])
 def test_every_integer_of_the_core_is_checked(number):
-    """Those of workers, of seeds and of the learner's own counters."""
+    """Integers of workers, of seeds and of the learner's own counters."""
     assert refusal(lambda: _core.share_of_worker(number, 0, 1)).startswith("num_envs: ")
     assert refusal(lambda: _core.share_of_worker(8, number, 1)).startswith("worker: ")
     assert refusal(lambda: _core.share_of_worker(8, 0, number)).startswith("workers: ")

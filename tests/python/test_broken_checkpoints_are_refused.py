@@ -216,7 +216,7 @@ def test_a_graph_with_branches_is_exported():
 
 
 def test_a_sound_graph_is_taken(cli, tmp_path):
-    """What is wrong with the others is all that is wrong with them."""
+    """The only fault of the other graphs is their own."""
     path = tmp_path / "policy.onnx"
     path.write_bytes(graph([PRODUCT], initializers=[matrix(0.001)]).SerializeToString())
     done = cli("eval", *TINY, "--task", "Velocity-Flat-Spot-v0", "--checkpoint", str(path))

@@ -10,7 +10,7 @@ QUICK = ("--num-envs", "16", "--max-iterations", "1", "--logger", "none", "--set
 
 
 def trained_and_evaluated(cli, folder, *arguments):
-    """What an evaluation in another directory says of a training in `folder`."""
+    """Output of an evaluation in another directory of a training in `folder`."""
     done = cli("train", *QUICK, *arguments)
     assert done.returncode == 0, done.stderr
     (checkpoint,) = folder.glob("logs/rsl_rl/*/*/model_1.pt")

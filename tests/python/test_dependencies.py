@@ -22,7 +22,7 @@ def is_allowed(expression: str, allowed: list[str]) -> bool:
 
 
 def resolved() -> dict[str, Any]:
-    """What cargo knows of the dependencies that this platform builds."""
+    """Cargo's metadata of the dependencies that this platform builds."""
     host = subprocess.run(["rustc", "--print=host-tuple"], capture_output=True, text=True, check=True).stdout.strip()
     command = ["cargo", "metadata", "--locked", "--offline", "--format-version=1", f"--filter-platform={host}"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=60)

@@ -25,7 +25,7 @@ MEASURED = {
     "velocity_command": "command",
     "last_action": "last_action",
 }
-"""What a robot gives as it is, by the source of the term."""
+"""Raw readings of a robot, by the source of the term."""
 
 
 def words(text):

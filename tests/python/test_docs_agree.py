@@ -110,7 +110,7 @@ def walking() -> tuple[int, int]:
 
 
 def policies(pages: Pages) -> list[str]:
-    """What the bundled policies do is said with the numbers of the tables of docs/results.md."""
+    """Sentences about the bundled policies have the numbers of the tables of docs/results.md."""
     walk, turn = walking()
     problems = every(pages, rf"\bwith {NUMBER} bodies\b", walk)
     for page, text in pages.items():
@@ -289,7 +289,7 @@ def missing_items(pages: Pages) -> Iterator[tuple[str, str]]:
 
 
 def missing(pages: Pages) -> list[str]:
-    """What a page says is missing is no subject of another page, unless it links there to say which part is."""
+    """A thing that a page calls missing is no subject of another page, unless it links there and says which part."""
     subjects = {}
     for page, text in PAGES.items():
         for heading in re.findall(r"^#{1,2} (.+)$", text, flags=re.MULTILINE):
@@ -457,7 +457,7 @@ def nav(pages: Pages) -> list[str]:
 
 @cache
 def help_of(*command: str) -> str:
-    """What `polypod COMMAND --help` prints."""
+    """Output of `polypod COMMAND --help`."""
     with redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit):
         cli.main([*command, "--help"])
     return printed.getvalue()
@@ -588,7 +588,7 @@ WRONG = (
 
 @cache
 def standing(rule: Callable[[Pages], list[str]]) -> set[str]:
-    """What a rule finds in the pages as they are: nothing, where `test_pages_agree` passes."""
+    """Findings of a rule in the pages of the repository: none, where `test_pages_agree` passes."""
     return set(rule(PAGES))
 
 

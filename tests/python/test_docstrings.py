@@ -88,7 +88,7 @@ def test_what_python_defines_says_what_it_is(name):
 
 
 def silent_of(name, value):
-    """What has no docstring: a function, a class, a public method or property."""
+    """Functions, classes, public methods and properties without a docstring."""
     if inspect.isclass(value):
         if not vars(value).get("__doc__"):
             yield name

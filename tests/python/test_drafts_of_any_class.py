@@ -211,7 +211,7 @@ def test_knees_that_are_straight_at_their_stop_are_bent(tmp_path, forward, ankle
 
 @pytest.mark.parametrize("tilt", [3.7e-6, -5e-6, 6e-5])
 def test_soles_that_are_level_but_for_rounding_are_stood_on_in_the_middle(tmp_path, tilt):
-    """Left and right of a body whose maker rounds right angles stand alike."""
+    """Left and right of a body stand equally where the maker rounds right angles."""
     text = crooked(0.02, 0.79)
     for name, sign in (("l6", 1), ("r6", -1)):
         at = text.index("<collision><origin", text.index(f'<link name="{name}">'))

@@ -1,4 +1,4 @@
-"""What would not end, or would fill the memory, is refused: evaluations of no end, documents and figures of no end."""
+"""Endless evaluations, documents and figures are refused before they fill the memory."""
 
 import pytest
 

@@ -293,7 +293,7 @@ def test_what_a_training_changed_is_on_with_randomized_alone():
 
 
 def test_the_commands_of_walking_are_given_and_judged():
-    """What the policy sees in each control step is the schedule; the figures of walking are those of the evaluation."""
+    """The policy sees the schedule in each control step; the figures of walking are those of the evaluation."""
     seen = []
 
     def watch(observations):

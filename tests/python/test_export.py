@@ -62,7 +62,7 @@ def test_the_network_acts_as_torch_does(exported_policy, trained):
 
 
 def test_the_rust_test_expects_these_actions(trained):
-    """`tests/policies_run_without_python.rs` holds tract against them; POLYPOD_WRITE_EXPECTED=1 writes them anew."""
+    """`tests/policies_run_without_python.rs` compares tract with them; POLYPOD_WRITE_EXPECTED=1 rewrites them."""
     if os.environ.get("POLYPOD_WRITE_EXPECTED"):
         sim = polypod.VecSim(TASK, 16, seed=1, threads=1)
         for _ in range(25):
@@ -187,7 +187,7 @@ def build(activation, normalized=False):
 
 
 def test_a_term_of_its_own_is_an_input_of_its_own():
-    """What no formula makes of other inputs, a deployment measures itself."""
+    """A deployment measures itself each term that no formula computes from other inputs."""
     robot = interfaces(run_dir.read_manifest(FLAT_POLICY), ["spot"])["spot"]
     own = Term(
         term="motor_temperature",
@@ -249,7 +249,7 @@ def test_a_source_that_is_not_known_is_refused(monkeypatch, changes, message):
 
 
 def test_every_source_has_a_formula():
-    """Those that the compiled module's stub lists, and all that registered terms state."""
+    """The sources in the compiled module's stub, and all sources that registered terms state."""
     stub = (Path(polypod.__file__).parent / "_core.pyi").read_text(encoding="utf-8")
     listed = stub.split("`source`: ")[1].split("`inputs`")[0].split(": ")[1]
     names = set(re.findall(r"[a-z]+(?:_[a-z]+)*", re.sub(r"\(.*?\)", "", listed, flags=re.DOTALL))) - {"or"}
@@ -272,7 +272,7 @@ def test_every_source_has_a_formula():
     ],
 )
 def test_a_graph_folded_on_rough_ground_takes_heights(overrides):
-    """What the task does to its terms is in the graph: the simulator's own observation is the reference."""
+    """The graph processes terms as the task does: the simulator's own observation is the reference."""
     state, manifest = run_dir.load_checkpoint(ROUGH_POLICY), run_dir.read_manifest(ROUGH_POLICY)
     manifest = {**manifest, "overrides": [*manifest["overrides"], *PLAY_TERRAIN, *overrides]}
     robot = interfaces(manifest, ["unitree_b2"])["unitree_b2"]

@@ -67,7 +67,7 @@ def test_torchscript():
 
 
 def test_a_module_that_counts_and_draws():
-    """What its own code changes while it is lent: buffers in place, buffers that are replaced, random numbers."""
+    """Changes by the module's own code while it is lent: buffers in place, replaced buffers, random numbers."""
 
     class Counting(torch.nn.Module):
         def __init__(self):

@@ -65,7 +65,7 @@ def run(tmp_path):
 
 
 def test_a_training_from_its_beginning_to_its_end(tmp_path, titles, run):
-    """Parts begin alike; an untrained network does not walk, and a trained one does."""
+    """Parts start equally; an untrained network does not walk, and a trained one does."""
     options = Options(run, tmp_path / "film.webp", ["spot"], seconds=0.8, fps=10, size=SIZE, parts=3)
     stories.tell("training", options)
     assert list(dict.fromkeys(titles)) == ["iteration 0 (untrained)", "iteration 100", "iteration 300"]
@@ -117,7 +117,7 @@ def test_a_push_moves_the_robots_and_is_shown(tmp_path, titles, monkeypatch):
 
 
 def test_polypod_beside_mujoco(tmp_path, titles, monkeypatch):
-    """Both halves begin alike, and go on nearly alike."""
+    """Both halves start equally and stay nearly equal."""
     shown = []
     replay = stories._replay
     monkeypatch.setattr(stories, "_replay", lambda player, states: shown.append(states) or replay(player, states))

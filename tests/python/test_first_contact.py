@@ -1,4 +1,4 @@
-"""What a newcomer types first works, or says in one line what to type instead."""
+"""A newcomer's first commands work, or say in one line what to type instead."""
 
 import json
 import subprocess

@@ -21,7 +21,7 @@ CUDA = pytest.param("cuda:0", marks=pytest.mark.skipif(not torch.cuda.is_availab
 OWN_VARIANTS = {
     **VARIANTS,
     "images_in_turn": {"run": {"symmetry": "alternate"}},
-    # parts of mini-batches of unequal sizes, each with a graph of its own
+    # parts of mini-batches of unequal sizes, with a graph for each size
     "unequal_mini_batches": {"algorithm": {"num_mini_batches": 7}},
 }
 

@@ -75,7 +75,7 @@ def watched(cli, *arguments, cwd):
 
 @pytest.fixture
 def run(tmp_path):
-    """A folder with the policy that comes along; the manifest is still to come."""
+    """A folder with the bundled policy; the manifest is still to come."""
     path = tmp_path / "run" / FLAT_POLICY.name
     path.parent.mkdir()
     shutil.copy(FLAT_POLICY, path)
@@ -98,11 +98,11 @@ def test_a_manifest_of_a_run(cli, run, file, command):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_sound_manifest_is_taken(cli, run, command):
-    """What the other manifests change is all that is wrong with them."""
+    """The only faults of the other manifests are their changes."""
     shutil.copy(HOSTILE / "manifests" / "run_sound.json", run.parent / "manifest.json")
     done = cli(*COMMANDS[command], str(run))
     assert "manifest.json" not in done.stderr
-    if command not in ("resume", "init"):  # the policy that comes along has no critic and no optimiser
+    if command not in ("resume", "init"):  # the bundled policy has no critic and no optimiser
         assert done.returncode in (0, 3), done.stderr
 
 

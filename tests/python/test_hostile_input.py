@@ -80,7 +80,7 @@ COMMANDS = {"polypod": bad_lines.POLYPOD, "polypod-sim": bad_lines.POLYPOD_SIM}
 
 
 def complaint(fork_server, program, words, place):
-    """What is wrong with how a line ends; None for nothing."""
+    """Fault in the end of a line; None for no fault."""
     run, codes = RUNS[program]
     ended = run(fork_server, words, place)
     said = ended.output + ended.errors
@@ -163,7 +163,7 @@ ENDS = {
     "polypod": ("Unrecognized options", "unexpected argument", "given more than once"),
     "polypod-sim": ("cannot be used multiple times", "unexpected argument"),
 }
-"""What parsers say of a line whose bad value has not taken the place of a good one."""
+"""Messages of parsers about a line whose bad value has not taken the place of a good one."""
 
 
 @pytest.mark.parametrize("program", RUNS)

@@ -23,7 +23,7 @@ TASKS = {
 }
 STEPS = 50
 SHARE = size(0.01, 1.0)
-"""Of all pairs of a key and a value."""
+"""Share of all pairs of a key and a value that is tried."""
 
 
 def numbers(value, path=()):

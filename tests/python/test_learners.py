@@ -18,7 +18,7 @@ OPTIONS = {"robots": ["spot", "unitree_a1"], "seed": 4, "overrides": {"sim.episo
 
 
 class Record:
-    """What `step` and `reset` of every env returned, copied at once."""
+    """Copies of the results of `step` and `reset` of every env."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Listens to all vector envs."""

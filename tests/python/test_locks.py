@@ -1,4 +1,4 @@
-"""What is installed is what the lock names, to the hash, and the locks of all workspaces name the same versions."""
+"""Installations have the packages of the lock, to the hash, and the locks of all workspaces name the same versions."""
 
 import hashlib
 import re
@@ -25,7 +25,7 @@ def entries(text: str) -> Iterator[str]:
 
 
 def show(shell: str, folder: Path) -> str:
-    """What a recipe of the Makefile prints, with `folder` in place of .venv."""
+    """Output of a recipe of the Makefile, with `folder` in place of .venv."""
     command = ["make", "--no-print-directory", "-s", "-C", ROOT, f"VENV={folder}", f"--eval=show: ; @{shell}", "show"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
@@ -38,7 +38,7 @@ def test_every_entry_has_hashes(lock):
 
 
 def test_every_installation_checks_them():
-    """In the Makefile and in the container; torch alone comes from an index of its own there."""
+    """In the Makefile and in the container; torch alone comes from a separate index there."""
     for file in ("Makefile", "Containerfile"):
         text = re.sub(r"^#.*\n", "", (ROOT / file).read_text(encoding="utf-8"), flags=re.MULTILINE)
         lines = [part for line in text.replace("\\\n", " ").splitlines() for part in line.split("&&")]

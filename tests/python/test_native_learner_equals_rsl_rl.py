@@ -68,7 +68,7 @@ def train_config(changes, masked=False):
 
 
 def runners(train_config, tmp_path, masked):
-    """The native learner and rsl_rl with the same networks, each with an env of its own."""
+    """The native learner and rsl_rl with the same networks, each with a separate env."""
     made = []
     for kind in ("native", "rsl_rl"):
         torch.manual_seed(3)

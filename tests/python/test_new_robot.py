@@ -315,7 +315,7 @@ def test_meshes_are_summed_up(cli, tmp_path):
 
 
 def test_changes_of_robots_may_be_set(cli, fox):
-    """For robots of the library and those of a path alike, in a task that changes none itself."""
+    """For robots of the library and for robots given by a path, in a task that changes none itself."""
     assert cli("robot", "new", str(fox)).returncode == 0
     arguments = {"robots": [str(fox.with_name("test_fox.toml")), "spot"], "seed": 0}
     changes = ["robot_overrides.test_fox.action_scale=0.5", "robot_overrides.spot.default_pose.LF_HAA=0.0"]

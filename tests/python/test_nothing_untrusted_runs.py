@@ -29,7 +29,7 @@ def test_the_watch_sees_processes_and_files(tmp_path):
 
 @pytest.fixture
 def checkpoint(tmp_path):
-    """A copy of the policy that comes along, whose manifest knows no checksum."""
+    """A copy of the bundled policy, whose manifest knows no checksum."""
     path = tmp_path / "run" / FLAT_POLICY.name
     path.parent.mkdir()
     shutil.copy(FLAT_POLICY, path)

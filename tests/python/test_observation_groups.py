@@ -242,7 +242,7 @@ def test_a_file_of_ones_own(tmp_path):
 
 
 def test_joints_are_described_to_the_critic_alone():
-    """What the policy's observation lacks is measured for another group all the same."""
+    """Terms that the policy's observation lacks are still measured for another group."""
     group = ["observations.critic=[{term='joint_descriptors'}]"]
     robots = ["unitree_go2", "spot"]
     sims = [

@@ -21,7 +21,7 @@ from polypod.play.panel import Panel
 from polypod.play.viewer import GROUP, Viewer
 
 SECONDS = size(4.0, 60.0)
-"""Of rubbish."""
+"""Duration of the rubbish, s."""
 CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": [1, 0, 0, 0],
@@ -414,7 +414,7 @@ def test_no_rubbish_ends_the_program(live, capfd):
 
 
 class Waiters(list):
-    """Those that wait for an event; it keeps which threads looked at them."""
+    """Events' waiters; it keeps the threads that read them."""
 
     def __init__(self):
         """Nobody waits yet."""
@@ -445,7 +445,7 @@ def test_events_of_viser_are_set_in_their_loop(live):
 
 def test_a_viser_that_cannot_be_guarded_is_refused(monkeypatch):
     class Server:
-        """It starts in a way of its own."""
+        """A server that starts in another way."""
 
         def __init__(self, **options):
             """Takes anything."""

@@ -1,4 +1,4 @@
-"""Generated terrain is drawn where the simulator has it, and robots stand on what is drawn."""
+"""Generated terrain is drawn where the simulator has it, and robots stand on the drawn surface."""
 
 import itertools
 
@@ -28,7 +28,7 @@ def player():
 
 
 def drawn_heights(ground, places):
-    """Of the highest drawn face over each place [n, 2]; what counts are faces, not the simulator's grid."""
+    """Height of the highest drawn face over each place [n, 2]; faces count, not the simulator's grid."""
     corners, _, normals = ground.around(np.append(places.mean(axis=0), 0.0), 1.5)
     corners = corners[np.abs(normals[:, 2]) > 0.05]
     triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])

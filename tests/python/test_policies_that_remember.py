@@ -74,7 +74,7 @@ def trained(request, built_once):
 def make_sim(path, robots, num_envs=4, **options):
     manifest = run_dir.read_manifest(path)
     return _core.VecSim(
-        # without events: a robot's base is where its graph has it
+        # without events: a robot's base is at the place that its graph assumes
         manifest["task"].replace("-v0", "-Play-v0"),
         num_envs,
         robots=robots,
@@ -97,7 +97,7 @@ def rotation(qpos):
 
 
 def sensors_of(sim, robot):
-    """What the sensors of the robot's envs read."""
+    """Readings of the sensors of the robot's envs."""
     qpos, qvel = sim.qpos(robot), sim.qvel(robot)
     turn = rotation(qpos)
     rows = slice(*sim.env_ids(robot))

@@ -161,7 +161,7 @@ def test_rewards_are_added_where_they_are_meant(make, actions):
 
 
 def test_own_terminations_end_and_reset(make, actions):
-    """Each env falls below its own limit at some step: it ends there, shows its last state, and begins anew."""
+    """Each env falls below a separate limit at some step: it ends there, shows its last state, and restarts."""
     env = make(autoreset="disabled", overrides=QUIET)
     limit = 10
     wrapped = CustomTerms(
@@ -342,7 +342,7 @@ def test_terms_of_other_types_and_sizes_are_refused(make):
 
 
 class Told(polypod.VectorEnv):
-    """An env with an info of its own."""
+    """An env with an additional info."""
 
     def reset(self, **options):
         """As of the env."""
@@ -356,7 +356,7 @@ class Told(polypod.VectorEnv):
 
 
 def test_infos_are_those_of_the_env(actions):
-    """Of all keys, before and after ends; those of the last step of an episode are in `final_info`."""
+    """All keys, before and after ends; those of the last step of an episode are in `final_info`."""
     plain = polypod.make("velocity_flat_legged", 8, robots=["unitree_go2", "unitree_h1"], seed=1, overrides=SHORT)
     env = Told(
         "velocity_flat_legged", 8, robots=["unitree_go2", "unitree_h1"], seed=1, overrides=SHORT, autoreset="disabled"

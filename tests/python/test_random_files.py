@@ -21,7 +21,7 @@ MEMORY = 6 << 30
 
 
 def complaints(fork_server, kind, index, folder):
-    """What is wrong with how the commands of a draw end, or with what comes of what they take."""
+    """Faults in the ends of a draw's commands, or in the results of what they accept."""
     case = random_files.case(kind, index, folder)
     limits = {"cwd": folder, "seconds": SECONDS, "memory": MEMORY}
     codes = []

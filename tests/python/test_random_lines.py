@@ -33,7 +33,7 @@ def place(tmp_path):
 
 
 def complaint(fork_server, program, index, place):
-    """What is wrong with how a line ends, or with what its config does; None for nothing."""
+    """Fault in the end of a line, or in its config's simulation; None for no fault."""
     words = random_input.line(program, index)
     shown = f"line {index} of {program} ({' '.join(words)[:600]!r})"
     if program == "polypod":

@@ -48,11 +48,11 @@ def test_workers_are_rays(tmp_path, monkeypatch, capsys):
 
 
 def start(folder, *words):
-    """Starts `polypod` in a process of its own."""
+    """Starts `polypod` in a separate process."""
     (folder / "mine.toml").write_text(CONFIG)
     output = (folder / "output.txt").open("w")
     command = [sys.executable, "-m", "polypod", *words]
-    # a cluster of its own, whatever else runs on this machine
+    # a separate cluster, whatever else runs on this machine
     environment = {**os.environ, "RAY_ADDRESS": "local"}
     return subprocess.Popen(command, cwd=folder, stdout=output, stderr=subprocess.STDOUT, env=environment)
 

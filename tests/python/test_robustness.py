@@ -46,7 +46,7 @@ def mujoco(loaded):
     return Mujoco(loaded, setting_of(loaded), 2)
 
 
-# What the conditions change
+# Changes of the conditions
 
 
 PRIVATE = "contact_friction", "base_mass_offset", "base_com_offset"
@@ -77,7 +77,7 @@ EXPECTED = {
     **{f"armature_{value}": ("armature", np.full(12, 10.0 * value)) for value in (0.0, 0.03)},
     **{f"dry_friction_{value}": ("dry_friction", np.full(12, value)) for value in (0.2, 0.5)},
 }
-"""What polypod reads back, for Go1 as for Spot."""
+"""Values that polypod reads back, for Go1 as for Spot."""
 
 
 @pytest.mark.parametrize("robot", size(ROBOTS[:1], ROBOTS))
@@ -223,7 +223,7 @@ def test_payloads_of_other_bodies_are_of_the_same_trunk_in_both_simulators(robot
     assert 0.0 < known.trunk_mass < model.body_mass.sum()
 
 
-# What the policy is told
+# Commands of the policy
 
 
 class Watching:
@@ -316,7 +316,7 @@ def test_turns_side_steps_and_stops():
     assert set(left.commands[..., 2].ravel()) == {np.float32(0.5)}
 
 
-# What is judged
+# Verdicts
 
 
 def recorded(fell_of=0, envs=100, command=(0.5, 0.0, 0.0), motion=(0.5, 0.0, 0.0), steps=10):

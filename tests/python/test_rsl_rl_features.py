@@ -1,4 +1,4 @@
-"""What rsl_rl can do is switched on in train configs: asymmetric critics, recurrent networks, RND, distillation."""
+"""Train configs switch rsl_rl's features on: asymmetric critics, recurrent networks, RND, distillation."""
 
 import dataclasses
 from pathlib import Path

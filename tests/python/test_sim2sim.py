@@ -1,4 +1,4 @@
-"""The exported policy walks in MuJoCo as it does in polypod, through sensors and actuators of its own."""
+"""The exported policy walks in MuJoCo as it does in polypod, through MuJoCo's own sensors and actuators."""
 
 import dataclasses
 import json
@@ -224,7 +224,7 @@ def test_a_robot_transfers_if_it_walks_in_mujoco():
 
 
 def test_the_ground_is_the_tasks_own(capsys):
-    """What MuJoCo's rays hit is what polypod's robots stand on, and what the twin's scanner says."""
+    """MuJoCo's rays hit the ground that polypod's robots stand on, and the twin's scanner agrees."""
     rough = {"checkpoint": ROUGH_POLICY, "task": "velocity_rough_universal_play", "overrides": SMALL_TERRAIN}
     sim, mujoco, policy = make_twin("unitree_go1", 16, **rough)
     for _ in range(3):

@@ -28,7 +28,7 @@ def instruction_sets():
 
 
 def scatter(sim, seed=0):
-    """Puts every env into a state of its own, within the joints' limits, that depends on its number alone."""
+    """Puts every env into a different state, within the joints' limits, that depends on its number alone."""
     first = sim.nq - sim.num_joints
     for env in range(sim.num_envs):
         random = np.random.default_rng([seed, env])

@@ -234,7 +234,7 @@ def test_surfaces(flat, reference):
 
 
 def test_rough_rewards():
-    """What rough ground changes, and nothing else."""
+    """Changes on rough ground, and nothing else."""
     flat, rough = config()["task"]["rewards"], config("velocity_rough", SMALL_TERRAIN)["task"]["rewards"]
     changed = {
         (group, term, key): (rough[group][term][key], value)

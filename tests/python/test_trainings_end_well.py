@@ -25,7 +25,7 @@ TRAIN = (
 
 
 def start(folder, *arguments, **options):
-    """A training in a process of its own, at its first iteration or later."""
+    """A training in a separate process, at its first iteration or later."""
     command = [sys.executable, "-m", "polypod", *TRAIN, *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, cwd=folder, **pipes, **options)

@@ -18,14 +18,14 @@ from test_docs_run import ROOT, TUTORIALS, blocks_of, commands
 
 PAGES = sorted(page.stem for page in (ROOT / TUTORIALS).glob("*.md"))
 SMALL = {"--max-iterations": "1", "--num-envs": "16", "--steps": "20", "--seconds": "0.1"}
-"""What tests put in the place of a tutorial's numbers."""
+"""Numbers that tests put in the place of a tutorial's."""
 ADDED = {
     "train": ["--num-envs", "16", "--set", "sim.episode_length_s=0.4", "--logger", "none"],
     "eval": ["--num-envs", "16", "--steps", "20"],
     "play": ["--headless", "--seconds", "0.1"],
     "sim2sim": ["--num-envs", "1"],
 }
-"""What tests add where a tutorial leaves the default."""
+"""Options that tests add where a tutorial leaves the default."""
 SMALL_SWEEP = {"seeds": "[1]", "num_envs": "16", "max_iterations": "1"}
 ELSEWHERE = ("torchrun", "--ray")
 """Commands with these words start several processes: `test_workers.py` and `test_ray.py` have them."""

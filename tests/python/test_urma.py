@@ -29,7 +29,7 @@ FOLDER = Path(__file__).parents[1] / "data/bodies/configs/robots"
 BODIES = ["unitree_go2", *(str(FOLDER / f"small_{kind}.toml") for kind in ("biped", "hexapod", "quadruped"))]
 """With 12, 8, 18 and 8 joints, 38 slots in all."""
 GENERAL, STATES, NUMBERS = 12, 3, 19
-"""Of the task: numbers that belong to no joint, of a joint's state, of its description."""
+"""Layout of the task: numbers that belong to no joint, numbers of a joint's state, numbers of its description."""
 
 
 def layout_of(joints):
@@ -39,7 +39,7 @@ def layout_of(joints):
 
 
 def build(joints, layout=None, seed=0, **changes):
-    """A network for so many slots."""
+    """A network with this number of slots."""
     layout = layout or layout_of(joints)
     torch.manual_seed(seed)
     model = {
@@ -170,7 +170,7 @@ def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
 
 
 def test_joints_begin_apart_and_alike_ones_of_different_robots_together():
-    """What a network of joints cannot tell apart it cannot learn: codes of one robot's joints, and of two robots'."""
+    """A network of joints learns only what it can tell apart: codes of one robot's joints, and of two robots'."""
     env = polypod.make(TASK, 8, seed=0)
     network = build(12, joint_dim=256, obs_normalization=True)
     network.train()

@@ -154,7 +154,7 @@ def test_bodies_names_and_arrows_are_in_step_at_ten_pictures_a_second(group, vie
 
 
 def test_the_view_follows_the_group_a_robot_or_nothing(group, viewer, monkeypatch):
-    """What is followed stays in the middle of the picture, and the camera is the user's own."""
+    """The followed robot stays in the middle of the picture, and the camera is the user's own."""
     camera = SimpleNamespace(position=np.array([9.0, 9.0, 9.0]), look_at=np.zeros(3))
     monkeypatch.setattr(viewer._server, "get_clients", lambda: {0: SimpleNamespace(camera=camera)})
 
@@ -205,7 +205,7 @@ def test_the_opening_shot_frames_what_is_followed(viewer, what):
 
 
 def test_robots_that_fall_come_back_to_the_group(group):
-    """On flat ground of its own an env may be drawn anywhere: where the others are, and not where it began."""
+    """On a separate flat ground an env may be drawn anywhere: where the others are, and not where it began."""
     group.stand(2)
     for _ in range(100):
         group.step()
@@ -284,7 +284,7 @@ def live(group, viewer):
 
 
 def run(live, steps):
-    """So many control steps, as fast as they come."""
+    """Runs this number of control steps, as fast as they come."""
     live.speed = 1e9
     live.run(steps * live.player.step_dt)
 
@@ -357,7 +357,7 @@ def test_policy_task_and_robot_are_switched_in_place(live, viewer):
 
 
 def test_terrain_and_obstacles_are_on_the_page():
-    """Those of the task, meshes among them, where the simulator has them."""
+    """The task's shapes, meshes among them, stand where the simulator has them."""
     corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
     shape = f'{{ shape = "mesh", scale = [1.0, 1.0, 1.0], position = [2.0, 0.0, 0.0], vertices = {corners}'

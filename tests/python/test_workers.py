@@ -43,7 +43,7 @@ def team():
 
 @pytest.fixture
 def train(team, tmp_path):
-    """Trains with so many workers; returns the last checkpoint."""
+    """Trains with this number of workers; returns the last checkpoint."""
     (tmp_path / "mine.toml").write_text(CONFIG)
 
     def run(count, *words, logs="logs", iterations=2, new=True):
@@ -242,7 +242,7 @@ def test_rewards_and_advantages_are_scaled_as_by_one_process():
     ],
 )
 def test_nccl_is_for_workers_with_gpus_of_their_own(gpus, backend):
-    """All workers choose alike, although each knows its own GPU alone."""
+    """All workers choose the same backend, although each knows its own GPU alone."""
     store, found = torch.distributed.HashStore(), []
     threads = [
         threading.Thread(target=lambda index=index: found.append(_backend(store, index, len(gpus), gpus[index])))

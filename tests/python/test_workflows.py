@@ -1,4 +1,4 @@
-"""What the workflows name exists: paths, targets of make, packages, filters of tests, jobs and commands."""
+"""All names in the workflows exist: paths, targets of make, packages, filters of tests, jobs and commands."""
 
 import itertools
 import re

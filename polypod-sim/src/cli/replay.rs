@@ -77,7 +77,7 @@ fn instruction_set(name: &str) -> Result<Simd, Error> {
     })
 }
 
-/// Which number, of which joint or axis, and what it is.
+/// Describes a violation: number, joint or axis, and value.
 fn describe(violation: &Violation, replayed: &Replayed) -> String {
     let Violation { quantity, index, value, limit } = *violation;
     let axis = |names: &[&'static str]| names.get(index).copied().unwrap_or("?");

@@ -32,7 +32,7 @@ pub(super) struct Rollout {
     /// Threads; all cores by default.
     #[arg(long)]
     threads: Option<usize>,
-    /// What the robots do.
+    /// Actions of the robots.
     #[arg(long, value_enum, default_value_t = Actions::Random)]
     actions: Actions,
     /// Physics engine of the robots, `articulated` or `avian`; the task's by default.
@@ -48,7 +48,7 @@ pub(super) struct Rollout {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Actions {
-    /// Uniform in [-1, 1], drawn anew every control step.
+    /// Uniform in [-1, 1], redrawn every control step.
     Random,
     /// Hold the default pose.
     Zero,

@@ -35,7 +35,7 @@ pub(super) struct Soak {
     threads: Option<usize>,
 }
 
-/// Of each minute: random targets over the whole range of the joints, ...
+/// Part of each minute with random targets over the whole range of the joints, s, ...
 const RANDOM_S: f64 = 55.0;
 /// ... passive joints, while energy may only fall, ...
 const PASSIVE_S: f64 = 2.0;
@@ -194,7 +194,7 @@ impl Soak {
 }
 
 impl Worst {
-    /// Counts envs whose state is broken and starts them anew; notes speeds and violated limits.
+    /// Counts envs whose state is broken and restarts them; notes speeds and violated limits.
     fn look(&mut self, sim: &mut Simulation) -> anyhow::Result<()> {
         let (qpos, qvel) = (sim.qpos(), sim.qvel());
         let (nq, nv) = (sim.nq(), sim.nv());
@@ -220,7 +220,7 @@ impl Worst {
     }
 }
 
-/// What passive joints win: all of it, and what contacts add: the work of their forces, and what they push out of each other lifts.
+/// Energy that passive joints win: in all, and by contacts: the work of their forces and the lift of resolved depths.
 ///
 /// The work of impulses `p` over a step is `p . (v0 + v1) / 2`, with the velocities before and after it. They are what velocities differ
 /// by from those of the same step with nothing to touch: `p = M (v1 - v)`. The rest of what is won is the integrator's, which is of the
@@ -261,7 +261,7 @@ impl Energy {
         Ok(Self { dt: options.dt, weight: alone.total_mass() * free_fall, alone, total: none.clone(), contacts: none })
     }
 
-    /// Starts anew.
+    /// Restarts the sums.
     fn begin(&mut self) {
         for won in self.total.iter_mut().chain(&mut self.contacts) {
             (won.energy, won.least) = (0.0, 0.0);

@@ -33,7 +33,7 @@ class Bound:
     reason: str
     """Where `most` comes from."""
     unit: str = ""
-    """Of the tables."""
+    """Unit of the tables."""
     scale: float = 1.0
     """From SI units to that unit."""
     digits: str = ".2f"

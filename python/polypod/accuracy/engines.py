@@ -20,9 +20,9 @@ STAND_TIME = 2.0
 CALM_TIME = 0.5
 """At the end of it, in which the base may not move about, s."""
 CALM_SPEED = 0.1
-"""Of the base, m/s."""
+"""Largest speed of the base at rest, m/s."""
 LEAST_HEIGHT = 0.6
-"""Of the base of a robot that stands, as a share of its height before gravity acts."""
+"""Lowest height of the base of a standing robot, as a share of its height before gravity acts."""
 LEAST_UPRIGHT = math.cos(math.radians(30.0))
 """Cosine of the largest tilt of a robot that stands."""
 SPEED_ENVS = 64
@@ -30,7 +30,7 @@ SPEED_ENVS = 64
 SPEED_STEPS = {"articulated": 1000, "avian": 50}
 """Physics steps of a timing, and the engines."""
 TIMINGS = 5
-"""Of which the median is told."""
+"""Number of timings; the median is reported."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,15 +40,15 @@ class Engine:
     engine: str
     """Its name."""
     height: float
-    """Of the base, 10 s after the robot was set on its feet in the default pose, m."""
+    """Height of the base, 10 s after the robot was set on its feet in the default pose, m."""
     pitch: float
-    """Of the base then, rad."""
+    """Pitch of the base then, rad."""
     force: float
     """Sum of the vertical contact forces then, over the weight."""
     torque: Array
-    """Of the actuators then, N m."""
+    """Torques of the actuators then, N m."""
     frictionless_torque: Array
-    """The same of a robot whose joints have no dry friction, N m."""
+    """Torques of the actuators then, without dry friction in the joints, N m."""
     response_max: float
     """Largest deviation of a joint from MuJoCo's converged answer to a jump of a target by 0.1 rad, in 1 s, rad."""
     response_rms: float
@@ -79,7 +79,7 @@ class Engines:
 
     @property
     def torque_difference_with_friction(self) -> float:
-        """The same of the robots as they are."""
+        """Difference of the torques with dry friction in the joints, N m."""
         return _apart(self.articulated.torque, self.avian.torque)
 
 

@@ -26,7 +26,7 @@ BLOCK = """<robot name="block">
 """
 """2 kg, 20 by 20 by 10 cm, a solid of uniform density."""
 HALF_HEIGHT = 0.05
-"""Of the block, m."""
+"""Half of the block's height, m."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -86,7 +86,7 @@ def _worst(values: Iterable[float]) -> float:
 
 
 def _standing_robots(report: Report) -> str:
-    """Which robots the tables of standing leave out."""
+    """Sentence that names the robots without a table of standing."""
     standing = {r.robot for r in report.standing}
     others = [r.robot for r in report.statics if r.robot not in standing and r.robot not in report.fallen]
     said = f"A policy has to balance {', '.join(others)}, as their configs say." if others else "All robots stand."
@@ -94,7 +94,7 @@ def _standing_robots(report: Report) -> str:
 
 
 def _hanging_robots(report: Report) -> str:
-    """Of which robots gravity is left out of the step responses."""
+    """Sentence that names the robots whose step responses are measured without gravity."""
     names = [r.robot for r in report.responses if not r.gravity]
     if not names:
         return "Gravity acts."
@@ -371,7 +371,7 @@ def _slopes(report: Report) -> str:
 
 
 def _prose(text: str) -> str:
-    """Paragraphs, each filled anew."""
+    """Fills each paragraph to 100 columns."""
     paragraphs = text.strip().split("\n\n")
     return "\n\n".join(
         textwrap.fill(" ".join(paragraph.split()), 100, break_on_hyphens=False) for paragraph in paragraphs

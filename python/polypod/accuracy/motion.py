@@ -9,7 +9,7 @@ from polypod.accuracy.reference import GRAVITY, Integrator, Reference
 from polypod.accuracy.robot import Array, Robot
 
 AMPLITUDE = 0.1
-"""Of the jump, rad."""
+"""Size of the jump of a joint's target, rad."""
 HELD = 0.5
 """Share of the gains' stiffness that gravity has to leave, in every direction, for a pose to count as held."""
 DURATION = 1.0
@@ -55,7 +55,7 @@ class Jumps:
     """Joint positions [jumps, samples, joints] every 5 ms, rad."""
 
     def deviation(self, track: Array) -> Array:
-        """Of a track from the converged one, rad."""
+        """Deviation of a track from the converged one, rad."""
         return track - self.converged
 
 
@@ -71,7 +71,7 @@ def compare_step_responses(robot: Robot, reference: Jumps | None = None) -> Step
     targets, gravity = reference.targets, reference.gravity
 
     def worst(track: Array) -> Array:
-        """Of each jump."""
+        """Largest deviation of each jump, rad."""
         return np.abs(reference.deviation(track)).max(axis=(1, 2))
 
     coarse = worst(polypod_tracks(robot, targets, COARSE, gravity=gravity))

@@ -1,6 +1,6 @@
 """MuJoCo's model of a robot, compiled by MuJoCo itself from the URDF that polypod reads.
 
-What is set, and why:
+Settings that differ from MuJoCo's defaults, and the reasons:
 
 - `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a root link without a
   joint into the world. polypod merges them too but keeps their names as contact bodies; links are compared by name.
@@ -80,7 +80,7 @@ class Ground:
     friction: float
     """Coulomb's coefficient of every contact."""
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Of the plane; of unit length."""
+    """Normal of the plane; of unit length."""
     soft: bool = False
     """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that the step allows."""
     heights: Heights | None = None
@@ -92,7 +92,7 @@ class Ground:
 
     @property
     def condim(self) -> int:
-        """Of MuJoCo's contacts: directions in which they resist."""
+        """Number of directions in which MuJoCo's contacts resist."""
         if self.rolling_friction > 0.0:
             return 6
         return 4 if self.torsional_friction > 0.0 else 3
@@ -203,7 +203,7 @@ class Reference:
         return np.array(self.data.qvel[self.v])
 
     def set_state(self, qpos: Array, qvel: Array | None = None) -> None:
-        """Begins anew in a state; without velocity, at rest."""
+        """Resets to a state; without velocity, at rest."""
         self._mj.mj_resetData(self.model, self.data)
         self.data.qpos[self.q] = qpos
         self.data.qvel[self.v] = 0.0 if qvel is None else qvel

@@ -1,4 +1,4 @@
-"""What both simulators are told about a robot: one URDF and one set of actuators."""
+"""Description of a robot that both simulators use: one URDF and one set of actuators."""
 
 import contextlib
 import dataclasses
@@ -44,7 +44,7 @@ class Actuators:
     saturation_effort: Array
     """Torque of a DC motor at standstill, N m."""
     no_load_speed: Array
-    """Of a DC motor, rad/s."""
+    """Speed of a DC motor without load, rad/s."""
     speed_limit: Array
     """Largest speed of a joint that no DC motor drives, rad/s."""
     effort_tables: tuple[Array | None, ...]
@@ -80,11 +80,11 @@ class Robot:
     joint_names: tuple[str, ...]
     """In polypod's order."""
     default_position: Array
-    """Of the joints, rad."""
+    """Default position of each joint, rad."""
     joint_range: Array
     """[joints, 2], rad."""
     base_height: float
-    """Of the base above the lowest foot in the default pose, m."""
+    """Height of the base above the lowest foot in the default pose, m."""
     actuators: Actuators
     locked_joints: dict[str, float]
     """Joints of the URDF that are held for good, by name, and where, rad or m."""

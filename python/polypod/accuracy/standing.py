@@ -10,7 +10,7 @@ from polypod.accuracy.reference import GRAVITY, Ground, Reference
 from polypod.accuracy.robot import Array, Robot, with_actuators
 
 DROP_HEIGHT = 0.3
-"""Of the lowest foot above the ground, m."""
+"""Height of the lowest foot above the ground, m."""
 DROP_TIME = 3.0
 """s."""
 DT = 0.005
@@ -22,7 +22,7 @@ MUJOCO_COARSE = 0.0025
 CONVERGED = 0.0001
 """Step at which a landing on soft legs no longer depends on the step, s."""
 FRICTION = 0.8
-"""Of all contacts."""
+"""Friction coefficient of all contacts."""
 UNREACHED = 1e4
 """Speed of a joint that no landing reaches, rad/s."""
 SETTLE_TIME = 10.0
@@ -51,13 +51,13 @@ class Drop:
     gains: float
     """Factor on the robot's stiffness and damping."""
     dt: float
-    """Of both, s."""
+    """Physics step of both simulators, s."""
     height: float
-    """Of the base, polypod's, m."""
+    """Height of the base in polypod, m."""
     mujoco_height: float
     """m."""
     pitch: float
-    """Of the base, polypod's, rad."""
+    """Pitch of the base in polypod, rad."""
     mujoco_pitch: float
     """rad."""
     mujoco_coarse_height: float
@@ -81,12 +81,12 @@ class Drop:
 
     @property
     def coarse_height_error(self) -> float:
-        """Of polypod at 5 ms, m."""
+        """Error of polypod's height at 5 ms, m."""
         return abs(self.coarse_height - self.mujoco_height)
 
     @property
     def coarse_pitch_error(self) -> float:
-        """Of polypod at 5 ms, rad."""
+        """Error of polypod's pitch at 5 ms, rad."""
         return abs(self.coarse_pitch - self.mujoco_pitch)
 
 
@@ -124,7 +124,7 @@ class SlopeRest:
 
     robot: str
     uphill: str
-    """Which side of the robot looks up the slope."""
+    """Side of the robot that faces up the slope."""
     creep: float
     """Largest distance from where it was after settling, polypod's, m."""
     mujoco_creep: float
@@ -236,6 +236,6 @@ def _rotate(axis: Array, vector: Array) -> Array:
 
 
 def pitch(qpos: Array) -> float:
-    """Of the base, rad."""
+    """Pitch of the base, rad."""
     w, x, y, z = qpos[3:7]
     return math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))

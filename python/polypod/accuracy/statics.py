@@ -25,15 +25,15 @@ class StaticsResult:
     total_mass: float
     center_of_mass: float
     link_position: float
-    """Of the origins of all links, world axes."""
+    """Error of the origins of all links, world axes."""
     link_rotation: float
-    """Of their rotation matrices."""
+    """Error of the rotation matrices of all links."""
     mass_matrix: float
     bias_force: float
     forward_dynamics: float
-    """Of qacc under random torques, without damping, friction and joint limits; over the state's largest qacc."""
+    """Error of qacc under random torques, without damping, friction and joint limits; over the state's largest qacc."""
     inverse_dynamics: float
-    """Of the forces that MuJoCo's qacc needs."""
+    """Error of the forces that MuJoCo's qacc needs."""
 
     def worst(self) -> float:
         """The largest of the errors."""

@@ -1,4 +1,4 @@
-"""What the solver's sweeps leave, beside what the physics step itself does."""
+"""Error that the solver's sweeps leave, compared with the error of the physics step."""
 
 import dataclasses
 import inspect
@@ -35,9 +35,9 @@ class Sweeps:
 
     robot: str
     left: dict[int, float]
-    """What so many sweeps leave: against 256 of them."""
+    """Error of each number of sweeps, compared with 256 sweeps."""
     step: float
-    """What the step does: 5 ms against 0.5 ms, both with 256 sweeps."""
+    """Error of the step: 5 ms compared with 0.5 ms, both with 256 sweeps."""
 
 
 def compare_sweeps(robot: Robot, *, seed: int = 0) -> Sweeps:

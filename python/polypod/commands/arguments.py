@@ -1,4 +1,4 @@
-"""What commands share: the types of their arguments, and how values are read and figures written."""
+"""Types of arguments that several commands share, with readers of values and writers of figures."""
 
 import functools
 import json

@@ -21,14 +21,14 @@ class Bench:
     walk: bool = False
     """Measure instead the time and the samples until all robots walk."""
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
-    """Measure instead trainings with so many workers, which share the same cores: for example 1,2,4."""
+    """Measure trainings with these numbers of workers instead, which share the same cores: for example 1,2,4."""
     kinds: Annotated[str | None, arg(metavar="ROBOT,ROBOT")] = None
     """Measure instead a batch of these kinds of bodies beside the same kinds one by one; `all`: sixteen kinds with two,
     four and six legs."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """What --workers measures: workers on the CPU's cores, or on the machine's GPUs."""
+    """Device of --workers: workers on the CPU's cores, or on the machine's GPUs."""
     train_config: str = "quick"
-    """What --learner, --walk and --workers train."""
+    """Train config of --learner, --walk and --workers."""
     seeds: int = 3
     """Trainings of --walk, each with the next seed."""
     quick: bool = False
@@ -38,7 +38,7 @@ class Bench:
     plot: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also plot the physics beside MuJoCo's and how the speed scales (.png, .svg, .pdf)."""
     robot: str = "unitree_a1"
-    """Whose physics is compared."""
+    """Robot whose physics is compared."""
     num_envs: Count = None
     """Number of envs, but where it is varied. Default: 4096; of trainings, the train config's."""
     threads: int = 1

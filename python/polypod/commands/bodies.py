@@ -20,11 +20,11 @@ class Bodies:
     count: Annotated[int, arg(metavar="N")] = 100
     """Number of bodies; kinds take turns."""
     seed: int = 0
-    """Of the draws. A body depends on it, on its number and on the kinds alone."""
+    """Seed of the draws. A body depends on it, on its number and on the kinds alone."""
     kinds: Annotated[str, arg(metavar="A,B,C")] = "quadruped,quadruped8,biped,humanoid,hexapod"
     """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
     prefix: Annotated[str, arg(metavar="NAME")] = "body"
-    """What the robots' names begin with."""
+    """Beginning of the robots' names."""
     force: bool = False
     """Write over files that are there."""
 

@@ -29,7 +29,7 @@ class Eval:
     """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; or commands as
     the task draws them."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
-    """Instead, let each episode hold one command of so many forward and left velocities and yaw rates."""
+    """Instead, let each episode hold one command of this many forward and left velocities and yaw rates."""
     randomized: bool = False
     """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None

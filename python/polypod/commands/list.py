@@ -19,7 +19,7 @@ class List:
     """List the tasks, the robots, the bundled policies and the train configs."""
 
     kind: Annotated[Kind, tyro.conf.Positional] = "all"
-    """What to list. `tasks` also lists the tasks that are made for one robot."""
+    """Kind of thing to list. `tasks` also lists the tasks that are made for one robot."""
     json: bool = False
     """As JSON."""
 

@@ -1,4 +1,4 @@
-"""What is measured in every control step, of all envs at once: float64 arrays of the state in, [num_envs] out."""
+"""Measures of a control step, for all envs at once: float64 arrays of the state in, [num_envs] out."""
 
 import numpy as np
 import numpy.typing as npt

@@ -76,7 +76,7 @@ class RobotResult:
     commands: list[CommandResult] = dataclasses.field(default_factory=list)
     """By command; empty without a grid of commands."""
     walking: Walking | None = None
-    """What the definition of walking is judged by; None where the commands were not those of its schedule."""
+    """Figures of the definition of walking; None where the commands were not those of its schedule."""
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
         """Share of the successful episodes on tiles of a type and level, or of all; NaN without any."""
@@ -130,7 +130,7 @@ class Evaluation:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Evaluation":
-        """What `as_dict` gave. Raises KeyError or TypeError for anything else."""
+        """Reads the result of `as_dict`. Raises KeyError or TypeError for anything else."""
         robots = {name: _robot_from(robot) for name, robot in content["robots"].items()}
         grid = tuple(content["grid"]) if content["grid"] is not None else None
         commands = content.get("commands", "task" if grid is None else "grid")

@@ -16,7 +16,7 @@ WALKING = tuple(name for name in walking.FIGURES if name not in FIGURES)
 """Names of the figures of walking that a robot has beside `results.FIGURES`."""
 
 CONFIDENCE = 0.95
-"""Of an interval: the share of intervals, computed like this, that hold the true mean."""
+"""Confidence of an interval: the share of intervals, computed like this, that hold the true mean."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Interval:
 class Summary:
     """Several evaluations as one: per robot an interval for each of `results.FIGURES`.
 
-    Of evaluations with the schedule of walking also for each of `WALKING`.
+    Evaluations with the schedule of walking have each figure of `WALKING` too.
     """
 
     evaluations: list[Evaluation]

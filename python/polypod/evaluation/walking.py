@@ -264,7 +264,7 @@ def _numbers(kind: type[Any], content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Record:
-    """What a simulation does with a schedule, env by env, until each env's first fall."""
+    """Record of a simulation that follows a schedule, env by env, until each env's first fall."""
 
     def __init__(self, schedule: Schedule, step_dt: float) -> None:
         """Begins an episode.

@@ -28,19 +28,19 @@ FOLDER = "exported"
 """Beside the checkpoint, where nothing else is asked for."""
 _ROWS = 256
 _NETWORK = ("class_name", "hidden_dims", "activation", "rnn_type", "rnn_hidden_dim", "rnn_num_layers")
-"""What the manifest says of the network."""
+"""Keys of the manifest that describe the network."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Export:
-    """What was written."""
+    """Files and differences of an export."""
 
     files: list[Path]
     difference: float
     """Largest difference of an ONNX graph from torch on random inputs, as `agreement.difference` counts it; 0 without
     ONNX."""
     changes: list[str]
-    """What of the robots is no longer as it was in the training."""
+    """Changes of the robots since the training."""
 
 
 def export_checkpoint(

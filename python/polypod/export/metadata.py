@@ -1,4 +1,4 @@
-"""What an exported ONNX file says of itself, so that a robot needs no other file.
+"""Metadata of an exported ONNX file: all that a robot's loop needs, so that it reads no other file.
 
 The keys `run_path`, `joint_names`, `joint_stiffness`, `joint_damping`, `default_joint_pos`, `action_scale`,
 `observation_names` and `command_names` are those of mjlab's exporter (mjlab, `rl/exporter_utils.py`, Apache-2.0); the
@@ -12,7 +12,7 @@ from polypod.export.robot import RobotInterface
 from polypod.observation import Term
 
 COMMAND_RANGES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
-"""Of the numbers of a velocity command, in order."""
+"""Names of the numbers of a velocity command, in order."""
 _ELEMENTS = {"vector": ("x", "y", "z"), "pseudovector": ("x", "y", "z"), "planar_velocity": ("x", "y", "yaw")}
 """Names of the numbers of a term by its kind."""
 

@@ -26,7 +26,7 @@ from polypod.networks.urma import KEY_SCALE, LOG_FLOOR, OUTSIDE, REFLEX_SCALE, R
 from polypod.observation import Term, Treatment
 
 OPSET = 17
-"""Of ONNX's default domain: old enough for the runtimes in use."""
+"""Opset of ONNX's default domain: old enough for the runtimes in use."""
 IR_VERSION = 8
 """The one that came with it."""
 
@@ -40,7 +40,7 @@ class Graph:
         self.name = name
         self.nodes: list[Any] = []
         self.states: dict[str, Shape] = {}
-        """What it remembers, by the names of the inputs; their outputs are computed by nodes."""
+        """States of the graph, by the names of the inputs; nodes compute their outputs."""
         self.constants: list[Any] = []
         self.opsets = {"": OPSET}
         self.ir_version = IR_VERSION
@@ -109,7 +109,7 @@ class Graph:
         helper.set_model_props(model, {**metadata, **(fed_back if self.states else {})})
         try:
             self.onnx.checker.check_model(model, full_check=True)
-        except Exception as error:  # a class of its own, or one of protobuf's
+        except Exception as error:  # an exception of onnx, or one of protobuf's
             reason = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
             raise _core.ConfigError(
                 f"{self.name}: the network's operators make no sound ONNX graph ({reason}); write it without functions "
@@ -166,7 +166,7 @@ def robot_model(network: MLPModel | OnnxNetwork, robot: RobotInterface, metadata
 
 
 class _History:
-    """What the terms of a folded graph remember, see `polypod.export.states`."""
+    """History of the terms of a folded graph, see `polypod.export.states`."""
 
     def __init__(self, graph: Graph, robot: RobotInterface) -> None:
         self.graph = graph
@@ -191,7 +191,7 @@ class _History:
         return whole
 
     def finish(self) -> None:
-        """Gives back what is to be remembered."""
+        """Adds the nodes that write the history."""
         self.graph.node("Concat", *self.after, output=output_of(HISTORY), axis=1)
 
     def _columns(self, source: str, start: int, end: int, output: str) -> str:
@@ -255,7 +255,7 @@ class _Operations:
 
 
 def _add_treatment(graph: Graph, treatment: Treatment, source: str, term: str) -> str:
-    """What the task does to a term after it is measured; returns the name of the result."""
+    """Adds the noise-free processing of a term, such as clipping and scaling; returns the name of the result."""
 
     def constant(name: str, value: float) -> str:
         return graph.constant(f"{term}_{name}", np.array(value, dtype=np.float32))

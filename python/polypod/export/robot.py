@@ -1,4 +1,4 @@
-"""What stands between a policy and one robot: from its sensors to the observation, from the action to its joints."""
+"""Interface of a policy and one robot: from its sensors to the observation, from the action to its joints."""
 
 import dataclasses
 import json
@@ -36,7 +36,7 @@ OUTPUTS = {
 
 @dataclasses.dataclass(frozen=True)
 class RobotInterface:
-    """One robot's numbers, in the order of its own joints unless said otherwise."""
+    """Numbers of one robot, in the order of its joints unless stated otherwise."""
 
     name: str
     terms: tuple[Term, ...]
@@ -47,7 +47,7 @@ class RobotInterface:
     columns: npt.NDArray[np.int64]
     """Column of each of these slots in the policy's action."""
     signs: Array
-    """Of each slot 1, or -1 where the joint's own positive direction is opposite to the slot's."""
+    """Sign of each slot: 1, or -1 where the joint's own positive direction is opposite to the slot's."""
     action_names: tuple[str, ...]
     """Columns of the policy's action: slots, of which the robot has some."""
     default_pose: Array
@@ -57,7 +57,7 @@ class RobotInterface:
     base_com: Array
     """Centre of mass of the base in its frame, m: the task observes its velocity."""
     constants: Mapping[str, Array]
-    """What the terms that say what body it is say of the robot, as the policy observes it."""
+    """Values of the terms that describe the body, as the policy observes them."""
     scan_points: Array
     """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left, along its heading."""
     command_ranges: Mapping[str, Sequence[float]]
@@ -84,11 +84,11 @@ class RobotInterface:
         return sum(term.size - term.width for term in self.terms if term.inputs)
 
     def states(self) -> dict[str, tuple[int, ...]]:
-        """What the folded graph remembers, beside the network's own states; see `polypod.export.states`."""
+        """States of the folded graph without the network's own states; see `polypod.export.states`."""
         return {"history_in": (1 + self.remembered(),)} if self.remembered() else {}
 
     def meaning(self, name: str) -> str:
-        """What an input or output of the folded graph is."""
+        """Describes an input or output of the folded graph."""
         known = INPUTS.get(name) or OUTPUTS.get(name)
         return known or next(f"{term.description} {term.units}".strip() for term in self.terms if term.term == name)
 
@@ -171,7 +171,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
 
 
 def changes(manifest: Mapping[str, Any], robots: Mapping[str, RobotInterface]) -> list[str]:
-    """What of the robots is no longer as it was in the training, one line each."""
+    """Changes of the robots since the training, one line each."""
     lines = []
     for name, robot in robots.items():
         trained = manifest.get("robot_info", {}).get(name)

@@ -15,7 +15,7 @@ from polypod.networks.onnx_session import OnnxSession
 from polypod.training.manifest import export_sums
 
 MAX_BYTES = 1 << 30
-"""Of a graph: twice what the largest network that a manifest may describe takes."""
+"""Largest size of a graph, bytes: twice that of the largest network that a manifest may describe."""
 Array = npt.NDArray[np.float32]
 
 

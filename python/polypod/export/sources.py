@@ -1,7 +1,7 @@
-"""What exported graphs compute of a term: one formula for each source that a term may state.
+"""Formulas of exported graphs: one for each source that a term may state.
 
 The sources are those of `TermSource` in Rust, see `VecSim.observation_terms`. A formula is written once; it computes
-with torch's tensors and adds nodes to an ONNX graph alike.
+with torch's tensors, and it adds nodes to an ONNX graph.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,10 +14,10 @@ Value = TypeVar("Value")
 
 
 class Operations(Protocol[Value]):
-    """What a formula may do with tensors [batch, n]."""
+    """Operations of the formulas on tensors [batch, n]."""
 
     def robot_constant(self, term: str) -> Value:
-        """What a term says of the robot, for every row of the batch."""
+        """Values of a term that describes the robot, for every row of the batch."""
 
     def plus(self, a: Value, b: Value) -> Value:
         """Their sum."""

@@ -1,4 +1,4 @@
-"""What an exported graph remembers from one control step to the next: tensors that it takes and gives back.
+"""States of an exported graph from one control step to the next: tensors that it takes and returns.
 
 Inputs of states end in `_in`, and the output that is fed back has the same name with `_out`. All are zero when an
 episode begins. A recurrent network has `h_in` and, with LSTM layers, `c_in`, each [layers, batch, units], as in
@@ -26,7 +26,7 @@ MEANINGS = {
     "h_in": "hidden state of the recurrent layers; zeros at first",
     "c_in": "cell state of the recurrent layers; zeros at first",
 }
-"""What the states are."""
+"""Meanings of the states."""
 
 
 def of_network(network: torch.nn.Module) -> dict[str, Shape]:
@@ -41,7 +41,7 @@ def of_network(network: torch.nn.Module) -> dict[str, Shape]:
 
 
 def full_shape(shape: Shape, rows: int) -> tuple[int, ...]:
-    """The shape of a state of so many rows."""
+    """Shape of a state with a number of rows."""
     return (rows, *shape) if len(shape) == 1 else (shape[0], rows, *shape[1:])
 
 

@@ -16,7 +16,7 @@ ROWS = 2400
 REPEATS = 5
 CONFIGS = ("flat_universal", "rough", "flat_joints", "legged_joints")
 SAMPLES = 98_304
-"""Of an iteration: 4096 envs, 24 steps."""
+"""Samples of an iteration: 4096 envs, 24 steps."""
 
 
 def seconds(network: torch.nn.Module, observations: torch.Tensor) -> tuple[float, float]:

@@ -53,7 +53,7 @@ class MaskedMLPModel(MLPModel):
 class MaskedNormalization(EmpiricalNormalization):
     """Normalises by running mean and deviation.
 
-    What is missing stays 0: numbers that some robots lack are divided by the root of their mean square over those that
+    Missing numbers stay 0: numbers that some robots lack are divided by the root of their mean square over those that
     have them, and nothing is subtracted.
     """
 
@@ -61,7 +61,7 @@ class MaskedNormalization(EmpiricalNormalization):
     scale: torch.Tensor
 
     def __init__(self, shares: torch.Tensor) -> None:
-        """Of observations with these shares of envs that have each number, [num_obs], more than 0."""
+        """Normalises observations of which each number, [num_obs], exists in this share of the envs, more than 0."""
         super().__init__(shares.numel())
         self.register_buffer("is_padded", (shares < 1.0).unsqueeze(0), persistent=False)
         # squares of what is missing are 0 and lower the mean of all
@@ -82,7 +82,7 @@ class MaskedNormalization(EmpiricalNormalization):
 class MaskedGaussian(GaussianDistribution):
     """A Gaussian over the actions that a robot has: density, entropy and divergence are sums over these alone.
 
-    Those that it lacks have mean 0 and are 0.
+    Missing numbers have mean 0 and are 0.
     """
 
     mask: torch.Tensor

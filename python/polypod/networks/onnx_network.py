@@ -52,7 +52,7 @@ class OnnxNetwork(torch.nn.Module):
         self.num_actions = _width(outputs[0], name)
         self.metadata: Mapping[str, str] = self._session.metadata
         self.obs_normalizer = torch.nn.Identity()
-        """What is in the graph is not known apart from it."""
+        """The graph holds its normaliser, if it has one."""
 
     def forward(self, observations: torch.Tensor | TensorDict) -> torch.Tensor:
         """Actions [batch, num_actions] for observations [batch, num_obs], or for their group `policy`."""

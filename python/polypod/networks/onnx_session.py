@@ -62,7 +62,7 @@ class OnnxSession:
         """The outputs for inputs. Raises ConfigError for what the graph does not compute."""
         try:
             found: list[Array] = self._session.run(list(outputs), dict(feeds))
-        except Exception as error:  # likewise
+        except Exception as error:  # onnxruntime raises classes that it does not export
             raise _core.ConfigError(f"{self.name} is not run by onnxruntime: {_reason(error)}") from error
         return found
 

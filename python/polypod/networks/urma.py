@@ -9,7 +9,7 @@ the body's state and the joint's key. Here each head shares its attention among 
 Joints must be told apart before anything can be learned about them. What tells joints of one robot apart is how their
 descriptions differ from each other, so every description is compared with those of the other joints, and sines of the
 comparison are the joint's code. Codes of different joints are nearly orthogonal for any robot, so that each joint
-begins with a reading and a key of its own, and codes of corresponding joints of different robots are nearly the same.
+starts with a separate reading and key, and codes of corresponding joints of different robots are nearly the same.
 """
 
 import contextlib
@@ -33,20 +33,20 @@ from polypod.observation import Layout
 LOG_FLOOR = 0.01
 """Least magnitude that the logarithm of a description's number tells from zero."""
 RELATIVE_FLOOR = 0.1
-"""Deviation within a robot, in deviations over all joints, below which joints count as alike."""
+"""Deviation within a robot, in deviations over all joints, below which joints count as equal."""
 STD_RANGE = (0.01, 2.0)
-"""Of actions; URMA has 2 at most."""
+"""Bounds of the standard deviation of actions; URMA has 2 at most."""
 _FIRST_FOCUS = 5.0
 """Deviation of the first attention over a robot's joints: each head begins by looking at one joint or two."""
 _FIRST_FREQUENCY = 1.0
 """Deviation of the first weights of a code: joints that differ by one deviation in n numbers have codes with a
 correlation of exp(-n / 2)."""
 KEY_SCALE = 2.0
-"""Of an action's inner product over as many numbers as a code has. A step of the optimiser moves every number of the
+"""Scale of an action's inner product over the numbers of a code. A step of the optimiser moves every number of the
 body's state in the same sense, so the sum over them must be a mean: else a step changes the policy by far more than a
 perceptron's, the divergence that PPO aims at holds the learning rate down, and all else learns slowly."""
 REFLEX_SCALE = 0.1
-"""Of the reflex, whose weights all joints of all robots share: a step moves all actions in the same sense."""
+"""Scale of the reflex, whose weights all joints of all robots share: a step moves all actions in the same sense."""
 OUTSIDE = -1e4
 """Attention to joints that a robot lacks, before the softmax."""
 
@@ -56,9 +56,9 @@ class JointCounts(NamedTuple):
 
     envs: int
     joints: int
-    """Of all envs."""
+    """Number of joints of all envs."""
     most: int
-    """Of one env."""
+    """Largest number of joints of one env."""
 
 
 class _Joints(NamedTuple):
@@ -75,7 +75,7 @@ class _Joints(NamedTuple):
     place_of_row: torch.Tensor | None
     """[rows], place of each row in batch x places; None: rows are all places."""
     sample_of_row: torch.Tensor | None
-    """[rows]; None: likewise."""
+    """[rows]; None: every sample has all slots."""
     slot_of_row: torch.Tensor | None
     """[rows], place of each row in batch x slots; None: places are slots."""
 
@@ -212,7 +212,7 @@ class JointNetwork(torch.nn.Module):
 
     def deviations(self, descriptions: torch.Tensor) -> torch.Tensor:
         """[rows, features] to [rows]."""
-        # the weights are summed over so many features: a step of the optimiser shall move the logarithm by about itself
+        # the weights are summed over the features: a step of the optimiser shall move the logarithm by about its size
         weight = self.deviation.weight / self.deviation.in_features
         with torch.amp.autocast(descriptions.device.type, enabled=False):
             logarithms = torch.nn.functional.linear(descriptions, weight, self.deviation.bias).squeeze(-1)
@@ -305,7 +305,7 @@ def _where_true(mask: torch.Tensor, count: int) -> torch.Tensor:
 
 
 def _logarithms(numbers: torch.Tensor) -> torch.Tensor:
-    """Of magnitudes: efforts, gains and inertias of robots differ by factors."""
+    """Logarithms of magnitudes: efforts, gains and inertias of robots differ by factors."""
     return (numbers.abs() + LOG_FLOOR).log()
 
 
@@ -330,7 +330,7 @@ def counted(models: Iterable[torch.nn.Module], counts: JointCounts | None) -> It
 class UrmaModel(MLPModel):
     """rsl_rl's model with a `JointNetwork` in the place of its perceptron, as actor or as critic.
 
-    Which slots a robot has is read off its description, so that batches of different bodies need no mask.
+    The slots of a robot are read off its description, so that batches of different bodies need no mask.
     """
 
     mlp: JointNetwork
@@ -355,15 +355,15 @@ class UrmaModel(MLPModel):
 
         Args:
             obs: as of `MLPModel`.
-            obs_groups: likewise.
+            obs_groups: see `MLPModel`.
             obs_set: "critic" for a network whose outputs are about the whole body.
             output_dim: number of outputs.
             hidden_dims: see `JointNetwork`.
-            activation: likewise.
+            activation: see `JointNetwork`.
             obs_normalization: normalise observations, see `JointNetwork`.
             distribution_cfg: a `JointGaussian`, for an actor.
             joint_dim: see `JointNetwork`.
-            num_heads: likewise.
+            num_heads: see `JointNetwork`.
             observation_layout: terms of the observation, see `polypod.observation.layout_of`.
             joint_names: slots of the action.
 
@@ -412,5 +412,5 @@ class JointGaussian(MaskedGaussian):
         return mlp_output.select(-2, 0).contiguous()
 
     def as_deterministic_output_module(self) -> torch.nn.Module:
-        """What takes the means out of the network's output."""
+        """Module that takes the means out of the network's output."""
         return HeteroscedasticGaussianDistribution(self.output_dim).as_deterministic_output_module()

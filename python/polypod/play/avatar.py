@@ -19,17 +19,17 @@ from polypod.play.raster import COMMAND, FORCE, FORCE_LENGTH, Color
 from polypod.play.scene import Contact, RobotFrame
 
 VELOCITY: Color = (58, 110, 214)
-"""Of the arrow of the measured velocity; the commanded one is green, as in films."""
+"""Colour of the arrow of the measured velocity; the commanded one is green, as in films."""
 ARROW = 0.6
 """Length of an arrow per velocity, m per m/s."""
 LEAST = 0.02
 """Shorter arrows are not shown, m."""
 CLOSE = 0.01
-"""An arrow whose length is off by less than this is not drawn anew, m."""
+"""An arrow is redrawn where its length changes by more than this, m."""
 POINT = 0.02
 """Size of a point of a height scan, m."""
 NAME_HEIGHT = 0.09
-"""Of a robot's name, m."""
+"""Height of a robot's name above it, m."""
 _FONT = 44
 """Pixels."""
 _NONE = np.array([[[0.0, 0.0, 0.0], [1e-4, 0.0, 0.0]]], dtype=np.float32)

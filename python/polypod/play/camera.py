@@ -8,7 +8,7 @@ import numpy.typing as npt
 from polypod.play.mesh import Array
 
 NEAR = 0.1
-"""What is nearer to the camera is not drawn, m."""
+"""Points nearer to the camera are not drawn, m."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Camera:
 
 
 class Lens:
-    """A camera with a picture of so many pixels."""
+    """A camera and the size of its picture."""
 
     def __init__(self, camera: Camera, pixels: tuple[int, int]) -> None:
-        """Of a picture with this width and height."""
+        """Makes the lens of a picture with this width and height, pixels."""
         self.pixels = pixels
         self.origin = np.array(camera.position)
         self.view = camera.view()

@@ -98,7 +98,7 @@ def _model(link: int, pieces: list[tuple[Any, Array]]) -> Model:
 
 
 def _geometry(visual: ElementTree.Element, folders: Sequence[Path], urdf: Path) -> Any:
-    """What trimesh makes of a visual; None for one that it does not know."""
+    """Returns trimesh's geometry of a visual; None for a kind that it does not know."""
     trimesh = package("trimesh", "the viewer", "play")
     color = visual.find("material/color")
     rgba = None if color is None else [float(value) for value in color.get("rgba", "0.7 0.7 0.7 1").split()]

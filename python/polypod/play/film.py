@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 KINDS = (".gif", ".webp", ".mp4")
 MAX_SIDE = 4096
-"""Of a frame, pixels."""
+"""Largest side of a frame, pixels."""
 COLORS = 64
-"""Of a GIF."""
+"""Number of colours of a GIF."""
 INTERVAL = 10.0
 """Time between two lines of progress, s, where standard error is no terminal."""
 

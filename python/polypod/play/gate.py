@@ -25,7 +25,7 @@ from polypod.extras import package
 LARGEST_MESSAGE = 1 << 16
 """Bytes of a message; the largest one that the page sends has some hundred."""
 LARGEST_NUMBER = 1e9
-"""Of a camera's pose."""
+"""Largest number of a camera's pose."""
 TOLERANCE = 1e-6
 """Share of a slider's range by which a page's rounding may leave it."""
 _CAMERA = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}

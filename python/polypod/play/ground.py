@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 LARGEST_FACE = 0.25
 """Edges are cut into pieces no longer than this, m, so that faces sort by their distance."""
 COLORS = np.array([[104.0, 132.0, 150.0], [188.0, 194.0, 188.0], [226.0, 204.0, 160.0]])
-"""Of the lowest, the middle and the highest ground."""
+"""Colours of the lowest, the middle and the highest ground."""
 
 
 class Ground:
-    """The ground that all envs of a task share, as the simulator has it."""
+    """The simulator's ground, which all envs of a task share."""
 
     def __init__(self, entry: "_core.TerrainEntry") -> None:
-        """Of `VecSim.terrain`."""
+        """Reads an entry of `VecSim.terrain`."""
         self.vertices: npt.NDArray[np.float32] = entry["vertices"]
         """[n, 3], m."""
         self.triangles: npt.NDArray[np.uint32] = entry["triangles"]
@@ -28,7 +28,7 @@ class Ground:
         self._heights = entry["heights"]
         self._origin, self._cell = np.array(entry["origin"], dtype=np.float64), float(entry["cell"])
         low, high = float(self.vertices[:, 2].min()), float(self.vertices[:, 2].max())
-        # level ground has the middle colour, and hills and pits of one size differ from it alike
+        # level ground has the middle colour; hills and pits of one size differ from it by the same amount
         self._range = max(abs(low), abs(high), 0.05)
         self._faces: tuple[npt.NDArray[np.float32], ...] | None = None
 

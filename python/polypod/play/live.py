@@ -33,7 +33,7 @@ MOST_WAITING = 256
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """What is simulated."""
+    """Choices of the page: policy, task and robots."""
 
     policy: str
     """Name of a policy in the list of the page."""

@@ -1,4 +1,4 @@
-"""What robots look like in the browser: smooth bodies made of their collision shapes."""
+"""Appearance of robots in the browser: smooth bodies made of their collision shapes."""
 
 import colorsys
 import dataclasses
@@ -22,7 +22,7 @@ BODY: dict[str, Color] = {
     "foot": (34, 37, 42),
     "other": (150, 156, 166),
 }
-"""Of a robot's bodies, by group; thighs have the robot's own colour."""
+"""Colours of a robot's bodies, by group; thighs have the robot's own colour."""
 ACCENTS = 8
 """Colours that tell robots apart, until they repeat."""
 EDGE = 0.2

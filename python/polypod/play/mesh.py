@@ -45,7 +45,7 @@ class Mesh:
 
 
 def lit(corners: Array, camera: Array, light: Array) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Which faces with corners [n, 4, 3] look at the camera, [n], and how bright those are.
+    """Finds the faces with corners [n, 4, 3] that look at the camera, [n], and their brightness.
 
     Args:
         corners: m; a triangle repeats its last corner.
@@ -222,7 +222,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> Array:
-    """Of rotations about the fixed x, y and z axes, in this order."""
+    """Quaternion of rotations about the fixed x, y and z axes, in this order."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in (roll, pitch, yaw))
     return np.array(
         [

@@ -21,7 +21,7 @@ STEP = 0.1
 """A key changes a command by this share of its largest value."""
 COMMAND_COLOR, VELOCITY_COLOR = "#20a048", "#3a6ed6"
 COLORS = ("#3a6ed6", "#e0943e", "#20a048", "#d63c3c", "#8a5cc8", "#1d9aa8", "#b8860b", "#d6589c", "#6b7280", "#7cb342")
-"""Of the reward terms, in turn."""
+"""Colours of the reward terms, in turn."""
 KEYS = (
     ("space", "Pause or go on"),
     ("N", "One control step"),
@@ -193,7 +193,7 @@ class Panel:
         return [OWN_TASK, *([given] if given is not None and given not in tasks else []), *tasks]
 
     def _robots(self) -> list[str]:
-        """Those of the policy first; others it may not know, which the page then tells."""
+        """Names of the policy's robots, then of robots that it may not know; the page then says so."""
         own = list(self.live.player.policy_robots)
         choice = self.live.choice
         if choice is not None and choice.robot is not None and choice.robot not in own:

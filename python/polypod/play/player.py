@@ -139,9 +139,9 @@ class Player(Scene):
             self.places, self._gone = self._slots.copy(), np.zeros(2)
 
     def stand(self, columns: int) -> None:
-        """Draws robots in rows of so many, and lets a robot that begins anew do so in its place among the others.
+        """Draws robots in rows of this length, and lets a robot that restarts do so in its place among the others.
 
-        Only of use where each env has a flat world of its own (`alone`).
+        Useful only where each env has a separate flat world (`alone`).
         """
         self._slots = self.formation(columns)
         self.places, self._gone = self._slots.copy(), np.zeros(2)
@@ -196,7 +196,7 @@ class Player(Scene):
             tally.still_error_vel_yaw += float((still_yaw - tally.still_error_vel_yaw).sum()) / tally.steps
 
     def _base_velocity(self, robot: str) -> tuple[Array, Array]:
-        """Of the base's centre of mass and about it, base axes, [envs, 3]."""
+        """Velocity of the base's centre of mass and angular velocity, base axes, [envs, 3]."""
         qpos, qvel = self.sim.qpos(robot), self.sim.qvel(robot)
         velocity = np.stack([mesh.rotation(q[3:7]).T @ v[:3] for q, v in zip(qpos, qvel, strict=True)])
         return velocity + np.cross(qvel[:, 3:6], self._com[robot]), qvel[:, 3:6]
@@ -214,7 +214,7 @@ def aligned_starts(task: dict[str, Any]) -> list[str]:
 
 
 def _defaults(task: dict[str, Any], *, aligned: bool) -> list[str]:
-    """What a player changes unless it is told otherwise: aligned starts, and each robot on a tile of its own."""
+    """Default changes of a player: aligned starts, and a separate tile for each robot."""
     changes = aligned_starts(task) if aligned else []
     if "terrain" in task["scene"]:
         changes.append('scene.terrain.columns="contiguous"')

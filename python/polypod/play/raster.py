@@ -37,14 +37,14 @@ COLORS: dict[str, Color] = {
     "head": (142, 152, 166),
     "other": (120, 128, 140),
 }
-"""Of a robot's bodies, by group; `color_of` has those that are not here."""
+"""Colours of a robot's bodies, by group; `color_of` has the others."""
 LIGHT = np.array([0.35, 0.45, 0.82])
 """Where light comes from; of unit length."""
 SUPERSAMPLING = 2
 TITLE = 15
 """Height of a title's letters, pixels."""
 TILE = 1.0
-"""Of the ground, m."""
+"""Side of a tile of the ground, m."""
 TILES_SHOWN = 22
 """In each direction from the middle of the picture."""
 CLOSE_UP = 3.1
@@ -52,7 +52,7 @@ CLOSE_UP = 3.1
 CLOSE_UP_FROM = (0.67, 0.74, 0.50)
 """Where it is seen from; 0.5 is the least rise over the distance."""
 FORCE_LENGTH = 0.35
-"""Of an arrow for a force like the robot's weight, m."""
+"""Length of the arrow of a force that equals the robot's weight, m."""
 
 
 def color_of(group: str) -> Color:
@@ -89,7 +89,7 @@ def follow_one(scene: Scene, robot: RobotFrame, size: tuple[int, int]) -> Camera
 
 
 def picture(scene: Scene, frame: Frame, size: tuple[int, int] = (640, 360)) -> "Image":
-    """What a film shows of a frame: all robots in a row or, on terrain, each from nearby in a field of its own.
+    """Draws a frame of a film: all robots in a row or, on terrain, each robot from nearby in a separate field.
 
     Raises:
         ConfigError: where Pillow is missing.
@@ -255,7 +255,7 @@ class _Canvas:
         self._draw = self._new[1](self._image)
 
     def shadow(self, solid: Mesh) -> None:
-        """What a solid keeps from the ground, drawn at once."""
+        """Draws the shadow of a solid on the ground at once."""
         points = solid.vertices - np.outer(solid.vertices[:, 2] / LIGHT[2], LIGHT)
         corners = points[solid.faces]
         first, second = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]

@@ -24,7 +24,7 @@ class Part:
     mesh: Mesh
     """In the link's frame."""
     center: Array
-    """Of the shape in the link's frame, m."""
+    """Centre of the shape in the link's frame, m."""
     body: int
     """Its contact body."""
 
@@ -49,7 +49,7 @@ class RobotFrame:
 
     name: str
     place: Array
-    """Of the env's origin, m."""
+    """Position of the env's origin, m."""
     position: Array
     """[links, 3], of the links, m."""
     quaternion: Array
@@ -81,7 +81,7 @@ class Frame:
 
 
 class Scene:
-    """What is seen of a simulator: shapes, ground, obstacles, and where everything is at the present time."""
+    """Visible parts of a simulator: shapes, ground, obstacles, and their present poses."""
 
     def __init__(self, sim: _core.VecSim, spacing: float | None = None) -> None:
         """Reads the shapes.
@@ -95,7 +95,7 @@ class Scene:
         self.time = 0.0
         """Since the scene was made, s; whoever steps the simulator counts it."""
         config = self.config = tomllib.loads(sim.resolved_config())["task"]
-        """The task, as `VecSim.resolved_config` has it."""
+        """The task's part of `VecSim.resolved_config`."""
         self.obstacles: list[Mesh] = [
             part for description in config["scene"].get("obstacles", []) for part in mesh.obstacle(description)
         ]
@@ -121,13 +121,13 @@ class Scene:
         if spacing is None or self.obstacles:
             spacing = config["sim"]["env_spacing"]
         self.alone = not self.shared and not self.obstacles
-        """Whether each env has a flat world of its own, so that it may be drawn anywhere."""
+        """Whether each env has a separate flat world, so that it can be drawn at any place."""
         self._spacing = spacing
         self.places = self.formation(sim.num_envs)
         """[envs, 3], of the envs' origins, m, in a row across the direction of the walk; their heights are zero."""
 
     def formation(self, columns: int) -> Array:
-        """[envs, 3], places in rows of so many, m: rows across x, in the order of the envs from left to right."""
+        """Places in rows of `columns` envs, [envs, 3], m: rows across x, in the order of the envs."""
         count = self.sim.num_envs
         rows = -(-count // columns)
         row, column = np.divmod(np.arange(count), columns)

@@ -13,7 +13,7 @@ from polypod.play.raster import picture
 from polypod.play.viewer import HOST, Viewer
 
 MOST_CHECKPOINTS = 20
-"""Of the training that the page offers beside the one it begins with."""
+"""Number of the training's checkpoints that the page offers in addition to the first one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Options:
     task: str | None = None
     envs_per_robot: int = 1
     seconds: float | None = None
-    """Of simulated time; None: without end in the browser, else 10."""
+    """Simulated time, s; None: without end in the browser, else 10."""
     warm_up: float = 0.0
     """Simulated before anything is shown or recorded, s."""
     record: Path | None = None
@@ -151,7 +151,7 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
 
 
 def _address(viewer: Viewer, task: str) -> str:
-    """Where the page is to be seen, and a warning where others see it too."""
+    """Address of the page, and a warning where others can see it."""
     if viewer.public_url is None:
         return f"{task}: open {viewer.url} in a browser; Ctrl-C ends"
     here = f" (on this machine {viewer.url})" if viewer.url != viewer.public_url else ""

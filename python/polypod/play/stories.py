@@ -35,7 +35,7 @@ _MODEL = re.compile(r"model_(\d+)\.pt")
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to film."""
+    """Options of a film."""
 
     checkpoint: Path
     """A policy; for the film of a training the folder of its run, or one of its checkpoints."""
@@ -44,7 +44,7 @@ class Options:
     command: tuple[float, float, float] = (0.6, 0.0, 0.0)
     task: str | None = None
     seconds: float = 4.0
-    """Of a walk; of each part of a training."""
+    """Duration of a walk, or of each part of a training, s."""
     parts: int = 6
     """Checkpoints of a training, the untrained network among them."""
     push: float = 1.0

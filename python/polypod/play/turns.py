@@ -47,7 +47,7 @@ def x_axis_to(direction: Array) -> Array:
 
 
 def of_axes(axes: Array) -> Array:
-    """Of a rotation matrix [3, 3], whose columns are the turned axes."""
+    """Quaternion of a rotation matrix [3, 3], whose columns are the turned axes."""
     (a, b, c), (d, e, f), (g, h, i) = axes
     squares = np.array([1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i])
     # the largest of the four numbers first, by which the others are divided

@@ -35,7 +35,7 @@ FLOOR = 100.0
 FOLLOW = 0.1
 """Share of its distance by which the view comes nearer to what it follows, per shown frame."""
 FIELD_OF_VIEW = 0.75
-"""Of the opening shot, from its upper to its lower edge, rad."""
+"""Vertical field of view of the opening shot, rad."""
 DIMMED = 0.5
 """Share of the terrain's brightness in films that it has on the page."""
 LONGEST_NOTICE = 1000
@@ -97,7 +97,7 @@ class Viewer:
         self.shows_names = self.shows_forces = self.shows_velocity = True
         self.shows_scan = False
         self.warnings: list[str] = []
-        """What could not be shown as it was asked for."""
+        """Reasons why a requested thing is not shown."""
         self._set_the_stage()
         self.open(player, columns)
         self._server.on_client_connect(self._welcome)
@@ -124,7 +124,7 @@ class Viewer:
 
     @property
     def frame(self) -> Frame:
-        """What is shown."""
+        """The shown frame."""
         return self._shown
 
     def open(self, player: Player, columns: int | None = None) -> None:
@@ -266,7 +266,7 @@ class Viewer:
         return scan[index] if self.player.shared else scan[index] + self._shown.robots[index].place.astype(np.float32)
 
     def _middle(self) -> Array:
-        """What the view goes with, m."""
+        """Point that the view follows, m."""
         robots = self._shown.robots
         if isinstance(self.followed, int):
             return robots[min(self.followed, len(robots) - 1)].position[0].copy()
@@ -313,7 +313,7 @@ class Viewer:
     def _welcome(self, client: Any) -> None:
         """A new page begins with what is followed in its middle.
 
-        viser calls this in a thread of its own, while another player may be opened: the shot is computed elsewhere.
+        viser calls this in its own thread, while another player may be opened: the shot is computed elsewhere.
         """
         with contextlib.suppress(AssertionError):
             client.camera.position, client.camera.look_at = self._first_shot

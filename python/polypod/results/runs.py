@@ -27,7 +27,7 @@ from polypod.results.archive import unpacked
 from polypod.training.run_dir import MANIFEST
 
 MAX_BYTES = 64 << 20
-"""Of a file of figures."""
+"""Largest size of a file of figures, bytes."""
 Array = npt.NDArray[np.float64]
 
 
@@ -56,7 +56,7 @@ class Run:
 
     @property
     def robots(self) -> list[str]:
-        """What it was trained on."""
+        """Names of the robots of the training."""
         if self.manifest is not None:
             return list(self.manifest["robots"])
         origins = [each.checkpoint for each in self.evaluations.values() if each.checkpoint is not None]
@@ -64,7 +64,7 @@ class Run:
 
     @property
     def seed(self) -> int | None:
-        """Of the training."""
+        """Seed of the training."""
         return None if self.manifest is None else self.manifest["seed"]
 
     @property

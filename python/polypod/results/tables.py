@@ -27,7 +27,7 @@ FIGURES = {
 }
 """Figures of an evaluation, how they are called and written."""
 SCORE_TAG = "Metrics/{robot}/error_vel_xy"
-"""Of the curves that tell how long a training takes: the exploring policy's velocity error."""
+"""Tag of the curve that tells how long a training takes: the exploring policy's velocity error."""
 SMOOTHING = 10
 """Iterations over which a curve is averaged before it counts as having reached a score."""
 _LEGEND = f"±: {CONFIDENCE:.0%} interval over the policies of a group, by Student's t."
@@ -131,7 +131,7 @@ def _commit(manifest: dict[str, Any]) -> str:
 
 
 def condition_of(evaluation: Evaluation) -> Condition:
-    """What evaluations have in common that can be compared."""
+    """Settings that two evaluations must share to be compared."""
     return (
         evaluation.task,
         evaluation.randomized,

@@ -36,9 +36,9 @@ from polypod.training.schema import (
 DEFAULT = "flat"
 """Name of the train config that trainings use by default."""
 OVERRIDE = "train."
-"""What a `--set` begins with that changes the train config instead of the task."""
+"""Prefix of a `--set` that changes the train config instead of the task."""
 MAX_BYTES = 1 << 20
-"""Of a train config."""
+"""Largest size of a train config, bytes."""
 MAX_EXTENDS = 100
 """Files that a train config may extend, directly or not."""
 
@@ -227,7 +227,7 @@ def _named(expected: Any) -> str:
 
 
 CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.")
-"""What `[run] task_changes` begin with: a policy of the changed task is one of the task."""
+"""Prefixes of keys in `[run] task_changes`: a policy of the changed task is one of the task."""
 MAX_RNN = 4096
 """Width of a recurrent layer."""
 MAX_RNN_LAYERS = 8
@@ -373,7 +373,7 @@ def _check_groups(config: TrainConfig, source: str) -> None:
 
 
 def _check_extensions(config: TrainConfig, source: str) -> None:
-    """What `[rnd]` and `[distillation]` may say."""
+    """Checks `[rnd]` and `[distillation]`."""
     recurrent = [name for name in ("actor", "critic") if getattr(config, name).class_name == RNN]
     if recurrent and config.run.symmetry:
         raise _core.ConfigError(

@@ -85,7 +85,7 @@ class Update:
         symmetry: tuple[Mirror, bool | str] | None,
         workers: Workers,
     ) -> None:
-        """Of the networks of `alg`.
+        """Prepares the update of the networks of `alg`.
 
         Args:
             alg: whose networks learn; its optimiser and storage are not looked at.
@@ -121,7 +121,7 @@ class Update:
                 "exp_avg_sq": torch.zeros_like(parameter),
             }
         self._sizes: list[tuple[int, ...]] = []
-        """Of each mini-batch, the samples of all workers."""
+        """Sizes of each mini-batch: the samples of each worker."""
         self._parameters = parameters
         self._widths = [*(parameter.numel() for parameter in parameters), 3, 2]
         self._sums = torch.zeros(sum(self._widths), device=device)
@@ -177,7 +177,7 @@ class Update:
         return {**losses, "learning_rate": rate}
 
     def _learn_mini_batch(self, sizes: tuple[int, ...]) -> None:
-        """Of samples at the beginning of `_index`, as many as `sizes` says of this worker."""
+        """Learns from a mini-batch: the first samples of `_index`, `sizes` of this worker."""
         if self._workers.count == 1:
             self._run("step", sizes, lambda: self._apply(*self._backward(sizes)))
             return
@@ -192,7 +192,7 @@ class Update:
         self._graphs.run((name, *sizes), step)
 
     def _changed(self) -> list[torch.Tensor]:
-        """What a step changes and the next one begins with."""
+        """Tensors that a step changes and the next step reads."""
         tensors = [self._rate, self._losses, self._sums]
         for parameter, state in self.optimizer.state.items():
             tensors += [parameter.data, *state.values()]
@@ -207,7 +207,7 @@ class Update:
     def _with_images(
         self, index: torch.Tensor, observations: TensorDict, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor | None]:
-        """What is learnt from instead of the samples, and which of its rows are no images; None: the first ones."""
+        """Returns the batch with mirror images, and its rows that are no images; None: the first rows."""
         if self._mirror is None:
             return observations, actions, None
         both, both_actions = self._mirror.augment(self._env, observations, actions)
@@ -239,7 +239,7 @@ class Update:
             self._device.type,
             dtype=torch.bfloat16,
             enabled=algorithm.mixed_precision == "on",
-            cache_enabled=False,  # a graph reads the weights anew
+            cache_enabled=False,  # a graph reads the weights at each replay
         ):
             with counted(self._networks, samples.counts):
                 ask_policy(actor, observations)
@@ -271,7 +271,7 @@ class Update:
         self._losses += losses
 
     def _write_sums(self, sizes: tuple[int, ...]) -> None:
-        """What this worker has of `_sums`."""
+        """Writes this worker's part of `_sums`."""
         figures = self._backward(sizes)
         gradients = [parameter.grad for parameter in self._parameters if parameter.grad is not None]
         torch.cat([tensor.flatten() for tensor in (*gradients, *figures)], out=self._sums)
@@ -292,7 +292,7 @@ class Update:
         self._advantage_moments.copy_(torch.stack([mean, squares.sqrt()]))
 
     def _normalized(self, advantages: torch.Tensor, n: int) -> torch.Tensor:
-        """Of mean 0 and deviation 1 over the mini-batch, of which the first `n` are this worker's samples."""
+        """Advantages of mean 0 and deviation 1 over the mini-batch; its first `n` rows are this worker's samples."""
         if self._workers.count == 1:
             of_samples = advantages[:n]
             return (advantages - of_samples.mean()) / (of_samples.std() + 1e-8)
@@ -300,7 +300,7 @@ class Update:
         return ((advantages - mean) / (deviation + 1e-8)).float()
 
     def _divergence(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
-        """[2], that from the policy that collected the samples, summed over those that are no images; their number."""
+        """[2]: divergence from the policy that collected the samples, summed over true samples; their number."""
         n, numbers = len(index), self._samples.numbers
         means = numbers["means"][index]
         std = numbers["deviations"][index] if "deviations" in numbers else self._old_std.expand_as(means)

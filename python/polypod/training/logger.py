@@ -1,4 +1,4 @@
-"""What a training run records: rsl_rl's scalars, written once per iteration and never printed."""
+"""Logger of a training: rsl_rl's scalars, written once per iteration and never printed."""
 
 import importlib
 import types
@@ -167,7 +167,7 @@ class TrainingLogger(Logger):
                 self.writer.stop()
 
     def state(self) -> dict[str, Any]:
-        """What a resumed run needs to go on with the same curves."""
+        """State with which a resumed run continues the curves."""
         return {
             "rewards": list(self.rewbuffer),
             "lengths": list(self.lenbuffer),

@@ -1,4 +1,4 @@
-"""What manifests may say: the one place where they are read. Nothing in a manifest names code.
+"""Reader of manifests, with the schema that they must follow. Nothing in a manifest names code.
 
 A class is one of a list, a number has a range, a size is checked before anything is allocated by it. What a manifest
 says beyond this is left out.
@@ -17,20 +17,20 @@ from polypod.files import read_bytes
 
 MAX_LAYER = 65536
 Size = Annotated[int, Meta(ge=1, le=MAX_LAYER)]
-"""Of a layer, an observation or a batch of actions."""
+"""Size of a layer, an observation or a batch of actions."""
 Name = Annotated[str, Meta(min_length=1, max_length=4096)]
 Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 Activation = Literal[
     "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
 ]
-"""Those of rsl_rl."""
+"""Names of rsl_rl's activations."""
 MAX_BYTES = 64 << 20
-"""Of a manifest."""
+"""Largest size of a manifest, bytes."""
 MAX_WEIGHTS = 100_000_000
-"""Of a network: 400 MB in float32."""
+"""Largest number of weights of a network: 400 MB in float32."""
 MAX_SEED = 2**64 - 1
 MAX_ENVS = 2**31 - 1
-"""Of a simulation."""
+"""Largest number of envs of a simulation."""
 
 
 class TermSize(TypedDict):
@@ -48,7 +48,7 @@ class BlockManifest(TypedDict):
 
 
 class TermManifest(TypedDict):
-    """What a network of joints knows of a term, see `polypod.observation.layout_of`."""
+    """Layout of a term for a network of joints, see `polypod.observation.layout_of`."""
 
     term: Name
     size: Size
@@ -117,11 +117,11 @@ class Manifest(TypedDict):
     versions: NotRequired[dict[str, str]]
     git: NotRequired[dict[str, Any] | None]
     checkpoints: NotRequired[dict[str, Sha256]]
-    """Of each checkpoint."""
+    """Checksum of each checkpoint."""
 
 
 class OnnxManifest(TypedDict):
-    """What the metadata of an ONNX policy say, as JSON."""
+    """Metadata of an ONNX policy, as JSON."""
 
     format: Literal[1]
     task: Name
@@ -134,7 +134,7 @@ class OnnxManifest(TypedDict):
 
 
 ONNX_KEYS = tuple(key for key in OnnxManifest.__annotations__ if key != "format")
-"""What they share with `Manifest`."""
+"""Keys that it shares with `Manifest`."""
 
 
 class ExportManifest(TypedDict):
@@ -142,7 +142,7 @@ class ExportManifest(TypedDict):
 
     format: Literal[1]
     files: dict[str, Sha256]
-    """Of the graphs that it describes."""
+    """Checksums of the graphs that it describes."""
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -199,7 +199,7 @@ def _check_layout(manifest: Manifest, path: Path) -> None:
 
 
 def _check_joints(policy: PolicyManifest, path: Path) -> None:
-    """A network of joints has arguments of its own; their sizes must fit one another."""
+    """Checks the arguments of a network of joints, and that their sizes fit one another."""
     missing = [key for key in ("joint_dim", "num_heads", "observation_layout", "joint_names") if key not in policy]
     if missing:
         raise _core.ConfigError(

@@ -21,7 +21,7 @@ from polypod.vector_env import make
 AUTO = "auto"
 """Address: the cluster of this machine if there is one, else a new one for the time of the command."""
 MOST_FAILURES = 10
-"""How often the workers of a training are started anew."""
+"""Largest number of restarts of a training's workers."""
 
 
 def connected(address: str, purpose: str, module: str) -> tuple[Any, Any]:
@@ -136,7 +136,7 @@ def _begun_run(options: session.Options) -> tuple[Path, int]:
 
 
 def _work(config: dict[str, Any]) -> None:
-    """What a worker does, once or after others of its workers have died: from the last checkpoint on."""
+    """Work of one worker; after a failure it continues from the last checkpoint."""
     options, target = config["options"], config["target"]
     workers = Workers.join(options.device == "cuda")
     begun = workers.from_first(lambda: any(options.run.glob("model_*.pt")))

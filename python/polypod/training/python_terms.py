@@ -14,16 +14,16 @@ from polypod.state import State
 from polypod.terms import Reward
 
 MAX_BYTES = 1 << 20
-"""Of the file."""
+"""Largest size of a file of terms, bytes."""
 
 
 @dataclass(frozen=True)
 class PythonTerms:
-    """What a file defines."""
+    """Terms that a file defines."""
 
     path: Path
     sha256: str
-    """Of the file, hexadecimal."""
+    """Checksum of the file, hexadecimal."""
     rewards: Mapping[str, Reward]
     terminations: Mapping[str, Callable[[State], Any]]
 

@@ -1,4 +1,4 @@
-"""What a user sees: a live progress line or plain lines, and tables per robot."""
+"""Output of a training: a live progress line or plain lines, and tables per robot."""
 
 import contextlib
 import dataclasses
@@ -237,7 +237,7 @@ def _conditions(evaluation: Evaluation) -> str:
 
 
 def _named(disturbances: Sequence[str]) -> str:
-    """What disturbs the robots, in words: `events.push_robot.enabled` is push_robot."""
+    """Names of the disturbances: `events.push_robot.enabled` is push_robot."""
     names = [key.removeprefix("events.").removesuffix(".enabled") for key in disturbances]
     noisy, pushed = "observations.enable_noise" in names, "push_robot" in names
     others = [name for name in names if name not in ("observations.enable_noise", "push_robot")]

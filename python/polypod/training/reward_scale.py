@@ -90,7 +90,7 @@ class RewardScale:
         self.count[robot] = total
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
+        """State for a checkpoint."""
         return {"returns": self.returns, "count": self.count, "mean": self.mean, "variance": self.variance}
 
     def restore(self, state: dict[str, Any]) -> None:

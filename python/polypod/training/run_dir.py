@@ -42,12 +42,12 @@ LOCK = ".lock"
 MAX_CHECKPOINT = 4 << 30
 """Bytes of a checkpoint, at most."""
 _NETWORKS = ("actor_state_dict", "critic_state_dict", "student_state_dict", "teacher_state_dict")
-"""Of the learners, where they have them."""
+"""Keys of the networks in checkpoints; a learner has some of them."""
 _DTYPES = (
     *(torch.float32, torch.float64, torch.float16, torch.bfloat16),
     *(torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64),
 )
-"""Of the tensors of a checkpoint."""
+"""Types of the tensors of a checkpoint."""
 _SQUARES = ("._var", "._std", ".count")
 """Ends of the names of statistics that are sums or means of squares, or counts."""
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
@@ -135,7 +135,7 @@ def _matching(runs: Sequence[Path], run: str) -> list[Path]:
 
 
 def _run_name(run: Path) -> str | None:
-    """What `--run-name` added to the name of a run's directory."""
+    """Part of a run directory's name that `--run-name` added."""
     match = _RUN.fullmatch(run.name)
     return match[1] if match is not None else None
 
@@ -345,7 +345,7 @@ def write_params(
 def manifest_of(
     sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
 ) -> dict[str, Any]:
-    """What a policy of this run needs to be used elsewhere, and what made it."""
+    """Manifest of this run: all that its policies need elsewhere, and their origin."""
     infos = json.loads(sim.robot_info())
     return {
         "format": 1,
@@ -377,7 +377,7 @@ def manifest_of(
 
 
 def _joint_map(info: dict[str, Any]) -> list[dict[str, Any]]:
-    """Of each of a robot's slots its name, column, joint, the joint's index and whether it turns the other way (-1)."""
+    """Each slot's name, column, joint, the joint's index and whether it turns the other way (-1)."""
     names, joints = info["joint_names"], info["joint_of_slot"]
     rows = zip(info["slots"], info["columns"], joints, info["slot_signs"], strict=True)
     return [

@@ -33,14 +33,14 @@ STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP")
 SAME_SIGNAL_S = 1.0
 """Time in which a further SIGTERM or SIGHUP is the first one again, s.
 
-Who tells a whole group of processes to end tells make too, which passes it on.
+Tools that end a whole group of processes signal make too, which passes the signal on.
 """
 STATS_INTERVAL = 25
 """Iterations between the per-robot tables."""
 
 
 _STUDENT_AND_TEACHER = {"student": True, "teacher": True, "optimizer": True}
-"""What a resumed distillation loads."""
+"""Parts that a resumed distillation loads."""
 
 
 def check_groups(env: VecEnv, obs_groups: dict[str, list[str]]) -> None:
@@ -120,7 +120,7 @@ class Runner(OnPolicyRunner):
         self.stopped_by: signal.Signals | None = None
         """The first signal that asked the training to end."""
         self._told_all: signal.Signals | None = None
-        """The same of any worker, once all know of it."""
+        """Signal that any worker was told, once all know of it."""
         self.watch: Callable[[int, Mapping[str, float]], None] | None = None
         """Is told the number of finished iterations and the scalars of each."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
@@ -268,7 +268,7 @@ class Runner(OnPolicyRunner):
         with torch.inference_mode():
             self.alg.compute_returns(observations)
             if self.cfg["normalize_advantage_per_robot"]:
-                if self.workers.count > 1:  # rsl_rl has brought each worker's to a scale of its own
+                if self.workers.count > 1:  # rsl_rl has scaled each worker's advantages separately
                     self.alg.storage.advantages = self.alg.storage.returns - self.alg.storage.values
                 normalize_per_robot(self.alg.storage.advantages, self.blocks, self.workers)
         loss: dict[str, float] = self.alg.update()
@@ -364,7 +364,7 @@ class Runner(OnPolicyRunner):
             deviations.limit(self._distribution)
 
     def _of_workers(self) -> dict[str, Any]:
-        """What a checkpoint holds of all workers, for worker 0: whole arrays, and the simulator as of one process."""
+        """State of all workers for a checkpoint, for worker 0: whole arrays, and the simulator as of one process."""
         if self.workers.count == 1:
             return {"sim": self.env.unwrapped.sim.snapshot(), "worker_rng": [], "logger": {}, "reward_scale": {}}
         workers, logger = self.workers, self.logger.state()
@@ -415,7 +415,7 @@ class Runner(OnPolicyRunner):
             torch.cuda.set_rng_state(of_cuda[0].cpu(), self.device)
 
     def _seed_worker(self, seed: int) -> None:
-        """Gives every worker but the first one random streams of its own. Networks begin the same on all."""
+        """Gives every worker but the first one separate random streams. Networks start equal on all."""
         if not self.workers.is_first and self.draws:
             torch.manual_seed(int(np.random.SeedSequence([seed, self.workers.index]).generate_state(1, np.uint64)[0]))
 

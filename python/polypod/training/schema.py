@@ -42,9 +42,9 @@ class RunConfig:
     normalize_advantage_per_robot: bool
     symmetry: bool | str
     learner: str = "rsl_rl"
-    """What learns: native, rsl_rl, or auto. Runs from before there was a choice are rsl_rl's."""
+    """Learner: native, rsl_rl, or auto. Runs of manifests without this key are rsl_rl's."""
     task_changes: list[str] = dataclasses.field(default_factory=list)
-    """What is other in the task that is trained on, as `key=value` of `--set`. Evaluations have the task as it is."""
+    """Task overrides used only during training, as `key=value` of `--set`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +131,7 @@ class ActorConfig(CriticConfig):
 
 
 class Goals(NamedTuple):
-    """What PPO aims at in an iteration."""
+    """Goals of PPO in an iteration."""
 
     entropy_coef: float
     desired_kl: float
@@ -165,7 +165,7 @@ class RndConfig:
 class DistillationConfig:
     """`[distillation]`: `[actor]` learns to act as a teacher does, in place of PPO.
 
-    Of `[algorithm]`, `num_learning_epochs`, `learning_rate` and `max_grad_norm` count.
+    `num_learning_epochs`, `learning_rate` and `max_grad_norm` of `[algorithm]` count.
     """
 
     teacher: str
@@ -203,7 +203,7 @@ class TrainConfig:
         return {"actor": [*groups.actor], "critic": [*groups.critic], **of_rnd}
 
     def goals(self, iteration: int) -> Goals:
-        """What PPO aims at in an iteration, counted from 0."""
+        """Goals of PPO in an iteration, counted from 0."""
         begin = Goals(self.algorithm.entropy_coef, self.algorithm.desired_kl)
         if self.anneal is None:
             return begin
@@ -267,7 +267,7 @@ class TrainConfig:
         return self.rnd is None and self.distillation is None and all(of.class_name != RNN for of in networks)
 
     def _why_not_native(self) -> str | None:
-        """What keeps the native learner from this config."""
+        """Reason why the native learner cannot train this config."""
         if self.rnd is not None:
             return "has no random network distillation, and the train config has [rnd]"
         if self.distillation is not None:
@@ -283,7 +283,7 @@ class TrainConfig:
         return None
 
     def native_options(self) -> dict[str, Any]:
-        """What `polypod._core.Learner` reads."""
+        """Options of `polypod._core.Learner`."""
         run, algorithm = self.run, dataclasses.asdict(self.algorithm)
         for key in ("learning_rate", "mixed_precision"):
             del algorithm[key]

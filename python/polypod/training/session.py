@@ -76,7 +76,7 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What to train, all questions settled."""
+    """A training whose options are all resolved."""
 
     config: TrainConfig
     robots: list[str] | None
@@ -247,7 +247,7 @@ def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
 
 
 def new_plan(options: Options) -> Plan:
-    """What a new run is to train. Raises ConfigError for options that contradict each other or name nothing."""
+    """Plan of a new run. Raises ConfigError for options that contradict each other or name nothing."""
     of_task, of_training = config.split_overrides(options.overrides)
     train_config = config.load(options.train_config or config.DEFAULT, of_training)
     device = _device(options, train_config)
@@ -273,7 +273,7 @@ def new_plan(options: Options) -> Plan:
 
 
 def _resumed_plan(options: Options, workers: Workers) -> Plan:
-    """The plan of the run that is resumed; it goes on as it was begun, so nothing in it may be given anew."""
+    """Plan of a resumed run; it continues unchanged, so its options cannot be given again."""
     fixed: dict[str, Any] = {
         "--task": options.task,
         "--num-envs": options.num_envs,

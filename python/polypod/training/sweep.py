@@ -27,13 +27,13 @@ from polypod.training.workers import Workers, is_among_workers
 
 EVALUATION = "eval.json"
 MAX_BYTES = 1 << 20
-"""Of a sweep's file."""
+"""Largest size of a sweep's file, bytes."""
 MOST_TRIALS = 10_000
 METRIC = "error_vel_xy"
 """Velocity error, m/s, of the exploring policy: the mean over the robots, which early stopping compares."""
 
 Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
-"""Of a config or of robots: part of a folder's name."""
+"""Name of a config or of robots: part of a folder's name."""
 Iterations = Annotated[int, Meta(ge=1, lt=2**31)]
 
 
@@ -57,7 +57,7 @@ class EarlyStopping(msgspec.Struct, forbid_unknown_fields=True):
     grace_iterations: Iterations
     """Iterations that each trial has."""
     reduction_factor: Annotated[float, Meta(gt=1.0, le=100.0)] = 3.0
-    """One of so many goes on."""
+    """Factor by which each round reduces the number of trials."""
 
 
 class SweepFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -65,7 +65,7 @@ class SweepFile(msgspec.Struct, forbid_unknown_fields=True):
 
     seeds: Annotated[list[Annotated[int, Meta(ge=0, lt=2**62)]], Meta(min_length=1)]
     train: TrialOptions = msgspec.field(default_factory=TrialOptions)
-    """What all trials share."""
+    """Options that all trials share."""
     configs: dict[Label, TrialOptions] = {}
     """A group for each, with its own flags on top of those."""
     robots: dict[Label, Annotated[list[str], Meta(min_length=1)]] = {}

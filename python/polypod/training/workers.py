@@ -32,7 +32,7 @@ TIMEOUT = timedelta(minutes=5)
 LOST_S = 20.0
 """How long a worker that meets a broken connection waits for signs of life of those on other hosts, s."""
 SLOW = 1.5
-"""A worker is slow that works so many times as long as the median of all."""
+"""A worker counts as slow if it takes this many times the median of all workers."""
 
 
 class LostWorkerError(_core.ConfigError):
@@ -95,7 +95,7 @@ class Workers:
 
     @property
     def backend(self) -> str:
-        """What carries tensors of GPUs: nccl or gloo; none for one process."""
+        """Backend that carries tensors of GPUs: nccl or gloo; none for one process."""
         if self.count == 1:
             return "none"
         return "nccl" if "nccl" in dist.get_backend_config() else "gloo"
@@ -181,11 +181,11 @@ class Workers:
         return lengths
 
     def gather_messages(self, mine: Any) -> list[Any]:
-        """What every worker has to say: numbers, text, bytes, and lists and dicts of these."""
+        """Messages of all workers: numbers, text, bytes, and lists and dicts of these."""
         return [msgspec.msgpack.decode(data) for data in self.gather_bytes(msgspec.msgpack.encode(mine))]
 
     def from_first(self, say: Callable[[], _T]) -> _T:
-        """What worker 0 has to say.
+        """Message of worker 0.
 
         Raises:
             SystemExit: in the others where `say` raises, as it does in worker 0.
@@ -313,12 +313,12 @@ def is_among_workers() -> bool:
 
 
 def _gpu() -> str:
-    """What tells the GPU of this process from all others of all hosts."""
+    """Identifier of this process's GPU, unique over all hosts."""
     return str(torch.cuda.get_device_properties(torch.cuda.current_device()).uuid)
 
 
 def _backend(store: Any, index: int, count: int, gpu: str) -> str:
-    """What carries the tensors: NCCL between GPUs where each worker has one of its own, else gloo.
+    """Backend of the tensors: NCCL where each worker has a separate GPU, else gloo.
 
     NCCL refuses workers that share a GPU. gloo sums tensors of GPUs by way of the CPU.
 
