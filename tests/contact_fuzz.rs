@@ -23,7 +23,8 @@ const MARGIN: f64 = 0.02;
 const EXACT: f64 = 1e-5;
 /// Shapes sit this far from their body's origin, along each axis, m.
 const LEVER: f64 = 0.3;
-/// Largest rest of the coupling of friction and normal impulse after eight sweeps in one step at up to 2 m/s and 3 rad/s, m.
+/// Largest rest of the coupling of friction and normal impulse after eight sweeps in one step at up to 2 m/s and
+/// 3 rad/s, m.
 /// (Measured: 2.5 mm at most; 86 of 16,500 bodies above `EXACT`, of which 200 sweeps leave 7.)
 const UNSOLVED: f64 = 3e-3;
 /// The lowest point of a rim is looked for when the cylinder leans by more than this, rad.

@@ -12,8 +12,8 @@ const RANDOM_S: f64 = 3.0;
 const TARGET_S: f64 = 0.25;
 const PASSIVE_S: f64 = 1.0;
 
-/// Energy that passive joints win after random targets, as a height of the robot, m, and the largest contact force over its weight, with physics
-/// steps of `dt` s.
+/// Energy that passive joints win after random targets, as a height of the robot, m, and the largest contact force
+/// over its weight, with physics steps of `dt` s.
 fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
     let options = SimulationOptions { dt, ..SimulationOptions::new(robot.to_string(), ENVS) };
     let mut sim = Simulation::new(&options).unwrap();

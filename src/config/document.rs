@@ -93,7 +93,7 @@ pub(super) fn documents(kind: Kind, roots: &[PathBuf]) -> Result<Vec<Document>, 
     Ok(documents)
 }
 
-/// Those of [`documents`] whose stem is `name`, without a look at the others.
+/// Entries of [`documents`] whose stem is `name`; other files are not read.
 ///
 /// # Errors
 /// As [`documents`].

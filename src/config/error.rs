@@ -2,7 +2,7 @@
 
 use crate::bounds::with_short_numbers;
 
-/// What sort of mistake a [`ConfigError`] reports; callers map it to their own exceptions.
+/// Sort of mistake that a [`ConfigError`] reports; callers map it to their own exceptions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ConfigErrorKind {
@@ -22,15 +22,15 @@ pub enum ConfigErrorKind {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{file}: {element}: {problem}; {remedy}")]
 pub struct ConfigError {
-    /// What sort of mistake it is.
+    /// Sort of mistake.
     pub kind: ConfigErrorKind,
     /// The file that holds the mistake, `--set` for an override.
     pub file: String,
     /// Dotted key such as `rewards.trot.gait.weight`, or a position such as `line 3, column 5`.
     pub element: String,
-    /// What is wrong.
+    /// Problem of the element.
     pub problem: String,
-    /// What to do about it.
+    /// Remedy.
     pub remedy: String,
 }
 

@@ -94,7 +94,7 @@ impl Layers {
     }
 }
 
-/// What stands for the file in errors about overrides.
+/// Name that stands for the file in errors about overrides.
 pub(super) const OVERRIDE: &str = "--set";
 
 /// Puts `above` on top of `below`: tables are merged; a table in the place of an array changes those of its elements that it
@@ -106,7 +106,7 @@ pub(super) fn merge(below: &mut Table, above: Table) -> Result<(), ConfigError> 
     merge_at(below, above, "")
 }
 
-/// The same of tables at `path`.
+/// Merges tables at `path`.
 fn merge_at(below: &mut Table, above: Table, path: &str) -> Result<(), ConfigError> {
     for (key, value) in above {
         let here = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
@@ -132,7 +132,7 @@ fn merge_at(below: &mut Table, above: Table, path: &str) -> Result<(), ConfigErr
     Ok(())
 }
 
-/// What an element of an array is called: its `name`, or its `term`.
+/// Name of an element of an array: its `name`, or its `term`.
 fn element_name(item: &Value) -> Option<&str> {
     ["name", "term"].iter().find_map(|key| item.get(key)?.as_str())
 }
@@ -143,7 +143,7 @@ pub(super) fn element_index(items: &[Value], key: &str) -> Option<usize> {
     index.filter(|index| *index < items.len())
 }
 
-/// That an array has no such element.
+/// Error about an array that has no such element.
 pub(super) fn unknown_element(items: &[Value], element: &str, key: &str) -> ConfigError {
     let known: Vec<String> = items
         .iter()
@@ -233,7 +233,7 @@ fn known_depth(table: &Table, merged: &Table, path: &str) -> usize {
     depth
 }
 
-/// What a table or an array holds under a key.
+/// Value under a key of a table or an array.
 fn element<'a>(value: &'a Value, key: &str) -> Option<&'a Value> {
     match value {
         Value::Table(inner) => inner.get(key),

@@ -99,8 +99,9 @@ pub struct TrainFile {
 }
 
 impl Library {
-    /// A library of the roots `extra`, then those of the environment variable [`PATH_VARIABLE`], then what is built in.
-    /// What comes first wins. A root is laid out like this repository: `configs/robots`, `configs/tasks`, `assets/robots`.
+    /// A library of the roots `extra`, then those of the environment variable [`PATH_VARIABLE`], then what is built
+    /// in. The first root wins. A root is laid out like this repository: `configs/robots`, `configs/tasks`,
+    /// `assets/robots`.
     #[must_use]
     pub fn new(extra: Vec<PathBuf>) -> Self {
         let from_env = std::env::var_os(PATH_VARIABLE).unwrap_or_default();
@@ -116,7 +117,7 @@ impl Library {
         self.robot_with(name_or_path, None)
     }
 
-    /// A robot as a task has it: with the task's `[robot_overrides]` on top.
+    /// A robot in a task: with the task's `[robot_overrides]` on top.
     ///
     /// # Errors
     /// As [`Library::robots_in`].
@@ -125,7 +126,8 @@ impl Library {
         self.robot_with(name_or_path, Some(task))
     }
 
-    /// Robots, by name or path, as a task has them: with the task's `[robot_overrides]` on top, by name or by a path's stem.
+    /// Robots, by name or path, as a task has them: with the task's `[robot_overrides]` on top, by name or by a
+    /// path's stem.
     ///
     /// # Errors
     /// As [`Library::robot`]; overrides or shares of a robot that does not exist.
@@ -218,9 +220,9 @@ impl Library {
         Ok(networks)
     }
 
-    /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`, in order.
-    /// Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out. The Play variant of a task that has no file for
-    /// one is made, see [`Library::play_task`].
+    /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`,
+    /// in order. Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out. The Play variant of a
+    /// task that has no file for one is made, see [`Library::play_task`].
     ///
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config or in an override.
@@ -235,8 +237,8 @@ impl Library {
         Ok(LoadedTask { config, resolved, hash })
     }
 
-    /// The name of the Play variant of a task, for [`Library::task`]: without noise, pushes, randomisation and curriculum. It is the one
-    /// that has a file, or else one that is made. A Play variant is its own.
+    /// The name of the Play variant of a task, for [`Library::task`]: without noise, pushes, randomisation and
+    /// curriculum. It is the one that has a file, or else one that is made. A Play variant is its own.
     ///
     /// # Errors
     /// Unknown name, unreadable file.
@@ -259,8 +261,8 @@ impl Library {
         }
     }
 
-    /// The file `configs/train/<name>.toml`, or that of a path to a `.toml`, that is not among the files `above` by their ids:
-    /// a file may extend the one of the same name that it hides.
+    /// The file `configs/train/<name>.toml`, or that of a path to a `.toml`, that is not among the files `above` by
+    /// their ids: a file may extend the one of the same name that it hides.
     ///
     /// # Errors
     /// Unknown name, unreadable file, a file that extends itself.
@@ -323,8 +325,8 @@ impl Library {
         Ok(tasks)
     }
 
-    /// What [`Library::robots`] and [`Library::tasks`] leave out: the errors of files that cannot be read, are not TOML or
-    /// extend what cannot be extended. Using one of their names gives the same error.
+    /// Files that [`Library::robots`] and [`Library::tasks`] leave out: the errors of files that cannot be read, are
+    /// not TOML or extend what cannot be extended. Using one of their names gives the same error.
     ///
     /// # Errors
     /// A root that is no folder, an unreadable folder.
@@ -552,8 +554,8 @@ impl Library {
         Ok(listed)
     }
 
-    /// Path and content of a file that a robot's config names: beside the configs, in their roots, in the library's roots, among the
-    /// built-in assets.
+    /// Path and content of a file that a robot's config names: beside the configs, in their roots, in the library's
+    /// roots, among the built-in assets.
     fn beside(
         &self,
         layers: &Layers,

@@ -51,7 +51,7 @@ pub struct TrainEntry {
     pub title: String,
 }
 
-/// What a task file says about its names.
+/// Names in a task file.
 pub(super) struct TaskNames {
     /// Full name.
     pub name: String,

@@ -150,7 +150,7 @@ fn unknown<'a>(key: &str, known: impl IntoIterator<Item = &'a str>, walked: &[St
         .of_kind(ConfigErrorKind::UnknownKey)
 }
 
-/// That a task has no table which other tasks have.
+/// Error about a task without a table which other tasks have.
 fn no_such_table(table: &str) -> ConfigError {
     let remedy =
         format!("set all of it, as in {table}={{ ... }}, or begin with a task that has it, such as velocity_rough");

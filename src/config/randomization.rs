@@ -1,4 +1,4 @@
-//! What a robot's config says about randomisation: ranges that a task's `[events]` draw from.
+//! Randomisation in a robot's config: ranges that a task's `[events]` draw from.
 
 use serde::{Deserialize, Serialize};
 
@@ -97,7 +97,7 @@ pub struct BaseComOffset {
     pub z: [f64; 2],
 }
 
-/// What a drawn number does to a value; names and meaning are Isaac Lab's, but for `add_effort_share`.
+/// Operation of a drawn number on a value; names and meaning are Isaac Lab's, but for `add_effort_share`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Operation {
@@ -130,7 +130,7 @@ pub enum Distribution {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, try_from = "UncheckedDraw")]
 pub struct Draw {
-    /// What the drawn number does to the value; a negative result becomes 0. Default: scale.
+    /// Operation of the drawn number on the value; a negative result becomes 0. Default: scale.
     pub operation: Operation,
     /// How it is drawn. Default: uniform.
     pub distribution: Distribution,

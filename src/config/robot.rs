@@ -19,9 +19,9 @@ use super::suggest::did_you_mean;
 use super::task::VelocityCommandConfig;
 use super::values;
 
-/// What a robot's URDF does not say: default pose, actuators, reset and randomisation. SI units.
-/// Canonical joints are named by limb and role, such as `LF_HFE` or `L_HIP_YAW`; their order is that of the policy's action, and
-/// their positive directions are those of [`Role`](crate::robot::Role), whichever way the URDF's axes turn.
+/// Data that a robot's URDF lacks: default pose, actuators, reset and randomisation. SI units. Canonical joints are
+/// named by limb and role, such as `LF_HFE` or `L_HIP_YAW`; their order is that of the policy's action, and their
+/// positive directions are those of [`Role`](crate::robot::Role), whichever way the URDF's axes turn.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
@@ -39,8 +39,8 @@ pub struct RobotConfig {
     /// Whether the robot's own links may collide with one another. Default: no.
     #[serde(default)]
     pub self_collisions: bool,
-    /// Why the robot cannot stand in its default pose without a policy. Default: it stands. No part of a resolved task: it
-    /// says something about the robot and sets nothing.
+    /// Why the robot cannot stand in its default pose without a policy. Default: it stands. No part of a resolved
+    /// task: it says something about the robot and sets nothing.
     #[serde(default, skip_serializing)]
     pub needs_policy: Option<String>,
     /// Joint angles of the default pose by canonical joint, rad; each joint, in the canonical direction.
@@ -48,7 +48,7 @@ pub struct RobotConfig {
     pub default_pose: BTreeMap<String, f64>,
     /// Groups of actuators; every canonical joint is in exactly one.
     pub actuators: BTreeMap<String, ActuatorConfig>,
-    /// What the robot may be told to do.
+    /// Limits of the robot's commands.
     #[serde(default, skip_serializing_if = "CommandLimitsConfig::is_empty")]
     pub commands: CommandLimitsConfig,
     /// How an episode begins.
@@ -63,7 +63,8 @@ pub struct RobotConfig {
     /// Canonical joint -> joint of the URDF, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub joint_roles: BTreeMap<String, String>,
-    /// Leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> link of the URDF that is its foot, where geometry alone does not tell.
+    /// Leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> link of the URDF that is its foot, where geometry alone
+    /// does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub feet: BTreeMap<String, String>,
     /// Links of the URDF by group of bodies, where geometry alone does not tell.
@@ -106,7 +107,7 @@ pub struct ActuatorConfig {
         skip_serializing_if = "Option::is_none"
     )]
     pub effort_limit: Option<f64>,
-    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, networks may have it, no other model has it.
+    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, networks may have it, other models may not.
     #[serde(
         default,
         deserialize_with = "values::optional_of::<TorqueLimit, _, _>",
@@ -138,15 +139,15 @@ pub struct ActuatorConfig {
         skip_serializing_if = "Option::is_none"
     )]
     pub joint_damping: Option<f64>,
-    /// Let the gains act on the beginning of each physics step, as a motor controller at its rate would. Default: on its
-    /// end, which stays stable with any gains.
+    /// Let the gains act on the beginning of each physics step, as a motor controller at its rate would. Default: on
+    /// its end, which stays stable with any gains.
     #[serde(default)]
     pub explicit: bool,
     /// Fewest and most physics steps by which targets come late, both included; only `delayed_pd`. Default: none.
     #[serde(default)]
     pub delay: [u32; 2],
-    /// Largest torque over the joint angle in the canonical direction: rows of `[rad, N m]`, linear in between, constant beyond
-    /// the ends.
+    /// Largest torque over the joint angle in the canonical direction: rows of `[rad, N m]`, linear in between,
+    /// constant beyond the ends.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub effort_table: Vec<[f64; 2]>,
     /// ONNX file of a network that drives each joint of the group; looked for like the URDF.
@@ -158,24 +159,25 @@ pub struct ActuatorConfig {
     /// Whether position errors or velocities come first; `actuator_net_mlp` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub input_order: Option<InputOrder>,
-    /// Which past position errors and velocities are inputs, in physics steps ago, 0 the present; `actuator_net_mlp` alone.
+    /// Ages of the position errors and velocities that are inputs, in physics steps, 0 the present;
+    /// `actuator_net_mlp` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub input_idx: Option<Vec<u32>>,
-    /// What position errors (target less position, rad) are multiplied by; `actuator_net_mlp` alone.
+    /// Factor on position errors (target less position, rad); `actuator_net_mlp` alone.
     #[serde(
         deserialize_with = "values::optional_of::<Factor, _, _>",
         default,
         skip_serializing_if = "Option::is_none"
     )]
     pub pos_scale: Option<f64>,
-    /// What velocities (rad/s) are multiplied by; `actuator_net_mlp` alone.
+    /// Factor on velocities (rad/s); `actuator_net_mlp` alone.
     #[serde(
         deserialize_with = "values::optional_of::<Factor, _, _>",
         default,
         skip_serializing_if = "Option::is_none"
     )]
     pub vel_scale: Option<f64>,
-    /// What the network's output is multiplied by, N m; `actuator_net_mlp` alone.
+    /// Factor on the network's output, N m; `actuator_net_mlp` alone.
     #[serde(
         deserialize_with = "values::optional_of::<Factor, _, _>",
         default,
@@ -244,7 +246,7 @@ pub struct BodiesConfig {
     pub thigh: Vec<String>,
     /// Below the knee.
     pub shank: Vec<String>,
-    /// What stands on the ground.
+    /// Bodies that stand on the ground.
     pub foot: Vec<String>,
     /// Parts of an arm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -252,7 +254,7 @@ pub struct BodiesConfig {
     /// Parts of a head.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub head: Vec<String>,
-    /// What belongs to none of these, though it is fixed to one: a head on the trunk, say.
+    /// Bodies that belong to none of these, though they are fixed to one: a head on the trunk, say.
     pub other: Vec<String>,
 }
 
@@ -280,7 +282,7 @@ impl CommandLimitsConfig {
     }
 }
 
-/// Limits of velocity commands, base frame. A task draws from the part of its own ranges that lies within them.
+/// Limits of velocity commands, base frame. A task draws from the part of its ranges that lies within them.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VelocityLimitsConfig {
@@ -307,12 +309,12 @@ pub struct ResetConfig {
     /// Each of the six components of the base velocity, world frame, m/s and rad/s. Default: 0.
     #[serde(deserialize_with = "range_config::<BaseVelocity, _>")]
     pub base_velocity: RangeConfig,
-    /// Share of each joint's range, about its middle, that resets stay within. Default: 1. A joint without two limits has no
-    /// range: resets stay within the limit that it has.
+    /// Share of each joint's range, about its middle, that resets stay within. Default: 1. A joint without two limits
+    /// has no range: resets stay within the limit that it has.
     #[serde(deserialize_with = "values::fraction")]
     pub soft_limit_factor: f64,
-    /// Distance between the lowest foot of the default pose and the ground, and the least one of any collision shape in any
-    /// pose, m. Default: 0.02.
+    /// Distance between the lowest foot of the default pose and the ground, and the least one of any collision shape
+    /// in any pose, m. Default: 0.02.
     #[serde(deserialize_with = "values::number_of::<Rise, _, _>")]
     pub spawn_margin: f64,
 }
@@ -333,14 +335,14 @@ impl Default for ResetConfig {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointPositionReset {
-    /// What the drawn number does.
+    /// Operation of the drawn number.
     pub mode: JointPositionMode,
     /// Factor, or angle in rad.
     #[serde(deserialize_with = "values::range_of::<Angle, _, _>")]
     pub range: [f64; 2],
 }
 
-/// What a drawn number does to a default joint angle.
+/// Operation of a drawn number on a default joint angle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointPositionMode {
@@ -469,8 +471,8 @@ impl RobotConfig {
         )
     }
 
-    /// Checks what no single value can tell; errors name the robot in place of a file. Which joints the robot has is known
-    /// once its URDF is read.
+    /// Checks what no single value can tell; errors name the robot in place of a file. Which joints the robot has is
+    /// known once its URDF is read.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         self.check_slots("default_pose", self.default_pose.keys())?;
         self.refuse_missing(self.corners())?;
@@ -485,7 +487,7 @@ impl RobotConfig {
         self.check_names("feet", self.feet.keys(), &legs.collect::<Vec<_>>())
     }
 
-    /// Joints of a quadruped that its legs must have, as one of them has it.
+    /// Joints that one leg of a quadruped has and every leg must have.
     fn corners(&self) -> impl Iterator<Item = &'static str> {
         let roles = crate::robot::ROLES.into_iter().filter(|role| {
             let mut corners = CANONICAL_JOINT_NAMES.into_iter().filter(|joint| joint.ends_with(role));
@@ -584,7 +586,7 @@ impl RobotConfig {
         Ok(())
     }
 
-    /// What a model needs of gains and of a network.
+    /// Checks the gains and the network that a model needs.
     fn validate_network(&self, at: &str, actuator: &ActuatorConfig) -> Result<(), ConfigError> {
         let model = actuator.model;
         let missing = |keys: &[(&str, bool)]| -> Vec<String> {
@@ -677,8 +679,9 @@ fn named(model: ActuatorModel) -> String {
     format!("\"{name}\"")
 }
 
-/// Steps of the coarsest equally spaced grid that holds the angles of an effort table, each rounded as little as the grid's size
-/// allows: to 1e-6 rad, which most files do themselves, to 1e-5 or to 1e-4. None where the grid would be too large.
+/// Steps of the coarsest equally spaced grid that holds the angles of an effort table, each rounded as little as the
+/// grid's size allows: to 1e-6 rad, which most files do themselves, to 1e-5 or to 1e-4. None where the grid would be
+/// too large.
 pub(crate) fn table_steps(rows: &[[f64; 2]]) -> Option<u64> {
     let divisor = |mut a: u64, mut b: u64| {
         while b > 0 {

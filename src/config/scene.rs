@@ -21,7 +21,7 @@ const SMALLEST_LENGTH: f64 = 1e-6;
 /// Heights that are below the ground by no more than this are level with it, m.
 const FLUSH: f64 = 1e-6;
 
-/// What the robots stand on.
+/// Ground and obstacles.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SceneConfig {
@@ -30,7 +30,7 @@ pub struct SceneConfig {
     /// Generated ground, in place of the plane, with the ground's surface.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub terrain: Option<TerrainConfig>,
-    /// What stands on it, with the ground's surface.
+    /// Obstacles on the ground, with the ground's surface.
     pub obstacles: Vec<ObstacleConfig>,
     /// Where obstacles stand. Default: in every env.
     pub placement: Placement,
@@ -121,7 +121,7 @@ pub enum ObstacleConfig {
     Box {
         /// Edge lengths, m.
         size: [f64; 3],
-        /// Of the centre.
+        /// Position of the centre.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -131,7 +131,7 @@ pub enum ObstacleConfig {
     Sphere {
         /// m.
         radius: f64,
-        /// Of the centre.
+        /// Position of the centre.
         position: [f64; 3],
     },
     /// A cylinder about its centre, upright unless it is turned.
@@ -140,7 +140,7 @@ pub enum ObstacleConfig {
         radius: f64,
         /// m.
         length: f64,
-        /// Of the centre.
+        /// Position of the centre.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -152,7 +152,7 @@ pub enum ObstacleConfig {
         radius: f64,
         /// Between the centres of the ends, m.
         length: f64,
-        /// Of the centre.
+        /// Position of the centre.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -162,7 +162,7 @@ pub enum ObstacleConfig {
     Ramp {
         /// Length, width and height of the upper end, m.
         size: [f64; 3],
-        /// Of the middle of the underside.
+        /// Position of the middle of the underside.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -174,7 +174,7 @@ pub enum ObstacleConfig {
         size: [f64; 3],
         /// Number of steps.
         steps: u32,
-        /// Of the middle of the underside.
+        /// Position of the middle of the underside.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -189,7 +189,7 @@ pub enum ObstacleConfig {
         /// Factor along each of the mesh's own axes, above 0. Default: 1.
         #[serde(default = "unscaled")]
         scale: [f64; 3],
-        /// Of the mesh's origin.
+        /// Position of the mesh's origin.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -208,7 +208,7 @@ pub enum ObstacleConfig {
         size: [f64; 2],
         /// `heights[i][j]`, m: `i` along x, `j` along y; at least two of each.
         heights: Vec<Vec<f64>>,
-        /// Of the middle, at height zero.
+        /// Position of the middle, at height zero.
         position: [f64; 3],
         /// Roll, pitch, yaw.
         #[serde(default)]
@@ -221,7 +221,7 @@ fn unscaled() -> [f64; 3] {
 }
 
 impl SceneConfig {
-    /// What no single value can tell: element, problem and remedy.
+    /// Problem that no single value shows: element, problem and remedy.
     pub(super) fn problem(&self) -> Option<(String, &'static str, &'static str)> {
         if let Some(terrain) = &self.terrain {
             if let Some(problem) = terrain.problem() {

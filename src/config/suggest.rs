@@ -1,6 +1,6 @@
 //! Nearest known names, for error messages.
 
-/// How alike two names must be (0 to 1) before one is suggested for the other.
+/// Least similarity of two names (0 to 1) for which one is suggested for the other.
 const SIMILARITY: f64 = 0.6;
 
 /// At most three of `known`, the most similar to `name` first; empty when none is similar.

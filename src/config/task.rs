@@ -20,7 +20,7 @@ use super::values;
 use crate::bounds::{MAX_DECIMATION, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
 use crate::dynamics::SWEEPS;
 
-/// What the robots are to do, where, and how they are rewarded. SI units; world z up, base x forward, y left.
+/// Commands, scene and rewards of the robots. SI units; world z up, base x forward, y left.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaskConfig {
@@ -36,7 +36,7 @@ pub struct TaskConfig {
     /// How many shares of the envs each robot has, by its name; robots that are not named have one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty", deserialize_with = "values::env_shares")]
     pub env_shares: BTreeMap<String, u32>,
-    /// What this task changes in robots' configs, by the robot's name: tables laid out like `configs/robots/*.toml`.
+    /// Changes of this task to robots' configs, by the robot's name: tables laid out like `configs/robots/*.toml`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub robot_overrides: BTreeMap<String, Table>,
     /// Time and space.
@@ -44,24 +44,24 @@ pub struct TaskConfig {
     /// Engine and its settings.
     #[serde(default)]
     pub physics: PhysicsConfig,
-    /// What the robots stand on.
+    /// Ground and obstacles.
     #[serde(default)]
     pub scene: SceneConfig,
     /// Surface of the robots where no event randomises it.
     pub robot_material: MaterialConfig,
-    /// What the policy is told to do.
+    /// Commands of the policy.
     pub commands: CommandsConfig,
     /// Sensors beyond those that every robot has.
     #[serde(default)]
     pub sensors: SensorsConfig,
-    /// What the policy sees.
+    /// Observations of the policy.
     pub observations: ObservationsConfig,
     /// Parameters of each termination term, by the term's name.
     pub terminations: BTreeMap<String, Table>,
     /// Randomisation and disturbances, by the term's name.
     #[serde(default)]
     pub events: BTreeMap<String, EventConfig>,
-    /// What grows harder or easier from episode to episode, by the term's name.
+    /// Changes of difficulty from episode to episode, by the term's name.
     #[serde(default)]
     pub curriculum: BTreeMap<String, CurriculumConfig>,
     /// Reward sets: set name -> term name -> weight and parameters. A robot's `reward_set` picks one.
@@ -122,7 +122,7 @@ pub const AVIAN_SUBSTEPS: usize = 8;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PhysicsConfig {
-    /// Which engine. Default: articulated.
+    /// Engine. Default: articulated.
     pub engine: EngineKind,
     /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.
     #[serde(deserialize_with = "values::count_up_to::<MAX_SWEEPS, _>")]
@@ -302,7 +302,7 @@ impl HeightScannerConfig {
     }
 }
 
-/// What the policy sees, and further groups of terms, such as what a critic sees in training.
+/// Observations of the policy, and further groups of terms, such as a critic's in training.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ObservationsConfig {
     /// Whether the terms' noise is added. Default: yes.
@@ -369,7 +369,7 @@ pub struct ObservationTerm {
     /// Half width of the uniform noise on each element, in the term's units. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<Noise, _, _>")]
     pub noise: f64,
-    /// What the noisy numbers are limited to, in the term's units. Default: nothing.
+    /// Limits of the noisy numbers, in the term's units. Default: no limits.
     #[serde(
         default,
         deserialize_with = "values::optional_range_of::<Bound, _, _>",

@@ -25,7 +25,7 @@ pub struct TerrainConfig {
     /// Distance of the vertices of height fields, m. Default: 0.1.
     #[serde(default = "horizontal_scale", deserialize_with = "values::number_of::<Length, _, _>")]
     pub horizontal_scale: f64,
-    /// What the heights of height fields are multiples of, m. Default: 0.005.
+    /// Step of the heights of height fields, m. Default: 0.005.
     #[serde(default = "vertical_scale", deserialize_with = "values::number_of::<Spacing, _, _>")]
     pub vertical_scale: f64,
     /// Faces of height fields that are steeper than this become vertical, rise over run. Default: 0.75.
@@ -34,7 +34,7 @@ pub struct TerrainConfig {
     /// Difficulty of the first and beyond the last row. Default: 0 to 1.
     #[serde(default = "difficulty_range", deserialize_with = "values::range_of::<Difficulty, _, _>")]
     pub difficulty_range: [f64; 2],
-    /// Which envs get which column. Default: every robot meets all of them alike.
+    /// Columns of the envs. Default: every robot meets all of them equally often.
     #[serde(default)]
     pub columns: Columns,
     /// Seed of everything that is random in the terrain. Default: 0.
@@ -47,7 +47,7 @@ pub struct TerrainConfig {
     pub sub_terrains: Vec<SubTerrainConfig>,
 }
 
-/// Which envs get which column of tiles.
+/// Assignment of columns of tiles to envs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Columns {
@@ -77,17 +77,17 @@ fn difficulty_range() -> [f64; 2] {
 /// One type of tile.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct SubTerrainConfig {
-    /// What it is called in logs.
+    /// Name in logs.
     pub name: String,
     /// Share of the columns, in proportion to those of the other types.
     #[serde(deserialize_with = "values::number_of::<Proportion, _, _>")]
     pub proportion: f64,
-    /// What it looks like.
+    /// Shape of the tile.
     #[serde(flatten)]
     pub shape: SubTerrainShape,
 }
 
-/// What a tile looks like. Ranges go from difficulty 0 to difficulty 1, lengths are in m.
+/// Shape of a tile. Ranges go from difficulty 0 to difficulty 1, lengths are in m.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum SubTerrainShape {
@@ -176,7 +176,7 @@ const MOST_VERTICES: f64 = 4000.0;
 const MOST_VERTICES_IN_ALL: f64 = 8e6;
 
 impl TerrainConfig {
-    /// What no single value can tell: element, problem and remedy.
+    /// Problem that no single value shows: element, problem and remedy.
     pub(super) fn problem(&self) -> Option<(String, &'static str, &'static str)> {
         let own = |element: &str, problem, remedy| Some((format!("scene.terrain.{element}"), problem, remedy));
         let [x, y] = self.size;
@@ -208,7 +208,7 @@ impl TerrainConfig {
         })
     }
 
-    /// Which type each column has.
+    /// Type of each column.
     pub fn column_types(&self) -> Vec<usize> {
         let total: f64 = self.sub_terrains.iter().map(|sub| sub.proportion).sum();
         (0..self.num_cols)
@@ -244,7 +244,7 @@ impl SubTerrainShape {
         }
     }
 
-    /// What is wrong with it on a tile of this edge length, and the remedy.
+    /// Problem of the shape on a tile of this edge length, and the remedy.
     fn problem(&self, size: f64) -> Option<(&'static str, &'static str)> {
         let (inner, platform) = match self {
             Self::Flat {} => return None,

@@ -1,5 +1,5 @@
 //! Checked values: functions for `#[serde(deserialize_with = "...")]`, for the types of this module and for the parameters
-//! of terms alike. Each error message holds the problem and, after a semicolon, the remedy.
+//! of terms. Each error message holds the problem and, after a semicolon, the remedy.
 
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
@@ -36,7 +36,7 @@ impl<'de, Q: Quantity> Deserialize<'de> for Of<Q> {
     }
 }
 
-/// The number, if the quantity has it.
+/// The number, if it lies in the quantity's range.
 fn within<Q: Quantity, E: Error>(number: f64) -> Result<f64, E> {
     let (least, most, unit) = (Shown(Q::LEAST), Shown(Q::MOST), Q::UNIT);
     let shown = Shown(number);

@@ -6,7 +6,8 @@ use super::colliders::add_pairs;
 use super::model::{Geometry, JointKind, Model, Shape};
 use crate::dynamics::{Axis, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology};
 
-/// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it by impulses that may be zero.
+/// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it by impulses that
+/// may be zero.
 pub const FASTEST: f64 = 1e9;
 /// Rims of cylinders are represented by this many points each.
 const RIM_POINTS: usize = 3;
@@ -24,7 +25,7 @@ pub struct Site {
 /// joint offsets and axes; `align` leads there from the URDF's axes.
 #[derive(Clone, Debug)]
 pub struct Articulation {
-    /// What robots of the kind share.
+    /// Topology that robots of the kind share.
     pub topology: Topology,
     /// Their numbers: those of the URDF, no gains, no friction with the ground.
     pub parameters: Parameters<f64>,
@@ -117,8 +118,8 @@ impl Articulation {
     }
 }
 
-/// Limits about the middle of a joint's range, `share` of which lies between them. A joint without two limits has no range
-/// and keeps what limits it has.
+/// Limits about the middle of a joint's range, `share` of which lies between them. A joint without two limits has no
+/// range and keeps what limits it has.
 pub fn soft_limits([lower, upper]: [f32; 2], share: f32) -> [f32; 2] {
     if !(lower.is_finite() && upper.is_finite()) {
         return [lower, upper];
@@ -160,9 +161,9 @@ impl Candidate {
     }
 }
 
-/// Whether a candidate lies inside a sphere of its own link, which then always touches first: a corner of the shank inside the
-/// foot. Of two equal ones of a body the first is kept. Candidates are in the order of their links; `spheres` are those that are
-/// one.
+/// Whether a candidate lies inside a sphere of the same link, which then always touches first: a corner of the shank
+/// in the foot. Of two equal ones of a body the first is kept. Candidates are in the order of their links; `spheres`
+/// are those that are one.
 fn is_hidden(candidates: &[Candidate], spheres: &[usize], i: usize) -> bool {
     let c = &candidates[i];
     let covers = |k: usize, sphere: &Candidate| {

@@ -1,4 +1,4 @@
-//! Which link's frame is the base's. The frame of an empty root, such as a footprint on the ground, says nothing of the body
+//! Choice of the base's link. The frame of an empty root, such as a footprint on the ground, says nothing of the body
 //! that hangs on it.
 
 use std::collections::BTreeMap;
@@ -15,7 +15,7 @@ use super::tree::Tree;
 
 /// A link with less than this share of the robot's mass is no body.
 const LIGHT: f64 = 0.01;
-/// What is fixed to an empty root beside the body has at most this share of the robot's mass.
+/// Largest share of the robot's mass that links fixed to an empty root next to the body may have.
 const BESIDE: f64 = 0.25;
 /// Rotations and distances below this, rad and m, are none.
 const NEAR: f64 = 1e-6;
@@ -38,7 +38,7 @@ impl Base {
     }
 }
 
-/// What may be the base of a robot.
+/// Candidates for the base of a robot.
 pub(super) struct Bases {
     /// The body below an empty root, or the root; then the links above whose axes are turned against it.
     pub candidates: Vec<Base>,
@@ -78,7 +78,7 @@ impl Bases {
         Self { candidates, root, is_open }
     }
 
-    /// What to tell of `chosen`, one of the candidates.
+    /// Notice about `chosen`, one of the candidates.
     pub fn notice(&self, robot: &urdf_rs::Robot, tree: &Tree, chosen: &Base, file: &Path) -> Option<Warning> {
         let name = |link: usize| robot.links[link].name.as_str();
         let (root, body) = (name(tree.root), name(self.candidates[0].link));
@@ -134,7 +134,7 @@ fn angle(pose: &Pose) -> f64 {
     sine.iter().map(|s| s * s).sum::<f64>().sqrt().atan2(trace - 1.0)
 }
 
-/// What hangs on each link.
+/// Links below each link.
 struct Below<'a> {
     robot: &'a urdf_rs::Robot,
     tree: &'a Tree,

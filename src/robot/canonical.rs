@@ -30,13 +30,13 @@ const SHAPES: [&str; 5] = ["sphere", "box", "cylinder", "capsule", "mesh"];
 const MAX_LINKS: usize = 4096;
 /// Collision shapes of a file.
 const MAX_SHAPES: usize = 4096;
-/// What unexpanded xacro begins with, in any attribute.
+/// Beginnings of unexpanded xacro, in any attribute.
 const MACROS: [&str; 3] = ["${", "$(", "xacro:"];
 const EXPAND: &str = "expand xacro first: `xacro robot.urdf.xacro > robot.urdf`";
 /// Characters of an attribute that an error shows.
 const SHOWN: usize = 80;
 
-/// What the first pass hands on.
+/// Result of the first pass.
 pub(super) struct Canonical {
     /// URDF text holding only checked elements, with all defaults written out.
     pub text: String,
@@ -320,7 +320,7 @@ impl Writer<'_> {
         };
         self.open("axis", &[("xyz", &numbers(&axis))], true);
 
-        // What is left out has no limit, as in URDF 1.2; merging warns of it.
+        // A limit that is left out is no limit, as in URDF 1.2; merging warns of it.
         let mut limits = [
             ("lower", f64::NEG_INFINITY),
             ("upper", f64::INFINITY),

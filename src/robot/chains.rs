@@ -148,7 +148,7 @@ impl<'a> ZeroPose<'a> {
         }
     }
 
-    /// Which limbs stand on the ground: those that reach down as far as any.
+    /// Limbs that stand on the ground: they reach down as far as the lowest one.
     pub fn grounded(&self, limbs: &[LimbChain]) -> Vec<usize> {
         let bottoms: Vec<f64> = limbs.iter().map(|limb| feet::lowest_below(self, limb.joints[0])).collect();
         let top = limbs.iter().map(|limb| self.position(limb.joints[0]).z).fold(f64::NEG_INFINITY, f64::max);

@@ -1,4 +1,4 @@
-//! What a URDF is read as, for people.
+//! Description of a URDF for people.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};

@@ -1,4 +1,4 @@
-//! Which parts of a robot may touch each other, and the simple shapes that stand for them.
+//! Pairs of parts that may touch each other, and the simple shapes that stand for the parts.
 
 use std::f64::consts::PI;
 
@@ -91,7 +91,7 @@ fn are_apart(model: &Model, a: usize, b: usize) -> bool {
     a != b && model.parent(a) != Some(b) && model.parent(b) != Some(a)
 }
 
-/// Which pairs are apart in the reference pose and near each other in some other.
+/// Pairs that are apart in the reference pose and near each other in another.
 fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]) -> Vec<bool> {
     let mut work = Workspace::new(topology);
     let still = vec![0.0; topology.num_joints()];
@@ -125,7 +125,7 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
     meet
 }
 
-/// What stands for a shape: the shape itself where it is a sphere, a capsule or a long cylinder, else a box followed by
+/// Colliders of a shape: the shape itself where it is a sphere, a capsule or a long cylinder, else a box followed by
 /// the longest capsule inside it.
 fn shape_colliders(shape: &Shape, link: usize, body: usize, align: DMat3) -> Vec<Collider> {
     let centre = align * shape.origin.translation;

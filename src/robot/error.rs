@@ -1,4 +1,4 @@
-//! What went wrong with a robot description, where, and what to do about it.
+//! Errors about a robot description: element, problem and remedy.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -14,15 +14,15 @@ pub struct Diagnosis {
     pub file: PathBuf,
     /// The element at fault, e.g. `joint "hip"`.
     pub element: String,
-    /// What is wrong with it.
+    /// Problem of the element.
     pub problem: String,
-    /// What the reader can do about it.
+    /// Remedy.
     pub remedy: String,
-    /// What it is about.
+    /// Topic of the error.
     pub topic: Topic,
 }
 
-/// What a finding is about, as far as a caller treats it in a way of its own.
+/// Topic of an error, as far as callers treat it in a special way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Topic {
     /// Anything else.

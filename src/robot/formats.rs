@@ -40,7 +40,7 @@ pub(super) fn recognised(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     })
 }
 
-/// What a document is whose root element is not `<robot>`, by that element.
+/// Format of a document whose root element is not `<robot>`, by that element.
 pub(super) fn of_root(tag: &str) -> String {
     match tag {
         "mujoco" => "this is a MuJoCo (MJCF, mujoco) file: export the robot as URDF".to_string(),

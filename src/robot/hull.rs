@@ -9,8 +9,8 @@ use parry3d::shape::Triangle;
 
 /// A hull has at most this many points: the simulator tests each of them against the ground.
 pub(super) const MAX_POINTS: usize = 32;
-/// Of more points than this, only the extreme ones along [`DIRECTIONS`] directions and a few go on: it bounds the work,
-/// and the recursion of the hull algorithm.
+/// Largest number of points that are all kept. Of more, only the extreme ones along [`DIRECTIONS`] directions and a
+/// few go on: it bounds the work, and the recursion of the hull algorithm.
 const MANY: usize = 4096;
 const DIRECTIONS: usize = 1024;
 /// A hull with all its corners that leaves a point farther outside than this, relative to its size, has failed.
@@ -59,7 +59,8 @@ fn reduced(frame: &Frame, all: &[DVec3], extreme: &[DVec3]) -> Option<Hull> {
     let whole = corners.len() <= MAX_POINTS;
     let mut points = corners.clone();
     if !whole {
-        // What sticks out most comes first; then, one after another, what the hull so far leaves out most.
+        // the point that sticks out most comes first; then, one after another, the point that is farthest outside the
+        // hull so far
         points = frame.extreme(&corners, lattice_directions());
         while points.len() < MAX_POINTS {
             match frame.facets(&points)?.farthest(&corners) {
@@ -97,7 +98,8 @@ impl Frame {
         points.iter().copied().filter(|point| seen.insert(key(self.stretched(*point)))).collect()
     }
 
-    /// The points that reach farthest along each direction, without repetitions; of points that reach equally far the last.
+    /// The points that reach farthest along each direction, without repetitions; of points that reach equally far the
+    /// last.
     fn extreme(&self, points: &[DVec3], directions: impl Iterator<Item = DVec3>) -> Vec<DVec3> {
         let stretched: Vec<DVec3> = points.iter().map(|point| self.stretched(*point).as_dvec3()).collect();
         let cells = Cells::new(&stretched);
@@ -147,7 +149,7 @@ struct Cells {
 impl Cells {
     /// Cells along each axis.
     const SIDE: usize = 16;
-    /// What rounding may add to a reach, of points in the unit cube along directions of length two at most.
+    /// Largest rounding error of a reach, for points in the unit cube along directions of length two at most.
     const ROUNDING: f64 = 1e-12;
 
     fn new(points: &[DVec3]) -> Self {
@@ -261,7 +263,7 @@ impl Facets {
     }
 }
 
-/// The bits of a point, zeros of both signs alike.
+/// The bits of a point; zeros of both signs have the same.
 fn key(point: Vec3) -> [u32; 3] {
     (point + 0.0).to_array().map(f32::to_bits)
 }

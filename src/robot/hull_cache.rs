@@ -12,7 +12,7 @@ use super::mesh;
 /// Hulls that are kept. One has at most [`hull::MAX_POINTS`] points, so that all together take a few MB.
 const MOST: usize = 4096;
 
-/// What a mesh is taken for.
+/// Hull that stands for a mesh.
 #[derive(Clone, Debug)]
 pub(super) struct Taken {
     /// See [`hull::Hull`].
@@ -21,7 +21,7 @@ pub(super) struct Taken {
     pub boxed: bool,
     /// Number of vertices in the file.
     pub count: usize,
-    /// What was assumed of the file, for a warning.
+    /// Assumption about the file, for a warning.
     pub assumed: Option<String>,
 }
 

@@ -47,7 +47,7 @@ impl MassProperties {
         numbers.into_iter().all(|number| number.abs() <= largest)
     }
 
-    /// What keeps the inertia from being that of a rigid body.
+    /// Reason why the inertia cannot be that of a rigid body.
     pub fn inertia_fault(&self) -> Option<InertiaFault> {
         let [small, middle, large] = principal_moments(&self.inertia);
         if large <= 0.0 || small <= RANK_TOLERANCE * large {

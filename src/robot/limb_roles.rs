@@ -1,4 +1,4 @@
-//! What each joint of a limb does, told from its axis with all joints at zero.
+//! Roles of the joints of a limb, told from their axes with all joints at zero.
 
 use glam::{DQuat, DVec3};
 
@@ -33,7 +33,8 @@ impl ZeroPose<'_> {
         }
     }
 
-    /// Likewise for a chain: of axes halfway between x and z, the first is yaw where the chain has no other, then roll.
+    /// Turns of the joints of a chain: of axes halfway between x and z, the first is yaw where the chain has no
+    /// other, then roll.
     fn turns_of(&self, chain: &[usize]) -> Vec<Turn> {
         let is_between = |joint: usize| {
             let axis = self.axis(joint).abs();
@@ -107,7 +108,8 @@ impl ZeroPose<'_> {
         is_wheel.then_some(others.len())
     }
 
-    /// The horizontal axis to the left of the direction in which a leg points away from the body; `None` for one that hangs.
+    /// The horizontal axis to the left of the direction in which a leg points away from the body; `None` for one that
+    /// hangs.
     pub(super) fn lift_axis(&self, chain: &[usize], foot: DVec3) -> Option<DVec3> {
         let out = foot - self.position(*chain.first()?);
         let out = DVec3::new(out.x, out.y, 0.0).try_normalize()?;

@@ -110,11 +110,12 @@ impl Place {
     }
 }
 
-/// What a joint does in its limb. The order is that of the slots; each says about which axis its positive direction turns,
-/// with all joints at zero: x forward, y left, z up of the base.
+/// Role of a joint in its limb. The order is that of the slots; each says about which axis its positive direction
+/// turns, with all joints at zero: x forward, y left, z up of the base.
 ///
-/// Legs at corners that move in a plane along the body have HAA, HFE and KFE. Legs that turn about z and lift (hexapods,
-/// spiders) lift about the horizontal axis to the left of the direction in which the leg points away from the body.
+/// Legs at corners that move in a plane along the body have HAA, HFE and KFE. Legs that turn about z and lift
+/// (hexapods, spiders) lift about the horizontal axis to the left of the direction in which the leg points away from
+/// the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
     /// Hip abduction, x.
@@ -147,9 +148,9 @@ pub enum Role {
     Toe,
     /// Torso, head, tail or an arm in the middle: about z.
     Yaw,
-    /// Likewise, about x.
+    /// Torso, head, tail or an arm in the middle: about x.
     Roll,
-    /// Likewise, about y.
+    /// Torso, head, tail or an arm in the middle: about y.
     Pitch,
     /// Shoulder about y.
     ShoulderPitch,
@@ -286,9 +287,9 @@ impl Role {
 /// A column of the action: a role of a limb. Slots are ordered by role, then by limb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Slot {
-    /// What the joint does.
+    /// Role of the joint.
     pub role: Role,
-    /// Which of the limb's joints of this role, counted from the base, from 0.
+    /// Number of the joint among the limb's joints of this role, counted from the base, from 0.
     pub nth: u8,
     /// Where the limb is.
     pub place: Place,
@@ -333,7 +334,7 @@ impl fmt::Display for Slot {
     }
 }
 
-/// What a limb is for.
+/// Purpose of a limb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LimbKind {
     /// Stands on the ground.
@@ -353,19 +354,19 @@ pub enum LimbKind {
 pub struct LimbJoint {
     /// Index in [`Model::joints`](super::Model::joints).
     pub joint: usize,
-    /// What it does, and which column of the action it is.
+    /// Slot of the joint: role, and column of the action.
     pub slot: Slot,
     /// 1 where the URDF's axis has the direction that the role states, and -1 where it is turned round.
     pub sign: f64,
 }
 
-/// What a leg touches the ground with.
+/// Part of a leg that touches the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Foot {
     /// Index in [`Model::bodies`](super::Model::bodies).
     pub body: usize,
-    /// Centre of the foot's sphere, or the middle of what is lowest of it at zero joint positions, in the frame of the link
-    /// that carries it, m.
+    /// Centre of the foot's sphere, or the middle of what is lowest of it at zero joint positions, in the frame of
+    /// the link that carries it, m.
     pub point: DVec3,
     /// Radius of the foot's sphere, or 0, m.
     pub radius: f64,
@@ -376,11 +377,11 @@ pub struct Foot {
 pub struct Limb {
     /// Where it is.
     pub place: Place,
-    /// What it is for.
+    /// Purpose of the limb.
     pub kind: LimbKind,
     /// From the base to its end.
     pub joints: Vec<LimbJoint>,
-    /// Of a leg.
+    /// Foot of a leg.
     pub foot: Option<Foot>,
 }
 
@@ -400,7 +401,8 @@ pub struct Roles {
     pub slots: Vec<Slot>,
     /// For each of `slots`, the index in [`Model::joints`](super::Model::joints).
     pub joint_of_slot: Vec<usize>,
-    /// For each of `slots`, 1 where the joint's axis has the direction that the role states, and -1 where it is turned round.
+    /// For each of `slots`, 1 where the joint's axis has the direction that the role states, and -1 where it is
+    /// turned round.
     pub sign_of_slot: Vec<f64>,
     /// The places of the legs, in order: those of the feet.
     pub legs: Vec<Place>,
@@ -413,7 +415,7 @@ pub struct Roles {
 }
 
 impl Roles {
-    /// Of limbs whose slots differ.
+    /// Makes the roles of limbs whose slots differ.
     pub(super) fn new(mut limbs: Vec<Limb>) -> Self {
         limbs.sort_by_key(|limb| (limb.kind != LimbKind::Leg, limb.place));
         let mut joints: Vec<LimbJoint> = limbs.iter().flat_map(|limb| limb.joints.iter().copied()).collect();
@@ -436,7 +438,7 @@ impl Roles {
         self.slots.binary_search(&slot).ok().map(|at| self.joint_of_slot[at])
     }
 
-    /// What the body is called.
+    /// Name of the body's class.
     pub fn class(&self) -> &'static str {
         let has_arms = self.limbs.iter().any(|limb| limb.kind == LimbKind::Arm);
         match self.legs.len() {

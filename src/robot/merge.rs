@@ -262,7 +262,7 @@ impl Merger<'_> {
         self.parts.push(parts);
     }
 
-    /// What each joint lets its child do.
+    /// Motion of the child of each joint.
     fn motions(&self) -> Result<Vec<Motion>, RobotError> {
         let motion = |(index, joint)| match self.tree.dropped_joint {
             Some(dropped) if dropped == index => Ok(Motion::Dropped),
@@ -486,7 +486,7 @@ impl Merger<'_> {
     }
 }
 
-/// What a joint lets its child do.
+/// Motion that a joint allows its child.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Motion {
     /// Nothing: it stays at this pose in the parent.

@@ -25,7 +25,7 @@ const STL_TRIANGLE: usize = 50;
 /// The vertices of a mesh in its file's own axes, m.
 pub(super) struct Vertices {
     pub points: Vec<DVec3>,
-    /// What was assumed, for a warning.
+    /// Assumption about the file, for a warning.
     pub assumed: Option<String>,
 }
 
@@ -92,7 +92,7 @@ pub(crate) fn read_surface(path: &Path) -> Result<Surface, String> {
     if surface.triangles.is_empty() { Err("it has no triangles".to_string()) } else { Ok(surface) }
 }
 
-/// What is in a file, and its ending in small letters.
+/// Content of a file, and its ending in small letters.
 ///
 /// # Errors
 /// What keeps it from being read, as a clause.
@@ -294,7 +294,7 @@ impl<'a, 'd> Scene<'a, 'd> {
         Ok(points)
     }
 
-    /// What the `url` or `source` of `node` names.
+    /// Element that the `url` or `source` of `node` names.
     fn target(&self, node: Node<'a, 'd>) -> Result<Node<'a, 'd>, String> {
         let name = node.attribute("url").or_else(|| node.attribute("source")).unwrap_or_default();
         let target = name.strip_prefix('#').and_then(|id| self.by_id.get(id));

@@ -1,4 +1,4 @@
-//! What a reading left out or held, as the cause of other errors.
+//! Omissions and holds of a reading, as the cause of other errors.
 
 use super::error::{Diagnosis, RobotError, Topic};
 use super::model::Model;

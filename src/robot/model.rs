@@ -24,11 +24,11 @@ pub struct Model {
     /// reordered as little as possible so that it does.
     pub joints: Vec<Joint>,
     /// Every URDF link with collision shapes, in the file's order: a foot fixed to a shank stays
-    /// a contact body of its own although its mass is part of the shank.
+    /// a separate contact body although its mass is part of the shank.
     pub bodies: Vec<Body>,
     /// Joints that options lock, by name.
     pub locked: Vec<LockedJoint>,
-    /// What was assumed while reading; the caller decides where to show it.
+    /// Assumptions made while reading; the caller decides where to show them.
     pub warnings: Vec<Warning>,
 }
 
@@ -131,13 +131,13 @@ pub struct Body {
 /// A collision shape.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
-    /// What it is.
+    /// Geometry of the shape.
     pub geometry: Geometry,
     /// The shape's frame in the frame of the link that carries it.
     pub origin: Pose,
 }
 
-/// Geometry about the origin of its own frame; cylinders and capsules lie along z. m.
+/// Geometry about the origin of its frame; cylinders and capsules lie along z. m.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "shape", rename_all = "snake_case")]
 pub enum Geometry {

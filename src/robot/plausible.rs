@@ -15,7 +15,7 @@ use super::pose::Pose;
 
 /// Longest offset and largest shape of a robot, m.
 pub(super) const LARGEST_LENGTH: f64 = 5.0;
-/// An offset or shape longer than this, m, and than so many times what is usual in the robot is as suspicious.
+/// Length, m, beyond which an offset or shape is suspicious if it is also many times the usual one of the robot.
 const LONG: f64 = 1.0;
 const TIMES_USUAL: f64 = 20.0;
 /// A mesh smaller than this is a mesh in m with a scale for mm, m.
@@ -103,7 +103,7 @@ impl Extent {
         self.high = self.high.max(other.high);
     }
 
-    /// Of a shape in the frame of its link.
+    /// Size of a shape in the frame of its link.
     fn of(shape: &Shape) -> Self {
         let mut extent = Self::EMPTY;
         let half = match &shape.geometry {

@@ -1,4 +1,4 @@
-//! Which joint is which: limbs, the roles of their joints, and feet, told apart by geometry.
+//! Limbs, the roles of their joints, and feet, told apart by geometry.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +16,7 @@ use super::upper::{UpperChain, upper_chains};
 /// Chains that an error lists.
 const LISTED: usize = 12;
 
-/// What part of the robot a contact body is, and as terms name it in configs.
+/// Part of the robot that a contact body belongs to; terms name it in configs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BodyGroup {
@@ -24,11 +24,11 @@ pub enum BodyGroup {
     Base,
     /// Part of the torso: a link between the base and other limbs.
     Torso,
-    /// Of a leg, above the thigh.
+    /// Part of a leg above the thigh.
     Hip,
-    /// Of a leg, what the knee hangs on.
+    /// Part of a leg above the knee.
     Thigh,
-    /// Of a leg, below the knee, but not the foot.
+    /// Part of a leg below the knee, without the foot.
     Shank,
     /// The foot of a leg.
     Foot,
@@ -41,7 +41,7 @@ pub enum BodyGroup {
     Other,
 }
 
-/// What a config names.
+/// Names in a config.
 #[derive(Default)]
 pub(super) struct Overrides {
     pub joints: BTreeMap<Slot, usize>,

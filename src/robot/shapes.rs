@@ -14,7 +14,7 @@ use super::plausible::LARGEST_LENGTH;
 use super::pose::Pose;
 use super::urdf::LoadOptions;
 
-/// Of what moves together, parts lighter than this share of the heaviest are no limb's end.
+/// Among parts that move together, parts lighter than this share of the heaviest are no limb's end.
 const SUBSTANTIAL: f64 = 0.1;
 /// Links lighter than this have token inertias, kg.
 const TOKEN: f64 = 1e-3;

@@ -41,7 +41,7 @@ pub fn unequal_sides(model: &Model, roles: &Roles) -> Vec<Warning> {
     warnings
 }
 
-/// What differs between two limbs, a clause each.
+/// Differences between two limbs, a clause each.
 fn differences(model: &Model, left: &Limb, right: &Limb) -> Vec<String> {
     let mut found = Vec::new();
     if left.joints.len() != right.joints.len() {

@@ -1,4 +1,4 @@
-//! Which joint hangs which link on which; refuses everything that is not one tree.
+//! Tree of the links; refuses everything that is not one tree.
 
 use std::collections::HashMap;
 use std::path::Path;

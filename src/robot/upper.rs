@@ -1,4 +1,4 @@
-//! Which limbs that are no legs are arms, heads and tails.
+//! Arms, heads and tails: the limbs that are no legs.
 
 use std::collections::BTreeSet;
 
@@ -33,7 +33,7 @@ struct Measured {
     twigs: Vec<usize>,
     /// Position of the first joint, m.
     at: DVec3,
-    /// Of all that the first joint carries, kg.
+    /// Mass that the first joint carries, kg.
     mass: f64,
     /// Centre of mass of that, m.
     centre: DVec3,

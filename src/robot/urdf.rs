@@ -12,21 +12,21 @@ use super::model::Model;
 use super::tree::Tree;
 use crate::files;
 
-/// What the URDF itself cannot say.
+/// Options that the URDF itself cannot hold.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
     /// Directory of each package in `package://<package>/...` mesh names.
     pub package_dirs: BTreeMap<String, PathBuf>,
     /// Joints to hold at a position (rad or m): they become part of their parent link.
     pub locked_joints: BTreeMap<String, f64>,
-    /// What becomes of joints that mimic others.
+    /// Treatment of joints that mimic others.
     pub coupled: Coupled,
     /// Keeps the root of the file as the base, also where it is an empty link: for a base that is fixed to the world, whose
     /// root says where it stands.
     pub keeps_root: bool,
 }
 
-/// What becomes of joints that mimic others, since coupled joints are not modelled.
+/// Treatment of joints that mimic others, since coupled joints are not modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coupled {
     /// They are refused unless they are locked.

@@ -80,7 +80,7 @@ fn find(bytes: &[u8], from: usize, wanted: &[u8]) -> Option<usize> {
     bytes.get(from..)?.windows(wanted.len()).position(|window| window == wanted).map(|place| from + place)
 }
 
-/// What is counted of a tag.
+/// Counts of a tag.
 struct Tag {
     attributes: usize,
     namespaces: usize,

@@ -49,7 +49,8 @@ const LOOKS: usize = 10;
 const UNLIMITED: f64 = 3.0;
 /// How far a robot at rest may be in the ground, m.
 const MAX_DEPTH: f64 = 0.01;
-/// Energy that contacts may add to passive joints, as a height of the whole robot, m: what is pushed out of a penetration rises.
+/// Energy that contacts may add to passive joints, as a height of the whole robot, m: what is pushed out of a
+/// penetration rises.
 const MAX_LIFT: f64 = 0.01;
 /// How far a joint may be past a limit, rad or m.
 const MAX_OVER_LIMIT: f64 = 0.02;
@@ -222,9 +223,9 @@ impl Worst {
 
 /// Energy that passive joints win: in all, and by contacts: the work of their forces and the lift of resolved depths.
 ///
-/// The work of impulses `p` over a step is `p . (v0 + v1) / 2`, with the velocities before and after it. They are what velocities differ
-/// by from those of the same step with nothing to touch: `p = M (v1 - v)`. The rest of what is won is the integrator's, which is of the
-/// first order; a fast joint shows it.
+/// The work of impulses `p` over a step is `p . (v0 + v1) / 2`, with the velocities before and after it. They are
+/// what velocities differ by from those of the same step with nothing to touch: `p = M (v1 - v)`. The rest of what is
+/// won is the integrator's, which is of the first order; a fast joint shows it.
 struct Energy {
     dt: f64,
     weight: f64,
@@ -309,8 +310,8 @@ impl Energy {
     }
 }
 
-/// Work of the impulses that change velocities from `free` to `after` in a step that begins with `before`, all `[nv]`, J; `mass` is
-/// `[nv, nv]`.
+/// Work of the impulses that change velocities from `free` to `after` in a step that begins with `before`, all
+/// `[nv]`, J; `mass` is `[nv, nv]`.
 fn work(mass: &[f64], before: &[f64], after: &[f64], free: &[f64]) -> f64 {
     let mut work = 0.0;
     for (row, (v0, v1)) in mass.chunks(before.len()).zip(before.iter().zip(after)) {
