@@ -33,9 +33,7 @@ WHEEL ?=
 # Where cargo-nextest is, which runs the tests of Rust if it is installed; `cargo test` runs the same ones.
 NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 
-# The bundled policies, and how they are filmed.
-SHIPPED := $(wildcard assets/policies/flat_universal/model_*.pt)
-SHIPPED_ROUGH := $(wildcard assets/policies/rough_universal/model_*.pt)
+# How the bundled policies are filmed.
 FILM_ROUGH := --command 0.6 0 0 --warm-up 2 --seconds 4 --fps 6 --size 640 360 --set scene.terrain.max_init_terrain_level=1
 FOUR := unitree_go1,spot,anymal_c,unitree_b2
 FILM_FOUR := --robots $(FOUR) --size 560 260
@@ -72,16 +70,16 @@ endef
 
 # Three commands of an installed polypod, $(1).
 define play_shipped
-$(1) eval --checkpoint $(abspath $(SHIPPED)) --num-envs 128
-$(1) play --checkpoint $(abspath $(SHIPPED)) --headless --seconds 20 --command 0.5 0 0
-$(1) play --checkpoint $(abspath $(SHIPPED)) $(FILM) --video $(abspath logs/demo/eight_robots.gif)
+$(1) eval --checkpoint flat --num-envs 128
+$(1) play --checkpoint flat --headless --seconds 20 --command 0.5 0 0
+$(1) play --checkpoint flat $(FILM) --video $(abspath logs/demo/eight_robots.gif)
 endef
 
 ifeq ($(WHEEL),)
 demo: $(VENV)/.extension ## Play the bundled policy: evaluate it on all eight robots and film them, without a display
 	$(call play_shipped,$(BIN)/polypod)
 else
-# A new environment in a folder of its own: nothing of the checkout but the policy is in reach.
+# A new environment in a separate folder: nothing of the checkout is in reach.
 demo: $(VENV)/.requirements
 	$(eval folder := $(shell mktemp -d))
 	$(call install_wheel,$(WHEEL),$(folder)/venv)

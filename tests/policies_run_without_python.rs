@@ -20,7 +20,7 @@ fn root() -> PathBuf {
 }
 
 fn shipped() -> PathBuf {
-    root().join("assets/policies/flat_universal/exported/policy.onnx")
+    root().join("python/polypod/policies/flat_universal/exported/policy.onnx")
 }
 
 #[test]

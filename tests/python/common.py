@@ -44,8 +44,10 @@ PLAY_TERRAIN = ("scene.terrain.num_rows=5", "scene.terrain.num_cols=10", "scene.
 TINY: dict[str, Any] = {"num_envs": 64, "robots": ROBOTS, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
 """Options of a training that takes about a second."""
 
-_POLICIES = Path(__file__).parents[2] / "assets" / "policies"
+_ROOT = Path(__file__).parents[2]
+_POLICIES = _ROOT / "python" / "polypod" / "policies"
 (FLAT_POLICY,) = (_POLICIES / "flat_universal").glob("model_*.pt")
 (ROUGH_POLICY,) = (_POLICIES / "rough_universal").glob("model_*.pt")
 (LEGGED_POLICY,) = (_POLICIES / "legged_masked").glob("model_*.pt")
-"""The checkpoints that come along."""
+"""The bundled checkpoints."""
+ROBOT_FOLDER = _ROOT / "assets" / "robots"

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from common import FLAT_POLICY, size
+from common import FLAT_POLICY, ROBOT_FOLDER, size
 
 DELAYS = size((0.02,), (0.001, 0.005, 0.02, 0.05))
 """Between the beginning of a call and the signal, s."""
@@ -42,7 +42,7 @@ print(polypod.Simulation("spot", num_envs=2).qpos.shape)
 @pytest.mark.parametrize("call", ["make", "simulation", "terrain", "draft"])
 def test_an_interrupt_during_construction_is_no_panic(call, delay):
     """In a fresh interpreter, where no array was made before: the crate `numpy` loads NumPy with the first one."""
-    urdf = str(FLAT_POLICY.parents[2] / "robots" / "anymal_c" / "robot.urdf")
+    urdf = str(ROBOT_FOLDER / "anymal_c" / "robot.urdf")
     command = [sys.executable, "-c", CONSTRUCTION, call, str(delay), urdf]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
@@ -68,7 +68,7 @@ COMMANDS = {
     "robustness": ("--checkpoint", str(FLAT_POLICY), "--robots", "spot", "--conditions", "nominal"),
     "eval": ("--checkpoint", str(FLAT_POLICY)),
     "play": ("--checkpoint", str(FLAT_POLICY), "--headless"),
-    "robot": ("new", str(FLAT_POLICY.parents[2] / "robots" / "anymal_c" / "robot.urdf"), "--out", "drafted.toml"),
+    "robot": ("new", str(ROBOT_FOLDER / "anymal_c" / "robot.urdf"), "--out", "drafted.toml"),
     "train": ("--num-envs", "64", "--max-iterations", "1000", "--logger", "none"),
 }
 
