@@ -4,8 +4,8 @@
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
+use polypod::blocks::Blocks;
 use polypod::components::{Episode, JointEffort, Robot};
-use polypod::rows::Rows;
 use polypod::systems::{
     ControlStep, PipelineSet, PolypodPlugins, Setup, SetupSet, TermKind, TermSpec, add_observation,
 };
@@ -36,14 +36,16 @@ fn add_temperatures(mut commands: Commands, robots: Query<Entity, With<Robot>>) 
 
 /// Copper losses grow with the square of the effort; a new episode begins cold.
 fn warm_motors(
-    mut robots: Rows<(&'static JointEffort, &'static mut MotorTemperature), Robot>,
-    envs: Rows<&'static Episode, polypod::components::Env>,
+    mut robots: Blocks<(&'static JointEffort, &'static mut MotorTemperature), Robot>,
+    envs: Blocks<&'static Episode, polypod::components::Env>,
 ) -> Result {
-    let (efforts, temperatures) = robots.write()?;
-    for ((effort, temperature), episode) in efforts.iter().zip(temperatures).zip(envs.read()?) {
-        let losses: f32 = effort.applied.iter().map(|torque| torque * torque).sum();
-        let before = if episode.fresh { 0.0 } else { temperature.0 };
-        temperature.0 = 0.999 * before + 1e-5 * losses;
+    for block in robots.write()?.zip(envs.read()?) {
+        let ((efforts, temperatures), episodes) = block.rows;
+        for ((effort, temperature), episode) in efforts.iter().zip(temperatures).zip(episodes) {
+            let losses: f32 = effort.applied.iter().map(|torque| torque * torque).sum();
+            let before = if episode.fresh { 0.0 } else { temperature.0 };
+            temperature.0 = 0.999 * before + 1e-5 * losses;
+        }
     }
     Ok(())
 }

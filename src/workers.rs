@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use bevy_ecs::prelude::*;
 
 use crate::bounds::MAX_THREADS;
-use crate::dynamics::lanes::{self, Kernel, Real, Simd, SimdDispatch};
+use crate::dynamics::lanes::{self, Real, Simd, SimdDispatch};
 use crate::thread_team::ThreadTeam;
 
 /// Something with rows that can be cut in two.
@@ -26,6 +26,15 @@ impl<T: Sync> SplitRows for &[T] {
 impl<T: Send> SplitRows for &mut [T] {
     fn split_rows(self, n: usize) -> (Self, Self) {
         self.split_at_mut(n)
+    }
+}
+
+impl<R: SplitRows> SplitRows for Option<R> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        self.map_or((None, None), |rows| {
+            let (first, rest) = rows.split_rows(n);
+            (Some(first), Some(rest))
+        })
     }
 }
 
@@ -71,6 +80,11 @@ split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2, K k1 k2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2, K k1 k2, L l1 l2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2, K k1 k2, L l1 l2, M m1 m2);
+split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2, K k1 k2, L l1 l2, M m1 m2, N n1 n2);
 
 /// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
 #[derive(Resource)]
@@ -125,33 +139,35 @@ impl Workers {
 
     /// Calls `f(first row, rows)` on chunks that together are all `len` rows.
     pub fn for_each_chunk<R: SplitRows>(&self, rows: R, len: usize, f: impl Fn(usize, usize, R) + Sync) {
-        let threads = self.threads.min(len.div_ceil(ROWS_PER_THREAD).max(2));
-        let Some(team) = self.team.as_ref().filter(|_| len > MIN_CHUNK) else {
-            return f(0, len, rows);
-        };
-        let (mut rest, mut start) = (Some(rows), 0);
-        let chunks = std::iter::from_fn(|| {
-            let rows = rest.take()?;
-            let (first, n) = (start, share(len - start, MIN_CHUNK, threads));
-            start += n;
-            if start == len {
-                return Some((first, n, rows));
-            }
-            let (part, more) = rows.split_rows(n);
-            rest = Some(more);
-            Some((first, n, part))
-        });
-        team.for_each(chunks, threads, |(first, n, part)| f(first, n, part));
+        self.for_each_chunk_of(std::iter::once(((), len, rows)), len, |(), first, n, rows| f(first, n, rows));
     }
 
-    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
-    pub fn vectorize_chunks<R: SplitRows, K: Kernel<f32, Output = ()>>(
+    /// Calls `f(piece, first row, number of rows, rows)` on chunks of pieces, each given with its number of rows; these add up to
+    /// `len`. No chunk has rows of two pieces.
+    pub fn for_each_chunk_of<P: Copy + Send, R: SplitRows>(
         &self,
-        rows: R,
+        pieces: impl Iterator<Item = (P, usize, R)>,
         len: usize,
-        kernel: impl Fn(usize, usize, R) -> K + Sync,
+        f: impl Fn(P, usize, usize, R) + Sync,
     ) {
-        self.for_each_chunk(rows, len, |first, n, rows| self.dispatch.vectorize(kernel(first, n, rows)));
+        let threads = self.threads.min(len.div_ceil(ROWS_PER_THREAD).max(2));
+        let Some(team) = self.team.as_ref().filter(|_| len > MIN_CHUNK) else {
+            return pieces.for_each(|(piece, n, rows)| f(piece, 0, n, rows));
+        };
+        let (mut pieces, mut rest, mut left) = (pieces, None, len);
+        let chunks = std::iter::from_fn(|| {
+            let next = || pieces.next().map(|(piece, n, rows)| (piece, 0, n, rows));
+            let (piece, first, n, rows): (P, usize, usize, R) = rest.take().or_else(next)?;
+            let taken = share(left, MIN_CHUNK, threads).min(n);
+            left -= taken;
+            if taken == n {
+                return Some((piece, first, n, rows));
+            }
+            let (part, more) = rows.split_rows(taken);
+            rest = Some((piece, first + taken, n - taken, more));
+            Some((piece, first, taken, part))
+        });
+        team.for_each(chunks, threads, |(piece, first, n, part)| f(piece, first, n, part));
     }
 
     /// Runs `f(task)` on every task, in parallel.

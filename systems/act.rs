@@ -5,10 +5,10 @@ use bevy_ecs::prelude::*;
 
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
-use crate::components::{Action, JointTargets, Morphology, Robot, Stance};
+use crate::blocks::{Block, Blocks};
+use crate::components::{Action, JointTargets, Robot, Stance};
 use crate::dynamics::lanes::Kernel;
-use crate::morphology::Morphologies;
-use crate::rows::Rows;
+use crate::morphology::{Morphologies, MorphologyModel};
 use crate::workers::{MatrixRows, Workers};
 
 /// Turns actions into joint targets.
@@ -29,26 +29,19 @@ pub(super) fn apply_actions(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     mut batch: ResMut<Batch>,
-    mut robots: Rows<(&'static Morphology, &'static Stance, &'static mut Action, &'static mut JointTargets), Robot>,
+    mut robots: Blocks<(&'static Stance, &'static mut Action, &'static mut JointTargets), Robot>,
 ) -> Result {
     let width = batch.num_actions;
     let raw = MatrixRows { data: &mut batch.actions[..], width };
-    let (tags, stances, actions, targets) = robots.write()?;
-    let rows = (tags, stances, actions, targets, raw);
-    workers.vectorize_chunks(rows, tags.len(), |_, _, (tags, stances, actions, targets, raw)| ActionRows {
-        morphologies: &morphologies,
-        tags,
-        stances,
-        actions,
-        targets,
-        raw,
+    robots.write()?.zip_envs(raw).vectorize_chunks(&workers, |Block { morphology, rows, .. }| {
+        let ((stances, actions, targets), raw) = rows;
+        ActionRows { morphology: morphologies.get(morphology), stances, actions, targets, raw }
     });
     Ok(())
 }
 
 struct ActionRows<'a> {
-    morphologies: &'a Morphologies,
-    tags: &'a [Morphology],
+    morphology: &'a MorphologyModel,
     stances: &'a [Stance],
     actions: &'a mut [Action],
     targets: &'a mut [JointTargets],
@@ -60,9 +53,8 @@ impl Kernel<f32> for ActionRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { morphologies, tags, stances, actions, targets, mut raw } = self;
-        for i in 0..tags.len() {
-            let (morphology, stance) = (morphologies.get(tags[i]), &stances[i]);
+        let Self { morphology, stances, actions, targets, mut raw } = self;
+        for (i, stance) in stances.iter().enumerate() {
             let action = &mut actions[i];
             std::mem::swap(&mut action.current, &mut action.previous);
             let raw = raw.row(i);

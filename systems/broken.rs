@@ -4,11 +4,11 @@ use bevy_ecs::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::terms::CompiledTask;
+use crate::blocks::Blocks;
 use crate::components::{
     ActuatorDelay, ActuatorMemory, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot,
 };
 use crate::engine::{DivergenceRecord, Motion, StateLimits};
-use crate::rows::Rows;
 
 /// A control step that broke a state: what went in and what came out.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -83,28 +83,29 @@ impl BrokenStates {
 pub(super) fn describe_broken_states(
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
-    robots: Rows<&'static Body, Robot>,
-    envs: Rows<&'static Episode, Env>,
+    robots: Blocks<&'static Body, Robot>,
+    envs: Blocks<&'static Episode, Env>,
 ) -> Result {
     let broken = &mut *broken;
     if !broken.evidence.is_empty() {
-        let (bodies, episodes) = (robots.read()?, envs.read()?);
-        let described = broken.evidence.drain(..).map(
+        let own = robots.read()?.zip(envs.read()?);
+        let described = broken.evidence.drain(..).filter_map(
             |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, after }| {
+                let ((bodies, episodes), row) = own.at(env)?;
                 let state = BrokenState {
                     env: EnvId(env as u32),
                     step: broken.step,
-                    episode_step: episodes[env].length,
+                    episode_step: episodes[row].length,
                     limits: task.limits,
                     before,
                     targets,
                     delay,
                     memory,
                     wrench,
-                    body: bodies[env].clone(),
+                    body: bodies[row].clone(),
                     after,
                 };
-                (morphology, state)
+                Some((morphology, state))
             },
         );
         broken.found.extend(described);

@@ -5,11 +5,11 @@ use bevy_ecs::prelude::*;
 
 use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet};
-use crate::components::{BasePose, Command, Env, EnvRng, Morphology, Robot};
+use crate::blocks::{Block, Blocks};
+use crate::components::{BasePose, Command, Env, EnvRng, Robot};
 use crate::config::VelocityCommandConfig;
 use crate::dynamics::elementary::atan2;
 use crate::dynamics::lanes::Kernel;
-use crate::rows::Rows;
 use crate::workers::Workers;
 
 /// Draws and steers velocity commands.
@@ -26,29 +26,20 @@ impl Plugin for CommandPlugin {
 pub(super) fn update_commands(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
-    robots: Rows<(&'static Morphology, &'static BasePose), Robot>,
-    mut envs: Rows<(&'static mut Command, &'static mut EnvRng), Env>,
+    robots: Blocks<&'static BasePose, Robot>,
+    mut envs: Blocks<(&'static mut Command, &'static mut EnvRng), Env>,
 ) -> Result {
-    let (tags, poses) = robots.read()?;
-    let (commands, rngs) = envs.write()?;
-    let (configs, step_dt) = (&task.commands[..], task.step_dt);
-    let rows = (tags, poses, commands, rngs);
-    workers.vectorize_chunks(rows, poses.len(), |_, _, (tags, poses, commands, rngs)| CommandRows {
-        configs,
-        step_dt,
-        tags,
-        poses,
-        commands,
-        rngs,
+    let step_dt = task.step_dt;
+    robots.read()?.zip(envs.write()?).vectorize_chunks(&workers, |Block { morphology, rows, .. }| {
+        let (poses, (commands, rngs)) = rows;
+        CommandRows { config: &task.commands[usize::from(morphology.0)], step_dt, poses, commands, rngs }
     });
     Ok(())
 }
 
 struct CommandRows<'a> {
-    /// By morphology.
-    configs: &'a [VelocityCommandConfig],
+    config: &'a VelocityCommandConfig,
     step_dt: f32,
-    tags: &'a [Morphology],
     poses: &'a [BasePose],
     commands: &'a mut [Command],
     rngs: &'a mut [EnvRng],
@@ -59,9 +50,8 @@ impl Kernel<f32> for CommandRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { configs, step_dt, tags, poses, commands, rngs } = self;
-        for (((tag, pose), command), rng) in tags.iter().zip(poses).zip(commands).zip(rngs) {
-            let config = &configs[usize::from(tag.0)];
+        let Self { config, step_dt, poses, commands, rngs } = self;
+        for ((pose, command), rng) in poses.iter().zip(commands).zip(rngs) {
             if command.pinned {
                 continue;
             }

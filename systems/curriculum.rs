@@ -3,13 +3,13 @@
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
+use super::Share;
 use super::terms::{CompiledTask, Registry};
 use super::view::EpisodeEnd;
-use super::{BlockSizes, Share};
+use crate::blocks::{Block, BlockSizes, Blocks};
 use crate::components::{Env, EnvOrigin, EnvRng};
 use crate::config::quantities::Gain;
 use crate::config::{Columns, Placement, values};
-use crate::rows::Rows;
 use crate::terrain::TerrainLayout;
 use crate::world::Ground;
 
@@ -28,13 +28,12 @@ pub fn place_envs(
     task: Res<CompiledTask>,
     blocks: Res<BlockSizes>,
     share: Res<Share>,
-    mut envs: Rows<(&'static mut EnvOrigin, &'static mut EnvRng), Env>,
+    mut envs: Blocks<(&'static mut EnvOrigin, &'static mut EnvRng), Env>,
 ) -> Result {
     let scene = &task.config.scene;
     let total = share.num_envs;
-    let (origins, rngs) = envs.write()?;
-    let rows = origins.iter_mut().zip(rngs).zip(share.places(&blocks));
-    for (env, ((origin, rng), index)) in share.envs.clone().zip(rows) {
+    let own = envs.write()?.into_iter().flat_map(|Block { rows: (origins, rngs), .. }| origins.iter_mut().zip(rngs));
+    for ((env, (origin, rng)), index) in share.envs.clone().zip(own).zip(share.places(&blocks)) {
         *origin = EnvOrigin::default();
         if let Some(layout) = &ground.layout {
             let contiguous = scene.terrain.as_ref().is_some_and(|terrain| terrain.columns == Columns::Contiguous);

@@ -7,11 +7,11 @@ use serde::Deserialize;
 use super::terms::{CompiledTask, Registry};
 use super::view::EventBody;
 use super::{ControlStep, PipelineSet};
-use crate::components::{BaseVelocity, Env, EnvRng, EventTimers, ExternalWrench, Morphology, Robot};
+use crate::blocks::{Block, Blocks};
+use crate::components::{BaseVelocity, Env, EnvRng, EventTimers, ExternalWrench, Robot};
 use crate::config::quantities::{Force, Push as PushSpeed};
 use crate::config::values;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::Rows;
 use crate::workers::Workers;
 
 /// Lets interval events happen.
@@ -29,22 +29,21 @@ pub(super) fn apply_interval_events(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
-    mut robots: Rows<(&'static Morphology, &'static mut BaseVelocity, &'static mut ExternalWrench), Robot>,
-    mut envs: Rows<(&'static mut EventTimers, &'static mut EnvRng), Env>,
+    mut robots: Blocks<(&'static mut BaseVelocity, &'static mut ExternalWrench), Robot>,
+    mut envs: Blocks<(&'static mut EventTimers, &'static mut EnvRng), Env>,
 ) -> Result {
     if task.interval_events.is_empty() {
         return Ok(());
     }
-    let ((tags, velocities, wrenches), own) = (robots.write()?, envs.write()?);
-    let rows = (tags, own, velocities, wrenches);
-    workers.for_each_chunk(rows, tags.len(), |_, n, (tags, (timers, rngs), velocities, wrenches)| {
-        for i in 0..n {
+    robots.write()?.zip(envs.write()?).for_each_chunk(&workers, |Block { morphology, envs, rows }| {
+        let ((velocities, wrenches), (timers, rngs)) = rows;
+        let morphology = morphologies.get(morphology);
+        for i in 0..envs.len() {
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
                 *left -= task.step_dt;
                 if *left <= 0.0 {
                     *left = rngs[i].uniform(event.range_s);
                     let (velocity, wrench) = (&mut velocities[i], &mut wrenches[i]);
-                    let morphology = morphologies.get(tags[i]);
                     (event.apply)(&mut EventBody { morphology, velocity, wrench }, &mut rngs[i]);
                 }
             }

@@ -8,10 +8,10 @@ use bevy_ecs::schedule::SystemKey;
 use bevy_ecs::system::System;
 
 use super::{ControlStep, PipelineSet, Setup};
+use crate::blocks::{Block, Blocks};
 use crate::components::{
     BasePose, BaseVelocity, Command, ContactSensor, Env, Episode, HeightScan, Imu, JointState, JointTargets, Robot,
 };
-use crate::rows::Rows;
 
 /// Looks at all robots after each set of a control step. A state that broke in the physics is a broken episode and no fault; any
 /// other number that is not finite is logged as an error, with the set after which it was found and that set's systems that write
@@ -136,34 +136,35 @@ fn look(
     set: PipelineSet,
 ) -> impl FnMut(
     ResMut<NonFinite>,
-    Rows<(&'static BasePose, &'static BaseVelocity, &'static JointState, &'static JointTargets), Robot>,
-    Rows<&'static Command, Env>,
-    Rows<&'static Imu, Imu>,
-    Rows<&'static ContactSensor, ContactSensor>,
-    Rows<&'static HeightScan, HeightScan>,
+    Blocks<(&'static BasePose, &'static BaseVelocity, &'static JointState, &'static JointTargets), Robot>,
+    Blocks<&'static Command, Env>,
+    Blocks<&'static Imu, Imu>,
+    Blocks<&'static ContactSensor, ContactSensor>,
+    Blocks<&'static HeightScan, HeightScan>,
 ) -> Result {
     move |mut non_finite, robots, commands, imus, contacts, scans| {
-        let (poses, velocities, joints, targets) = robots.read()?;
-        let (commands, imus, contacts) = (commands.read()?, imus.read()?, contacts.read()?);
-        let scans = scans.read_if_any()?;
         let all = |numbers: &[f32]| numbers.iter().all(|x| x.is_finite());
-        for env in 0..poses.len() {
-            let imu = &imus[env];
-            let finite = [
-                ("BasePose", all(&poses[env].position) && all(&poses[env].rotation)),
-                ("BaseVelocity", all(&velocities[env].linear) && all(&velocities[env].angular)),
-                ("JointState", all(&joints[env].position) && all(&joints[env].velocity)),
-                ("JointTargets", targets[env].history.iter().all(|targets| all(targets))),
-                ("Command", all(&commands[env].velocity)),
-                ("Imu", all(&imu.linear_velocity) && all(&imu.angular_velocity) && all(&imu.projected_gravity)),
-                ("ContactSensor", all(&contacts[env].peak_force)),
-                ("HeightScan", scans.get(env).is_none_or(|scan| all(&scan.hits))),
-            ];
-            for (component, is_finite) in finite {
-                if is_finite {
-                    non_finite.known.remove(&(env, component));
-                } else if non_finite.known.insert((env, component)) {
-                    non_finite.fresh.push((env, component, set.clone()));
+        let blocks = robots.read()?.zip(commands.read()?).zip(imus.read()?).zip(contacts.read()?);
+        for Block { envs, rows, .. } in blocks.zip_some(scans.read_some()?) {
+            let (((((poses, velocities, joints, targets), commands), imus), contacts), scans) = rows;
+            for (i, env) in envs.enumerate() {
+                let imu = &imus[i];
+                let finite = [
+                    ("BasePose", all(&poses[i].position) && all(&poses[i].rotation)),
+                    ("BaseVelocity", all(&velocities[i].linear) && all(&velocities[i].angular)),
+                    ("JointState", all(&joints[i].position) && all(&joints[i].velocity)),
+                    ("JointTargets", targets[i].history.iter().all(|targets| all(targets))),
+                    ("Command", all(&commands[i].velocity)),
+                    ("Imu", all(&imu.linear_velocity) && all(&imu.angular_velocity) && all(&imu.projected_gravity)),
+                    ("ContactSensor", all(&contacts[i].peak_force)),
+                    ("HeightScan", scans.is_none_or(|scans| all(&scans[i].hits))),
+                ];
+                for (component, is_finite) in finite {
+                    if is_finite {
+                        non_finite.known.remove(&(env, component));
+                    } else if non_finite.known.insert((env, component)) {
+                        non_finite.fresh.push((env, component, set.clone()));
+                    }
                 }
             }
         }
@@ -172,11 +173,11 @@ fn look(
 }
 
 /// Tells of what no broken episode explains.
-fn report(mut non_finite: ResMut<NonFinite>, writers: Res<Writers>, episodes: Rows<&'static Episode, Env>) -> Result {
+fn report(mut non_finite: ResMut<NonFinite>, writers: Res<Writers>, episodes: Blocks<&'static Episode, Env>) -> Result {
     let episodes = episodes.read()?;
     let fresh = std::mem::take(&mut non_finite.fresh);
     for (env, component, set) in fresh {
-        let broke = episodes[env].invalid || episodes[env].fresh;
+        let broke = episodes.at(env).is_some_and(|(episodes, row)| episodes[row].invalid || episodes[row].fresh);
         if broke && matches!(set, PipelineSet::Physics | PipelineSet::Sense) {
             continue;
         }

@@ -5,10 +5,10 @@ use bevy_ecs::prelude::*;
 use super::faults;
 use super::terms::CompiledTask;
 use super::view::{RobotView, ViewParam};
+use crate::blocks::{Block, Blocks};
 use crate::components::{ContactForces, Env, Episode, PerFoot, Robot};
 use crate::error::Error;
 use crate::morphology::{BatchSlots, Morphologies};
-use crate::rows::Rows;
 use crate::workers::{MatrixRows, Workers};
 
 /// One quantity of every robot.
@@ -194,16 +194,16 @@ fn gather(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
     views: ViewParam,
-    robots: Rows<&'static ContactForces, Robot>,
-    envs: Rows<&'static Episode, Env>,
+    robots: Blocks<&'static ContactForces, Robot>,
+    envs: Blocks<&'static Episode, Env>,
 ) -> Result {
-    let views = views.views(task.step_dt)?;
-    let rows = (robots.read()?, envs.read()?, MatrixRows { data: out, width: field.width(&morphologies.1) });
-    workers.for_each_chunk(rows, views.len(), |first, n, (forces, episodes, mut out)| {
-        for i in 0..n {
+    let out = MatrixRows { data: out, width: field.width(&morphologies.1) };
+    let blocks = views.views(task.step_dt)?.zip(robots.read()?).zip(envs.read()?).zip_envs(out);
+    blocks.for_each_chunk(&workers, |Block { envs, rows: (((views, forces), episodes), mut out), .. }| {
+        for i in 0..envs.len() {
             out.row(i).fill(0.0);
             if !episodes[i].invalid {
-                field.write(&views.get(first + i), &forces[i], out.row(i));
+                field.write(&views.get(i), &forces[i], out.row(i));
             }
         }
     });

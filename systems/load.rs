@@ -8,6 +8,7 @@ use bevy_ecs::prelude::*;
 use super::terms::{CompiledTask, Registry};
 use super::{Setup, SetupSet};
 use crate::batch::Batch;
+use crate::blocks::BlockSizes;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs, check_threads};
 use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
 use crate::dynamics::ContactFriction;
@@ -17,7 +18,6 @@ use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
 use crate::robot::{Slot, summed_up};
-use crate::rows::NumEnvs;
 use crate::workers::{Workers, packs_of};
 
 /// Reads the task and its robots, and compiles the task's terms for them.
@@ -40,10 +40,6 @@ pub(crate) struct Loaded {
 /// Instruction set of the simulation.
 #[derive(Resource, Clone, Copy)]
 pub(crate) struct InstructionSet(pub(crate) Simd);
-
-/// How many envs each robot has here, in the order of their blocks.
-#[derive(Resource, Clone, Debug)]
-pub struct BlockSizes(pub Vec<usize>);
 
 /// Which envs of the whole batch are here.
 #[derive(Resource, Clone, Debug, PartialEq, Eq)]
@@ -123,7 +119,6 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     world.insert_resource(Batch::new(num_envs, compiled.num_obs(), compiled.num_joints));
     world.insert_resource(options.autoreset);
     world.insert_resource(InstructionSet(simd));
-    world.insert_resource(NumEnvs(num_envs));
     world.insert_resource(BlockSizes(counts));
     world.insert_resource(share);
     world.insert_resource(morphologies);

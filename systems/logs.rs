@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use super::terms::CompiledTask;
 use super::view::RobotView;
 use super::{ResetSet, Setup, SetupSet, for_both};
-use crate::components::{Env, EnvOrigin, Episode, EpisodeSums, Morphology, Robot};
+use crate::blocks::{Block, Blocks};
+use crate::components::{Env, EnvOrigin, Episode, EpisodeSums};
 use crate::morphology::Morphologies;
-use crate::rows::Rows;
 use crate::world::Ground;
 
 /// Counts ended episodes.
@@ -263,21 +263,21 @@ impl Logs {
 
 /// Counts the episodes that have just ended.
 pub(super) fn collect_episodes(
-    robots: Rows<&'static Morphology, Robot>,
-    mut envs: Rows<(&'static mut Episode, &'static EpisodeSums, &'static EnvOrigin), Env>,
+    mut envs: Blocks<(&'static mut Episode, &'static EpisodeSums, &'static EnvOrigin), Env>,
     ground: Res<Ground>,
     mut logs: ResMut<Logs>,
 ) -> Result {
-    let tags = robots.read()?;
-    let (episodes, sums, origins) = envs.write()?;
     let Logs { recent, all } = &mut *logs;
-    for (i, episode) in episodes.iter_mut().enumerate() {
-        if episode.done() && !episode.logged {
-            episode.logged = true;
-            let morphology = usize::from(tags[i].0);
-            let level = ground.layout.as_ref().map(|_| origins[i].terrain_level);
-            recent[morphology].add(episode, &sums[i], level);
-            all[morphology].add(episode, &sums[i], level);
+    for Block { morphology, rows: (episodes, sums, origins), .. } in envs.write()? {
+        let morphology = usize::from(morphology.0);
+        let (recent, all) = (&mut recent[morphology], &mut all[morphology]);
+        for (i, episode) in episodes.iter_mut().enumerate() {
+            if episode.done() && !episode.logged {
+                episode.logged = true;
+                let level = ground.layout.as_ref().map(|_| origins[i].terrain_level);
+                recent.add(episode, &sums[i], level);
+                all.add(episode, &sums[i], level);
+            }
         }
     }
     Ok(())

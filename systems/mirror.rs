@@ -17,13 +17,13 @@ use bevy_transform::components::Transform;
 
 use super::faults;
 use super::terms::CompiledTask;
-use super::{BlockSizes, ControlStep, PipelineSet, ResetSet, Setup, SetupSet, Share, for_both};
+use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, Share, for_both};
+use crate::blocks::{Block, BlockSizes, Blocks};
 use crate::components::{BasePose, BaseVelocity, Body, Env, EnvId, EnvOrigin, Episode, JointState, Morphology, Robot};
 use crate::dynamics::Parameters;
 use crate::error::Error;
 use crate::mirrors::{LinkMirror, LinkMirrors, LinkMotion, mass_properties};
 use crate::morphology::Morphologies;
-use crate::rows::Rows;
 use crate::workers::Workers;
 use crate::world::step_world;
 
@@ -81,8 +81,8 @@ type Placed = (
 /// The states of the robots.
 #[derive(SystemParam)]
 pub(super) struct States<'w, 's> {
-    robots: Rows<'w, 's, (&'static Morphology, &'static BasePose, &'static BaseVelocity, &'static JointState), Robot>,
-    envs: Rows<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
+    robots: Blocks<'w, 's, (&'static BasePose, &'static BaseVelocity, &'static JointState), Robot>,
+    envs: Blocks<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
 }
 
 /// Masses and lengths of robots that were randomised.
@@ -170,8 +170,9 @@ fn place_new(
     states: States,
     links: Query<Placed, With<LinkMirror>>,
 ) -> Result<bool> {
-    let (_, episodes) = states.envs.read()?;
-    Ok(place(&workers, &morphologies, mirrors, &states, links, |env| episodes.get(env).is_some_and(|e| e.fresh))?)
+    let envs = states.envs.read()?;
+    let is_fresh = |env| envs.at(env).is_some_and(|((_, episodes), row)| episodes[row].fresh);
+    Ok(place(&workers, &morphologies, mirrors, &states, links, is_fresh)?)
 }
 
 fn place_all(
@@ -219,13 +220,12 @@ fn follow(
     states: &States,
     due: impl Fn(usize) -> bool + Sync,
 ) -> Result<(), Error> {
-    let ((tags, poses, velocities, joints), (origins, _)) = (states.robots.read()?, states.envs.read()?);
-    let robots = mirrors.robots.as_mut_slice();
-    let n = robots.len();
-    let rows = (robots, origins, tags, (poses, velocities, joints));
-    workers.for_each_chunk(rows, n, |first, n, (robots, origins, tags, (poses, velocities, joints))| {
-        for i in (0..n).filter(|i| due(first + i)) {
-            robots[i].follow(morphologies.get(tags[i]), &origins[i], &poses[i], &velocities[i], &joints[i]);
+    let blocks = states.robots.read()?.zip(states.envs.read()?).zip_envs(mirrors.robots.as_mut_slice());
+    blocks.for_each_chunk(workers, |Block { morphology, envs, rows }| {
+        let (((poses, velocities, joints), (origins, _)), robots) = rows;
+        let morphology = morphologies.get(morphology);
+        for (i, _) in envs.enumerate().filter(|(_, env)| due(*env)) {
+            robots[i].follow(morphology, &origins[i], &poses[i], &velocities[i], &joints[i]);
         }
     });
     Ok(())

@@ -62,8 +62,8 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
 use bevy_ecs::system::ScheduleSystem;
 
+use crate::blocks::{RowKind, restore_order, separate_morphologies};
 use crate::options::Autoreset;
-use crate::rows::{RowKind, restore_order};
 
 pub use act::ActPlugin;
 pub use broken::{BrokenState, BrokenStates};
@@ -74,8 +74,8 @@ pub(crate) use faults::{outcome, run};
 pub use finite::{FinitePlugin, NonFinite, NonFiniteNumber};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;
-pub use load::{BlockSizes, LoadPlugin, Share, distribute};
 pub(crate) use load::{InstructionSet, Loaded};
+pub use load::{LoadPlugin, Share, distribute};
 pub use logs::{EpisodeStats, Logs, LogsPlugin, RobotLog};
 pub use mirror::MirrorPlugin;
 pub(crate) use mirror::mirror_all;
@@ -171,7 +171,7 @@ pub enum ResetSet {
     Mirror,
 }
 
-/// The entities of each kind are put in the order of their env ids, before all else.
+/// The entities of each block are put in the order of their env ids, before all else.
 #[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
 struct RowOrder;
 
@@ -294,7 +294,8 @@ fn for_both<M, S: IntoScheduleConfigs<ScheduleSystem, M>>(app: &mut App, systems
     app.add_systems(ControlStep, systems()).add_systems(ResetEnvs, systems());
 }
 
-/// Keeps the entities of a kind in the order of their env ids.
-pub fn keep_row_order<K: RowKind>(app: &mut App) {
+/// Keeps the entities of a kind in blocks: those of each morphology in tables of their own, in the order of their env ids.
+pub fn keep_blocks<K: RowKind>(app: &mut App) {
+    app.add_observer(separate_morphologies::<K>);
     for_both(app, || restore_order::<K>.in_set(RowOrder).ambiguous_with_all());
 }

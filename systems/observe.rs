@@ -9,13 +9,13 @@ use super::terms::{Block, CompiledTask, NoParams, ObservationTerm, Per, Registry
 use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
-use crate::components::{Env, EnvRng, Episode, Morphology};
+use crate::blocks::{Blocks, RowKind};
+use crate::components::{Env, EnvRng, Episode};
 use crate::config::quantities::Height;
 use crate::config::{TaskConfig, values};
 use crate::dynamics::lanes::Kernel;
 use crate::morphology::{Morphologies, MorphologyModel, SlotJoint};
 use crate::options::Autoreset;
-use crate::rows::{RowKind, Rows};
 use crate::workers::{MatrixRows, Workers};
 
 /// Observes the robots.
@@ -37,20 +37,19 @@ pub(super) fn observe(
     request: Res<ResetRequest>,
     views: ViewParam,
     mut batch: ResMut<Batch>,
-    mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+    mut envs: Blocks<(&'static Episode, &'static mut EnvRng), Env>,
 ) -> Result {
-    let views = views.views(task.step_dt)?;
-    let (episodes, rngs) = envs.write()?;
     let width = batch.num_obs;
     let out = MatrixRows { data: &mut batch.observations[..], width };
-    let rows = (episodes, rngs, out);
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out)| {
-        for i in 0..n {
+    let blocks = views.views(task.step_dt)?.zip(envs.write()?).zip_envs(out);
+    blocks.for_each_chunk(&workers, |chunk| {
+        let ((views, (episodes, rngs)), mut out) = chunk.rows;
+        for i in 0..episodes.len() {
             if request.0 && !episodes[i].fresh {
                 continue;
             }
             let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
-            let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
+            let observation = Observation { task: &task, views, row: i, episode, rng, out: out.row(i) };
             workers.dispatch().vectorize(observation);
         }
     });
@@ -65,25 +64,26 @@ pub(super) fn observe_final(
     request: Res<ResetRequest>,
     views: ViewParam,
     mut batch: ResMut<Batch>,
-    mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+    mut envs: Blocks<(&'static Episode, &'static mut EnvRng), Env>,
 ) -> Result {
     let wanted = *autoreset == Autoreset::SameStep && !request.0;
-    let views = views.views(task.step_dt)?;
-    let (episodes, rngs) = envs.write()?;
     let width = batch.num_obs;
     let batch = &mut *batch;
     let out = MatrixRows { data: &mut batch.final_observations[..], width };
     let before = MatrixRows { data: &mut batch.observations[..], width };
-    let (remembers, rows) = (task.has_history(), (episodes, rngs, out, before, &mut batch.has_final[..]));
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, rngs, mut out, mut before, has_final)| {
-        for i in 0..n {
+    let remembers = task.has_history();
+    let arrays = (out, before, &mut batch.has_final[..]);
+    let blocks = views.views(task.step_dt)?.zip(envs.write()?).zip_envs(arrays);
+    blocks.for_each_chunk(&workers, |chunk| {
+        let ((views, (episodes, rngs)), (mut out, mut before, has_final)) = chunk.rows;
+        for i in 0..episodes.len() {
             has_final[i] = wanted && episodes[i].done();
             if has_final[i] {
                 if remembers {
                     out.row(i).copy_from_slice(before.row(i));
                 }
                 let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
-                let observation = Observation { task: &task, views, env: first + i, episode, rng, out: out.row(i) };
+                let observation = Observation { task: &task, views, row: i, episode, rng, out: out.row(i) };
                 workers.dispatch().vectorize(observation);
             }
         }
@@ -95,7 +95,7 @@ pub(super) fn observe_final(
 struct Observation<'a> {
     task: &'a CompiledTask,
     views: &'a Views<'a>,
-    env: usize,
+    row: usize,
     episode: &'a Episode,
     rng: &'a mut EnvRng,
     out: &'a mut [f32],
@@ -110,7 +110,7 @@ impl Kernel<f32> for Observation<'_> {
             self.out.fill(0.0);
             return;
         }
-        let view = self.views.get(self.env);
+        let view = self.views.get(self.row);
         let mut rest = self.out;
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
@@ -196,8 +196,8 @@ impl ObservationTerm {
 }
 
 /// Adds an observation term that is read from a component of the entities of kind `K`, in a plugin's `build`. Tasks name it like any
-/// other term. One of the kind [`TermKind::PerJoint`] or [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to
-/// write.
+/// other term. For morphologies without such entities ([`RowKind::is_on`]) its numbers are zero and masked. One of the kind
+/// [`TermKind::PerJoint`] or [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to write.
 pub fn add_observation<C: Component, K: RowKind>(
     app: &mut App,
     name: &'static str,
@@ -205,39 +205,45 @@ pub fn add_observation<C: Component, K: RowKind>(
     spec: TermSpec,
     f: fn(&C, &mut [f32]),
 ) {
-    app.world_mut().get_resource_or_insert_with(Registry::builtin).observation_by_system(name, size, spec);
+    app.world_mut().get_resource_or_insert_with(Registry::builtin).observation_by_system(name, size, spec, K::is_on);
     let write = move |is_final: bool| {
         move |task: Res<CompiledTask>,
               request: Res<ResetRequest>,
               mut batch: ResMut<Batch>,
               morphologies: Res<Morphologies>,
-              mut envs: Rows<(&'static Morphology, &'static Episode, &'static mut EnvRng), Env>,
-              values: Rows<&'static C, K>|
+              mut envs: Blocks<(&'static Episode, &'static mut EnvRng), Env>,
+              values: Blocks<&'static C, K>|
               -> Result {
-            let (tags, episodes, rngs) = envs.write()?;
-            let values = values.read()?;
+            let values = match morphologies.0.iter().all(|morphology| K::is_on(morphology, &task.config)) {
+                true => values.read()?,
+                false => values.read_some()?,
+            };
             let batch = &mut *batch;
-            let mut start = 0;
-            for term in &task.observations {
-                let columns = start..start + term.size;
-                start = columns.end;
-                if term.name != name {
-                    continue;
-                }
-                for env in 0..values.len() {
-                    let (due, rows) = match is_final {
-                        true => (batch.has_final[env], &mut batch.final_observations),
-                        false => (!request.0 || episodes[env].fresh, &mut batch.observations),
-                    };
-                    if due {
-                        let row = &mut rows[env * batch.num_obs..(env + 1) * batch.num_obs];
-                        let out = &mut row[columns.clone()];
-                        if episodes[env].invalid {
-                            out.fill(0.0);
-                        } else {
-                            let body = (morphologies.get(tags[env]), task.num_joints);
-                            let fresh = episodes[env].fresh;
-                            term.observe(out, fresh, body, &mut rngs[env], |newest| f(&values[env], newest));
+            for block in envs.write()?.zip_some(values) {
+                let ((episodes, rngs), values) = block.rows;
+                let body = (morphologies.get(block.morphology), task.num_joints);
+                let mut start = 0;
+                for term in &task.observations {
+                    let columns = start..start + term.size;
+                    start = columns.end;
+                    if term.name != name {
+                        continue;
+                    }
+                    for (i, env) in block.envs.clone().enumerate() {
+                        let (due, rows) = match is_final {
+                            true => (batch.has_final[env], &mut batch.final_observations),
+                            false => (!request.0 || episodes[i].fresh, &mut batch.observations),
+                        };
+                        if due {
+                            let row = &mut rows[env * batch.num_obs..(env + 1) * batch.num_obs];
+                            let out = &mut row[columns.clone()];
+                            match values.filter(|_| !episodes[i].invalid) {
+                                Some(values) => {
+                                    let fresh = episodes[i].fresh;
+                                    term.observe(out, fresh, body, &mut rngs[i], |newest| f(&values[i], newest));
+                                }
+                                None => out.fill(0.0),
+                            }
                         }
                     }
                 }

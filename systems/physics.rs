@@ -6,7 +6,8 @@ use bevy_ecs::prelude::*;
 use super::broken::{BrokenStates, describe_broken_states};
 use super::load::InstructionSet;
 use super::terms::CompiledTask;
-use super::{BlockSizes, ControlStep, PipelineSet, Setup, SetupSet, faults};
+use super::{ControlStep, PipelineSet, Setup, SetupSet, faults};
+use crate::blocks::{BlockSizes, Blocks};
 use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId,
     EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
@@ -17,7 +18,6 @@ use crate::engine::{self, ComponentRows, Components, Engine, EngineChoice, Kind,
 use crate::error::Error;
 use crate::morphology::Morphologies;
 use crate::obstacles;
-use crate::rows::Rows;
 use crate::workers::Workers;
 use crate::world::Ground;
 
@@ -121,29 +121,29 @@ pub(super) fn step_physics(
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
     mut engine: ResMut<PhysicsEngine>,
-    mut robots: Rows<PhysicsColumns, Robot>,
-    envs: Rows<&'static EnvOrigin, Env>,
+    mut robots: Blocks<PhysicsColumns, Robot>,
+    envs: Blocks<&'static EnvOrigin, Env>,
 ) -> Result {
-    let (poses, velocities, joints, targets, delays, memories, wrenches, efforts, impulses, forces, feet) =
-        robots.write()?;
-    let origins = envs.read()?;
-    let rows = ComponentRows {
-        origins,
-        poses,
-        velocities,
-        joints,
-        targets,
-        delays,
-        memories,
-        wrenches,
-        efforts,
-        impulses,
-        forces,
-        feet,
-    };
+    let blocks = robots.write()?.zip(envs.read()?).map(|_, (robots, origins)| {
+        let (poses, velocities, joints, targets, delays, memories, wrenches, efforts, impulses, forces, feet) = robots;
+        ComponentRows {
+            origins,
+            poses,
+            velocities,
+            joints,
+            targets,
+            delays,
+            memories,
+            wrenches,
+            efforts,
+            impulses,
+            forces,
+            feet,
+        }
+    });
     let steps = task.config.sim.decimation as usize;
     let run = Run { steps, gains: true, limits: &task.limits, watched: broken.watched() };
-    let records = engine.0.step(&workers, rows, run);
+    let records = engine.0.step(&workers, blocks, run);
     broken.note(records);
     Ok(())
 }

@@ -2,12 +2,12 @@
 
 use bevy_ecs::prelude::*;
 
-use crate::components::{BasePose, BaseVelocity, Body, Env, EnvOrigin, Episode, Feet, JointState, Morphology, Robot};
+use crate::blocks::{Block, Blocks};
+use crate::components::{BasePose, BaseVelocity, Body, Env, EnvOrigin, Episode, Feet, JointState, Robot};
 use crate::dynamics::lanes::Kernel;
 use crate::dynamics::math::{Mat3, Spatial, add, dot, mul_vec, mul_vec_transposed, quat_to_mat, splat};
 use crate::dynamics::{ContactKind, HeightGrid, Parameters, Scalar, Topology, Workspace, point_motion};
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::Rows;
 use crate::workers::{Pool, Workers};
 use crate::world::Ground;
 
@@ -17,14 +17,8 @@ const FOOTPRINT: f32 = 0.5;
 const TOLERANCE: f32 = 1e-4;
 
 /// What is read and written of robots.
-type RobotColumns = (
-    &'static Morphology,
-    &'static Body,
-    &'static BaseVelocity,
-    &'static JointState,
-    &'static mut BasePose,
-    &'static mut Feet,
-);
+type RobotColumns =
+    (&'static Body, &'static BaseVelocity, &'static JointState, &'static mut BasePose, &'static mut Feet);
 
 /// Scratch memory of a thread, of each morphology that it has met.
 type Scratch = Vec<Option<Workspace<f32>>>;
@@ -37,27 +31,24 @@ pub(super) fn place_robots(
     morphologies: Res<Morphologies>,
     ground: Res<Ground>,
     mut pool: Local<Option<Pool<Scratch>>>,
-    mut robots: Rows<RobotColumns, Robot>,
-    envs: Rows<(&'static Episode, &'static EnvOrigin), Env>,
+    mut robots: Blocks<RobotColumns, Robot>,
+    envs: Blocks<(&'static Episode, &'static EnvOrigin), Env>,
 ) -> Result {
-    let (episodes, origins) = envs.read()?;
-    if !episodes.iter().any(|episode| episode.fresh) {
+    let envs = envs.read()?;
+    if !envs.iter().any(|block| block.rows.0.iter().any(|episode| episode.fresh)) {
         return Ok(());
     }
     let morphologies = &*morphologies;
     let scratch = || morphologies.0.iter().map(|_| None).collect();
     let pool = &*pool.get_or_insert_with(|| Pool::new(workers.threads(), scratch));
-    let (tags, bodies, velocities, joints, poses, feet) = robots.write()?;
     let ground = &*ground;
-    let rows = ((tags, bodies), (velocities, joints), (episodes, origins), (poses, feet));
-    workers.for_each_chunk(rows, tags.len(), |_, _, rows| {
-        let ((tags, bodies), (velocities, joints), (episodes, origins), (poses, feet)) = rows;
+    robots.write()?.zip(envs).for_each_chunk(&workers, |Block { morphology, rows, .. }| {
+        let ((bodies, velocities, joints, poses, feet), (episodes, origins)) = rows;
         pool.with(|scratch| {
             workers.dispatch().vectorize(PlacedRows {
-                morphologies,
+                morphology: morphologies.get(morphology),
                 ground,
-                scratch,
-                tags,
+                work: &mut scratch[usize::from(morphology.0)],
                 bodies,
                 velocities,
                 joints,
@@ -72,10 +63,9 @@ pub(super) fn place_robots(
 }
 
 struct PlacedRows<'a> {
-    morphologies: &'a Morphologies,
+    morphology: &'a MorphologyModel,
     ground: &'a Ground,
-    scratch: &'a mut Scratch,
-    tags: &'a [Morphology],
+    work: &'a mut Option<Workspace<f32>>,
     bodies: &'a [Body],
     velocities: &'a [BaseVelocity],
     joints: &'a [JointState],
@@ -90,14 +80,12 @@ impl Kernel<f32> for PlacedRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { morphologies, ground, scratch, tags, bodies, velocities, joints, episodes, origins, poses, feet } =
-            self;
-        for i in 0..tags.len() {
+        let Self { morphology, ground, work, bodies, velocities, joints, episodes, origins, poses, feet } = self;
+        for i in 0..bodies.len() {
             if !episodes[i].fresh {
                 continue;
             }
-            let morphology = morphologies.get(tags[i]);
-            let work = scratch[usize::from(tags[i].0)].get_or_insert_with(|| Workspace::new(&morphology.topology));
+            let work = work.get_or_insert_with(|| Workspace::new(&morphology.topology));
             let posed = Posed {
                 topology: &morphology.topology,
                 parameters: &bodies[i].0,

@@ -12,17 +12,17 @@ use super::startup::is_due;
 use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, NoParams, Registry};
 use super::view::{EpisodeEnd, NewState};
 use super::{ResetSet, for_both, startup};
+use crate::blocks::{Block, Blocks};
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
     Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, JointEffort, JointState, JointTargets,
-    Morphology, Robot, Stance,
+    Robot, Stance,
 };
 use crate::config::quantities::{Angle, Coordinate};
 use crate::config::{JointPositionMode, values};
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
 use crate::robot::soft_limits;
-use crate::rows::Rows;
 use crate::workers::Workers;
 use crate::world::Ground;
 
@@ -44,7 +44,6 @@ impl Plugin for ResetPlugin {
 
 /// What a reset reads and writes of robots.
 type RobotColumns = (
-    &'static Morphology,
     &'static Body,
     &'static Stance,
     &'static mut BasePose,
@@ -81,39 +80,32 @@ pub(super) fn reset_envs(
     autoreset: Res<Autoreset>,
     request: Res<ResetRequest>,
     ground: Res<Ground>,
-    mut robots: Rows<RobotColumns, Robot>,
-    mut envs: Rows<EnvColumns, Env>,
+    mut robots: Blocks<RobotColumns, Robot>,
+    mut envs: Blocks<EnvColumns, Env>,
 ) -> Result {
-    let (
-        tags,
-        bodies,
-        stances,
-        poses,
-        velocities,
-        joints,
-        actions,
-        targets,
-        delays,
-        memories,
-        efforts,
-        impulses,
-        forces,
-        wrenches,
-    ) = robots.write()?;
-    let of_kind = (tags, bodies, stances);
-    let motion = (poses, velocities, joints);
-    let drive = (actions, targets, delays, memories, wrenches);
-    let report = (efforts, impulses, forces);
-    let rows = (of_kind, motion, drive, report, envs.write()?);
-    workers.for_each_chunk(rows, tags.len(), |_, n, (of_kind, motion, drive, report, envs)| {
-        let ((tags, bodies, stances), (poses, velocities, joints)) = (of_kind, motion);
-        let ((actions, targets, delays, memories, wrenches), (efforts, impulses, forces)) = (drive, report);
-        let (episodes, rngs, commands, timers, sums, origins) = envs;
-        for i in 0..n {
+    robots.write()?.zip(envs.write()?).for_each_chunk(&workers, |Block { morphology, envs, rows }| {
+        let (robots, (episodes, rngs, commands, timers, sums, origins)) = rows;
+        let (
+            bodies,
+            stances,
+            poses,
+            velocities,
+            joints,
+            actions,
+            targets,
+            delays,
+            memories,
+            efforts,
+            impulses,
+            forces,
+            wrenches,
+        ) = robots;
+        let command_config = &task.commands[usize::from(morphology.0)];
+        let morphology = morphologies.get(morphology);
+        for i in 0..envs.len() {
             if !is_due(&episodes[i], *autoreset, *request) {
                 continue;
             }
-            let morphology = morphologies.get(tags[i]);
             let (rng, stance) = (&mut rngs[i], &stances[i]);
             let (pose, velocity, joints) = (&mut poses[i], &mut velocities[i], &mut joints[i]);
             let origin = &mut origins[i];
@@ -173,10 +165,9 @@ pub(super) fn reset_envs(
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
                 *left = rng.uniform(event.range_s);
             }
-            let config = &task.commands[usize::from(tags[i].0)];
             if !commands[i].pinned {
-                draw_command(config, &mut commands[i], rng);
-                steer(config, &mut commands[i], heading(&pose.rotation));
+                draw_command(command_config, &mut commands[i], rng);
+                steer(command_config, &mut commands[i], heading(&pose.rotation));
             }
             sums[i].clear();
             episodes[i] = Episode { fresh: true, ..Episode::default() };

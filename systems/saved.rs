@@ -8,11 +8,14 @@ use bevy_ecs::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use super::terms::CompiledTask;
+use crate::blocks::RowKind;
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
-    ContactSensor, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan, Imu,
-    JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
+    ContactSensor, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan,
+    Imu, JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
 };
+use crate::config::TaskConfig;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::world::Ground;
@@ -36,8 +39,8 @@ pub trait Saved: Component<Mutability = Mutable> + Clone + Serialize + Deseriali
 pub(crate) struct HeldRows {
     /// The rows of this simulation.
     pub(crate) own: Range<usize>,
-    /// Rows of the snapshot.
-    pub(crate) count: usize,
+    /// The morphology of each row of the snapshot.
+    pub(crate) morphologies: Vec<Morphology>,
 }
 
 /// Puts what was read into the world.
@@ -45,9 +48,13 @@ type Write = Box<dyn FnOnce(&mut World)>;
 
 struct SavedComponent {
     name: &'static str,
+    is_on: IsOn,
     save: fn(&mut World) -> postcard::Result<Vec<u8>>,
-    load: fn(&mut World, &[u8], &HeldRows) -> Result<Write, String>,
+    load: fn(&mut World, &[u8], &HeldRows, IsOn) -> Result<Write, String>,
 }
+
+/// Whether a morphology has a component in a task.
+type IsOn = fn(&MorphologyModel, &TaskConfig) -> bool;
 
 /// The components that snapshots hold, and what is measured anew after one is restored.
 #[derive(Resource, Default)]
@@ -59,9 +66,15 @@ pub(crate) struct SavedComponents {
 /// A component of all entities that have it, as bytes.
 pub(crate) type SavedColumn = (String, Vec<u8>);
 
-/// Has snapshots hold a component, in a plugin's `build`.
+/// Has snapshots hold a component, in a plugin's `build`; every env has one.
 pub fn save_component<C: Saved>(app: &mut App) {
-    let component = SavedComponent { name: std::any::type_name::<C>(), save: save::<C>, load: load::<C> };
+    save_component_of::<C, Env>(app);
+}
+
+/// The same of a component that the entities of a kind have.
+pub(super) fn save_component_of<C: Saved, K: RowKind>(app: &mut App) {
+    let component =
+        SavedComponent { name: std::any::type_name::<C>(), is_on: K::is_on, save: save::<C>, load: load::<C> };
     app.world_mut().get_resource_or_init::<SavedComponents>().all.push(component);
 }
 
@@ -80,11 +93,11 @@ impl SavedComponents {
     /// Reads all of them; nothing is changed before what this returns is called.
     pub(crate) fn load(world: &mut World, columns: &[SavedColumn], rows: &HeldRows) -> Result<Vec<Write>, String> {
         let all: Vec<_> =
-            world.resource::<Self>().all.iter().map(|component| (component.name, component.load)).collect();
-        if !all.iter().map(|(name, _)| *name).eq(columns.iter().map(|(name, _)| name.as_str())) {
+            world.resource::<Self>().all.iter().map(|saved| (saved.name, saved.load, saved.is_on)).collect();
+        if !all.iter().map(|(name, ..)| *name).eq(columns.iter().map(|(name, _)| name.as_str())) {
             return Err("it holds other components than this simulation".into());
         }
-        all.into_iter().zip(columns).map(|((_, load), (_, bytes))| load(world, bytes, rows)).collect()
+        all.into_iter().zip(columns).map(|((_, load, is_on), (_, bytes))| load(world, bytes, rows, is_on)).collect()
     }
 
     /// Adds the rows of other columns to those of the same components.
@@ -121,24 +134,29 @@ fn save<C: Saved>(world: &mut World) -> postcard::Result<Vec<u8>> {
     postcard::to_stdvec(&rows.into_iter().map(|(_, component)| component).collect::<Vec<_>>())
 }
 
-fn load<C: Saved>(world: &mut World, bytes: &[u8], rows: &HeldRows) -> Result<Write, String> {
+fn load<C: Saved>(world: &mut World, bytes: &[u8], rows: &HeldRows, is_on: IsOn) -> Result<Write, String> {
     let name = std::any::type_name::<C>();
-    let mut values: Vec<C> = postcard::from_bytes(bytes).map_err(|error| format!("{name} cannot be read: {error}"))?;
-    if values.len() != rows.count || rows.own.end > rows.count {
-        return Err(format!("{name}: there are {}, which is another number of envs", values.len()));
-    }
-    values.truncate(rows.own.end);
-    values.drain(..rows.own.start);
+    let values: Vec<C> = postcard::from_bytes(bytes).map_err(|error| format!("{name} cannot be read: {error}"))?;
     let mut query = world.query::<(&EnvId, &Morphology, &C)>();
     let (morphologies, ground) = (world.resource::<Morphologies>(), world.resource::<Ground>());
+    let task = &world.resource::<CompiledTask>().config;
+    let has: Vec<bool> = morphologies.0.iter().map(|morphology| is_on(morphology, task)).collect();
+    let has = |morphology: &Morphology| has[usize::from(morphology.0)];
+    let count = rows.morphologies.iter().filter(|morphology| has(morphology)).count();
+    if values.len() != count || rows.own.end > rows.morphologies.len() {
+        return Err(format!("{name}: there are {}, which is another number of envs", values.len()));
+    }
+    let mut values = values.into_iter();
+    let of_env = rows.morphologies.iter().map(|morphology| if has(morphology) { values.next() } else { None });
+    let mut values: Vec<Option<C>> = of_env.take(rows.own.end).skip(rows.own.start).collect();
     for (env, tag, present) in query.iter(world) {
         let place = Place { morphology: morphologies.get(*tag), ground };
-        if !values.get(env.0 as usize).is_some_and(|value| value.fits(present, &place)) {
+        let value = values.get(env.0 as usize).and_then(Option::as_ref);
+        if !value.is_some_and(|value| value.fits(present, &place)) {
             return Err(format!("{name} of env {} has other sizes than here", env.0));
         }
     }
     Ok(Box::new(move |world| {
-        let mut values: Vec<Option<C>> = values.into_iter().map(Some).collect();
         for (env, mut component) in world.query::<(&EnvId, &mut C)>().iter_mut(world) {
             if let Some(value) = values.get_mut(env.0 as usize).and_then(Option::take) {
                 *component = value;

@@ -6,7 +6,8 @@ use smallvec::smallvec;
 
 use super::saved::save_component;
 use super::terms::CompiledTask;
-use super::{BlockSizes, Setup, SetupSet, keep_row_order};
+use super::{Setup, SetupSet, keep_blocks};
+use crate::blocks::BlockSizes;
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
     Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
@@ -22,8 +23,8 @@ pub struct SpawnPlugin;
 impl Plugin for SpawnPlugin {
     fn build(&self, app: &mut App) {
         app.add_systems(Setup, (spawn_envs, spawn_robots).chain().in_set(SetupSet::Spawn));
-        keep_row_order::<Env>(app);
-        keep_row_order::<Robot>(app);
+        keep_blocks::<Env>(app);
+        keep_blocks::<Robot>(app);
         save_component::<EnvRng>(app);
         save_component::<Episode>(app);
         save_component::<Command>(app);
@@ -50,27 +51,23 @@ impl Plugin for SpawnPlugin {
 
 /// The tags of each env, in the order of the env ids: a block of envs for each morphology.
 fn tags(blocks: &BlockSizes) -> impl Iterator<Item = (EnvId, Morphology)> {
-    let morphologies = blocks.0.iter().enumerate().flat_map(|(m, &n)| std::iter::repeat_n(Morphology(m as u16), n));
-    morphologies.enumerate().map(|(env, morphology)| (EnvId(env as u32), morphology))
+    blocks.iter().flat_map(|(morphology, envs)| envs.map(move |env| (EnvId(env as u32), morphology)))
 }
 
-/// Spawns envs in the order of their ids, all in one table.
+/// Spawns envs in the order of their ids.
 fn spawn_envs(mut commands: Commands, blocks: Res<BlockSizes>, task: Res<CompiledTask>) {
-    let envs: Vec<_> = tags(&blocks)
-        .map(|(id, tag)| {
-            let rng = EnvRng::new(0, u64::from(id.0));
-            let terms = smallvec![0.0; task.rewards[usize::from(tag.0)].len()];
-            (
-                (id, tag, Env, rng, Episode::default(), Command::default(), EnvOrigin::default()),
-                EventTimers(smallvec![0.0; task.num_interval_events()]),
-                EpisodeSums { terms, ..EpisodeSums::default() },
-            )
-        })
-        .collect();
-    commands.spawn_batch(envs);
+    for (id, tag) in tags(&blocks) {
+        let rng = EnvRng::new(0, u64::from(id.0));
+        let terms = smallvec![0.0; task.rewards[usize::from(tag.0)].len()];
+        commands.spawn((
+            (id, tag, Env, rng, Episode::default(), Command::default(), EnvOrigin::default()),
+            EventTimers(smallvec![0.0; task.num_interval_events()]),
+            EpisodeSums { terms, ..EpisodeSums::default() },
+        ));
+    }
 }
 
-/// Spawns robots in the order of their envs, all in one table.
+/// Spawns robots in the order of their envs.
 pub(super) fn spawn_robots(
     mut commands: Commands,
     blocks: Res<BlockSizes>,

@@ -7,13 +7,13 @@ use super::ResetRequest;
 use super::sampling::{self, Source};
 use super::terms::{BODY_VARIATION, CompiledTask, NoParams, PHYSICS_MATERIAL, PhysicsMaterial, Registry};
 use super::view::NewBody;
+use crate::blocks::Blocks;
 use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, Stance, StartupBody};
 use crate::config::quantities::{Angle, BodyFactor, Power, Strength};
 use crate::config::{Distribution, Draw, Operation, values};
 use crate::dynamics::{ActuatorNetwork, Parameters, SharedArray};
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
-use crate::rows::Rows;
 use crate::variation::BodyScales;
 use crate::world::Ground;
 
@@ -23,13 +23,14 @@ pub fn randomise_at_startup(
     task: Res<CompiledTask>,
     ground: Res<Ground>,
     mut robots: Query<(&EnvId, &Morphology, &mut Body, &mut Stance, &mut StartupBody), With<Robot>>,
-    mut envs: Rows<&'static mut EnvRng, Env>,
+    mut envs: Blocks<&'static mut EnvRng, Env>,
 ) -> Result {
-    let rngs = envs.write()?;
+    let mut rngs = envs.write()?;
     for (env, tag, mut body, mut stance, mut startup) in &mut robots {
-        let Some(rng) = rngs.get_mut(env.0 as usize) else {
+        let Some((rngs, row)) = rngs.at_mut(env.0 as usize) else {
             continue;
         };
+        let rng = &mut rngs[row];
         let morphology = morphologies.get(*tag);
         stance.clone_from(&morphology.stance);
         let mut new = NewBody { morphology, ground: &ground, parameters: &mut body.0, stance: &mut stance };
@@ -64,17 +65,20 @@ pub(super) fn reset_bodies(
     request: Res<ResetRequest>,
     ground: Res<Ground>,
     mut robots: Query<(&EnvId, &Morphology, &mut Body, &mut Stance, &StartupBody), With<Robot>>,
-    mut envs: Rows<(&'static Episode, &'static mut EnvRng), Env>,
+    mut envs: Blocks<(&'static Episode, &'static mut EnvRng), Env>,
 ) -> Result {
     if task.reset_body_events.is_empty() {
         return Ok(());
     }
-    let (episodes, rngs) = envs.write()?;
+    let mut envs = envs.write()?;
     for (env, tag, mut body, mut stance, startup) in &mut robots {
-        let env = env.0 as usize;
-        let Some(rng) = rngs.get_mut(env).filter(|_| is_due(&episodes[env], *autoreset, *request)) else {
+        let Some(((episodes, rngs), row)) = envs.at_mut(env.0 as usize) else {
             continue;
         };
+        if !is_due(&episodes[row], *autoreset, *request) {
+            continue;
+        }
+        let rng = &mut rngs[row];
         if let Some(startup) = &startup.0 {
             *body.0 = startup.0.clone();
             *stance = startup.1.clone();

@@ -9,13 +9,13 @@ use super::terms::{CompiledTask, NoParams, Registry};
 use super::view::{RobotView, ViewParam};
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
+use crate::blocks::{Block, Blocks};
 use crate::components::{Env, Episode};
 use crate::config::quantities::{Coordinate, Factor, ForceThreshold, Quantity, Tilt as TiltRange};
 use crate::config::values;
 use crate::engine::StateLimits;
 use crate::options::Autoreset;
 use crate::robot::BodyGroup;
-use crate::rows::Rows;
 use crate::workers::Workers;
 
 /// Ends episodes.
@@ -37,16 +37,16 @@ pub(super) fn end_episodes(
     autoreset: Res<Autoreset>,
     views: ViewParam,
     mut batch: ResMut<Batch>,
-    mut envs: Rows<&'static mut Episode, Env>,
+    mut envs: Blocks<&'static mut Episode, Env>,
 ) -> Result {
-    let views = views.views(task.step_dt)?;
     let batch = &mut *batch;
-    let rows = (envs.write()?, &mut batch.terminated[..], &mut batch.truncated[..]);
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, terminated, truncated)| {
-        for i in 0..n {
+    let flags = (&mut batch.terminated[..], &mut batch.truncated[..]);
+    let blocks = views.views(task.step_dt)?.zip(envs.write()?).zip_envs(flags);
+    blocks.for_each_chunk(&workers, |Block { envs, rows: ((views, episodes), (terminated, truncated)), .. }| {
+        for i in 0..envs.len() {
             let episode = &mut episodes[i];
             episode.fresh = false;
-            let view = views.get(first + i);
+            let view = views.get(i);
             let pending = *autoreset == Autoreset::NextStep && episode.needs_reset;
             if pending {
                 (episode.terminated, episode.truncated) = (false, false);

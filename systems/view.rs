@@ -3,15 +3,16 @@
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 
+use crate::blocks::{BlockList, Blocks};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactSensor, Env, EnvOrigin, Episode,
-    ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, Morphology, Robot, Stance,
+    ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, Robot, Stance,
 };
 use crate::dynamics::Parameters;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::Rows;
 use crate::terrain::TerrainLayout;
+use crate::workers::SplitRows;
 use crate::world::Ground;
 
 /// All that reward, observation and termination terms may read of one robot and its env.
@@ -74,17 +75,16 @@ impl RobotView<'_> {
 pub(super) struct ViewParam<'w, 's> {
     morphologies: Res<'w, Morphologies>,
     ground: Res<'w, Ground>,
-    robots: Rows<'w, 's, RobotColumns, Robot>,
-    envs: Rows<'w, 's, (&'static Command, &'static EnvOrigin), Env>,
-    imus: Rows<'w, 's, &'static Imu, Imu>,
-    contacts: Rows<'w, 's, &'static ContactSensor, ContactSensor>,
-    scans: Rows<'w, 's, &'static HeightScan, HeightScan>,
-    descriptors: Rows<'w, 's, &'static JointDescriptors, JointDescriptors>,
+    robots: Blocks<'w, 's, RobotColumns, Robot>,
+    envs: Blocks<'w, 's, (&'static Command, &'static EnvOrigin), Env>,
+    imus: Blocks<'w, 's, &'static Imu, Imu>,
+    contacts: Blocks<'w, 's, &'static ContactSensor, ContactSensor>,
+    scans: Blocks<'w, 's, &'static HeightScan, HeightScan>,
+    descriptors: Blocks<'w, 's, &'static JointDescriptors, JointDescriptors>,
 }
 
 /// What terms read of robots themselves.
 type RobotColumns = (
-    &'static Morphology,
     &'static BasePose,
     &'static BaseVelocity,
     &'static JointState,
@@ -96,38 +96,43 @@ type RobotColumns = (
 );
 
 impl ViewParam<'_, '_> {
-    pub(super) fn views(&self, step_dt: f32) -> Result<Views<'_>, Error> {
-        let (tags, poses, velocities, joints, efforts, actions, feet, bodies, stances) = self.robots.read()?;
-        let (commands, origins) = self.envs.read()?;
-        Ok(Views {
-            morphologies: &self.morphologies,
-            ground: &self.ground,
-            tags,
-            commands,
-            origins,
-            poses,
-            velocities,
-            imus: self.imus.read()?,
-            joints,
-            efforts,
-            actions,
-            contacts: self.contacts.read()?,
-            feet,
-            scans: self.scans.read_if_any()?,
-            descriptors: self.descriptors.read_if_any()?,
-            bodies,
-            stances,
-            step_dt,
-        })
+    pub(super) fn views(&self, step_dt: f32) -> Result<BlockList<Views<'_>>, Error> {
+        let of_all = self.robots.read()?.zip(self.envs.read()?).zip(self.imus.read()?).zip(self.contacts.read()?);
+        let blocks = of_all.zip_some(self.scans.read_some()?).zip_some(self.descriptors.read_some()?);
+        Ok(blocks.map(|morphology, (((((robots, envs), imus), contacts), scans), descriptors)| {
+            let (poses, velocities, joints, efforts, actions, feet, bodies, stances) = robots;
+            let (commands, origins) = envs;
+            Views {
+                morphology: self.morphologies.get(morphology),
+                ground: &self.ground,
+                first: 0,
+                commands,
+                origins,
+                poses,
+                velocities,
+                imus,
+                joints,
+                efforts,
+                actions,
+                contacts,
+                feet,
+                scans: scans.unwrap_or_default(),
+                descriptors: descriptors.unwrap_or_default(),
+                bodies,
+                stances,
+                step_dt,
+            }
+        }))
     }
 }
 
-/// The views of all robots, by env.
+/// The views of a block's robots, or of some consecutive ones.
 #[derive(Clone, Copy)]
 pub(super) struct Views<'a> {
-    morphologies: &'a Morphologies,
+    morphology: &'a MorphologyModel,
     ground: &'a Ground,
-    pub(super) tags: &'a [Morphology],
+    /// Row of the first robot in the slices.
+    first: usize,
     commands: &'a [Command],
     origins: &'a [EnvOrigin],
     poses: &'a [BasePose],
@@ -145,30 +150,34 @@ pub(super) struct Views<'a> {
     step_dt: f32,
 }
 
-impl<'a> Views<'a> {
-    pub(super) fn len(&self) -> usize {
-        self.tags.len()
+impl SplitRows for Views<'_> {
+    fn split_rows(self, n: usize) -> (Self, Self) {
+        (self, Self { first: self.first + n, ..self })
     }
+}
 
+impl<'a> Views<'a> {
+    /// The view of the robot in a row.
     #[inline(always)]
-    pub(super) fn get(&self, env: usize) -> RobotView<'a> {
+    pub(super) fn get(&self, row: usize) -> RobotView<'a> {
+        let row = self.first + row;
         RobotView {
-            morphology: self.morphologies.get(self.tags[env]),
-            command: &self.commands[env].velocity,
-            pose: &self.poses[env],
-            velocity: &self.velocities[env],
-            imu: &self.imus[env],
-            joints: &self.joints[env],
-            effort: &self.efforts[env],
-            action: &self.actions[env],
-            contacts: &self.contacts[env],
-            feet: &self.feet[env],
-            height_scan: self.scans.get(env).map_or(&[], |scan| &scan.hits),
-            joint_descriptors: self.descriptors.get(env).map_or(&[], |of| &of.numbers),
-            body: &self.bodies[env].0,
-            stance: &self.stances[env],
+            morphology: self.morphology,
+            command: &self.commands[row].velocity,
+            pose: &self.poses[row],
+            velocity: &self.velocities[row],
+            imu: &self.imus[row],
+            joints: &self.joints[row],
+            effort: &self.efforts[row],
+            action: &self.actions[row],
+            contacts: &self.contacts[row],
+            feet: &self.feet[row],
+            height_scan: self.scans.get(row).map_or(&[], |scan| &scan.hits),
+            joint_descriptors: self.descriptors.get(row).map_or(&[], |of| &of.numbers),
+            body: &self.bodies[row].0,
+            stance: &self.stances[row],
             ground: self.ground,
-            origin: &self.origins[env],
+            origin: &self.origins[row],
             terminated: false,
             step_dt: self.step_dt,
         }

@@ -20,9 +20,9 @@ const ROOMS: [&str; 32] = [
     "options",
     "components",
     "batch",
-    "rows",
     "agreement",
     "morphology",
+    "blocks",
     "variation",
     "geometry_export",
     "terrain",
@@ -173,9 +173,9 @@ fn files_of_the_pipeline() {
 #[test]
 fn an_upward_arrow_is_seen() {
     let file = Path::new("src/config/task.rs");
-    let code = "use crate::app::Sim;\nuse crate::{files, rows};\nlet x = crate::bounds::MAX;";
+    let code = "use crate::app::Sim;\nuse crate::{files, blocks};\nlet x = crate::bounds::MAX;";
     let used = names_after(code, "crate::");
-    assert_eq!(used, ["app", "files", "rows", "bounds"]);
+    assert_eq!(used, ["app", "files", "blocks", "bounds"]);
     assert_eq!(upward(&ROOMS, file, "config", &used).len(), 2);
     assert_eq!(names_after("use super::{ControlStep, physics};", "super::"), ["ControlStep", "physics"]);
     assert!(names_after("use super::super::physics;", "super::").iter().all(|name| name != "physics"));

@@ -6,10 +6,10 @@ use bevy_ecs::component::{Component, Mutable};
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
 use polypod::Sim;
+use polypod::blocks::{BlockSizes, Blocks, RowKind};
 use polypod::components::{
     BasePose, ContactSensor, Env, EnvId, EnvRng, Episode, Imu, JointState, Morphology, MountedOn, Robot,
 };
-use polypod::rows::{RowKind, Rows};
 use polypod::systems::distribute;
 
 use crate::common::{ROBOTS, busy, step};
@@ -71,10 +71,14 @@ fn blocks_are_contiguous_and_in_the_order_of_the_robots() {
     assert_eq!((next, sim.num_envs()), (19, 19));
 }
 
-/// Tags of all entities with component `C`, in the order in which systems meet them.
+/// Tags of all entities with component `C`, morphology by morphology, in the order in which systems meet them.
 fn tags<C: Component>(world: &mut World) -> Vec<(Entity, u32, usize)> {
     let mut query = world.query_filtered::<(Entity, &EnvId, &Morphology), With<C>>();
-    query.iter(world).map(|(entity, env, morphology)| (entity, env.0, usize::from(morphology.0))).collect()
+    let mut tags: Vec<(Entity, u32, usize)> =
+        query.iter(world).map(|(entity, env, morphology)| (entity, env.0, usize::from(morphology.0))).collect();
+    // a stable sort: envs of a morphology stay in the order of their table
+    tags.sort_by_key(|(.., morphology)| *morphology);
+    tags
 }
 
 fn check_tags(sim: &mut Sim) {
@@ -109,7 +113,7 @@ fn every_entity_is_tagged_once_and_in_order() {
     check_tags(&mut sim);
 }
 
-/// The slice that systems read holds all rows of `C`, row `i` being env `i`.
+/// The blocks that systems read are the morphologies' envs, and hold all rows of `C`, one after the other.
 fn check_rows<C: Component<Mutability = Mutable>, K: RowKind>(world: &mut World, num_envs: usize) {
     let by_env: Vec<*const C> = {
         let mut rows: Vec<_> =
@@ -120,8 +124,12 @@ fn check_rows<C: Component<Mutability = Mutable>, K: RowKind>(world: &mut World,
     assert_eq!(by_env.len(), num_envs);
     let expected = by_env.iter().map(|p| p.addr()).collect::<Vec<_>>();
     let found = world
-        .run_system_once(|rows: Rows<&'static C, K>| {
-            rows.read().unwrap().iter().map(|row| std::ptr::from_ref(row).addr()).collect::<Vec<_>>()
+        .run_system_once(|blocks: Blocks<&'static C, K>, sizes: Res<BlockSizes>| {
+            let blocks = blocks.read().unwrap();
+            let found: Vec<_> = blocks.iter().map(|block| (block.morphology, block.envs.clone())).collect();
+            assert_eq!(found, sizes.iter().collect::<Vec<_>>());
+            let rows = blocks.into_iter().flat_map(|block| block.rows);
+            rows.map(|row| std::ptr::from_ref(row).addr()).collect::<Vec<_>>()
         })
         .unwrap();
     assert_eq!(found, expected);

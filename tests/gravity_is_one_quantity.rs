@@ -66,9 +66,9 @@ fn usual_gravity_keeps_its_bits() {
     sim.step(&actions).unwrap();
     let world = sim.world_mut();
     let mut imus = world.query::<(&EnvId, &Imu)>();
-    let gravity: Vec<_> = imus.iter(world).map(|(_, imu)| imu.projected_gravity).collect();
+    let gravity: Vec<_> = imus.iter(world).sort::<&EnvId>().map(|(_, imu)| imu.projected_gravity).collect();
     let mut poses = world.query::<(&EnvId, &polypod::components::BasePose)>();
-    for ((_, pose), gravity) in poses.iter(world).zip(gravity) {
+    for ((_, pose), gravity) in poses.iter(world).sort::<&EnvId>().zip(gravity) {
         let up = polypod::dynamics::math::quat_to_mat(&pose.rotation)[2];
         assert_eq!(gravity.map(f32::to_bits), up.map(|x| (-x).to_bits()));
     }

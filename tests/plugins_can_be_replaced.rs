@@ -3,8 +3,8 @@
 use bevy_app::{App, Plugin, PluginGroup};
 use bevy_ecs::prelude::*;
 use polypod::batch::Batch;
+use polypod::blocks::Blocks;
 use polypod::components::{BasePose, EnvId, Robot};
-use polypod::rows::Rows;
 use polypod::systems::{
     ControlStep, FinitePlugin, NonFinite, PipelineSet, PolypodPlugins, RewardPlugin, SensePlugin, Setup, SetupSet,
 };
@@ -31,9 +31,11 @@ impl Plugin for HeightReward {
     }
 }
 
-fn reward_height(mut batch: ResMut<Batch>, robots: Rows<&'static BasePose, Robot>) -> Result {
-    for (reward, pose) in batch.rewards.iter_mut().zip(robots.read()?) {
-        *reward = pose.position[2];
+fn reward_height(mut batch: ResMut<Batch>, robots: Blocks<&'static BasePose, Robot>) -> Result {
+    for block in robots.read()? {
+        for (env, pose) in block.envs.zip(block.rows) {
+            batch.rewards[env] = pose.position[2];
+        }
     }
     Ok(())
 }

@@ -11,6 +11,7 @@ mod a_drafted_robot_stands_level;
 mod a_fall_costs_what_the_task_says;
 mod a_makers_sign_does_not_reach_the_policy;
 mod a_reset_places_the_robot;
+mod a_sensor_may_be_of_some_morphologies;
 mod actions_become_targets;
 mod an_empty_root_is_no_base;
 mod arrows_point_one_way;

@@ -260,17 +260,25 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 /// Gathers what the formulas need from the robots' components, by env.
 fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], when: &str) -> Vec<Seen> {
-    let commands: Vec<[f64; 3]> =
-        world.query::<(&EnvId, &Command)>().iter(world).map(|(_, c)| c.velocity.map(f64::from)).collect();
-    let sensors: Vec<ContactSensor> =
-        world.query::<(&EnvId, &ContactSensor)>().iter(world).map(|(_, sensor)| sensor.clone()).collect();
+    let commands: Vec<[f64; 3]> = world
+        .query::<(&EnvId, &Command)>()
+        .iter(world)
+        .sort::<&EnvId>()
+        .map(|(_, c)| c.velocity.map(f64::from))
+        .collect();
+    let sensors: Vec<ContactSensor> = world
+        .query::<(&EnvId, &ContactSensor)>()
+        .iter(world)
+        .sort::<&EnvId>()
+        .map(|(_, sensor)| sensor.clone())
+        .collect();
     let mut query = world.query::<(
         &EnvId,
         (&BasePose, &BaseVelocity, &Body, &JointState),
         (&JointEffort, &Action, &Feet, &ContactForces),
     )>();
     let mut all = Vec::new();
-    for (id, (pose, velocity, body, joints), (effort, action, feet, forces)) in query.iter(world) {
+    for (id, (pose, velocity, body, joints), (effort, action, feet, forces)) in query.iter(world).sort::<&EnvId>() {
         let env = id.0 as usize;
         let robot = &robots[env / ENVS_PER_ROBOT];
         let sensor = &sensors[env];

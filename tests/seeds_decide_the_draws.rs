@@ -8,7 +8,7 @@ use crate::common::{ROBOTS, assert_all_same, assert_same, busy, env_bits, step};
 /// Heading commands: drawn at every reset.
 fn headings(sim: &mut Sim) -> Vec<f32> {
     let world = sim.world_mut();
-    world.query::<(&EnvId, &Command)>().iter(world).map(|(_, command)| command.heading).collect()
+    world.query::<(&EnvId, &Command)>().iter(world).sort::<&EnvId>().map(|(_, command)| command.heading).collect()
 }
 
 fn seeded(seed: u64) -> Sim {

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use polypod::components::EnvOrigin;
+use polypod::components::{EnvId, EnvOrigin};
 use polypod::snapshot::join;
 use polypod::{Sim, SimOptions};
 
@@ -20,7 +20,8 @@ fn step(sim: &mut Sim, t: usize) {
 fn bits_of(sim: &mut Sim) -> Vec<Vec<u32>> {
     let mut bits = env_bits(sim);
     let world = sim.world_mut();
-    for (row, origin) in bits.iter_mut().zip(world.query::<&EnvOrigin>().iter(world)) {
+    for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+        let row = &mut bits[env.0 as usize];
         row.extend([origin.terrain_level, origin.terrain_column]);
         row.extend(origin.position.map(f32::to_bits));
     }

@@ -184,14 +184,23 @@ impl Seen<'_> {
 }
 
 fn see<'a>(world: &mut World, robots: &'a [MorphologyModel]) -> Vec<Seen<'a>> {
-    let commands: Vec<[f64; 3]> =
-        world.query::<(&EnvId, &Command)>().iter(world).map(|(_, c)| c.velocity.map(f64::from)).collect();
-    let sensors: Vec<ContactSensor> =
-        world.query::<(&EnvId, &ContactSensor)>().iter(world).map(|(_, sensor)| sensor.clone()).collect();
-    let ended: Vec<bool> = world.query::<(&EnvId, &Episode)>().iter(world).map(|(_, e)| e.terminated).collect();
+    let commands: Vec<[f64; 3]> = world
+        .query::<(&EnvId, &Command)>()
+        .iter(world)
+        .sort::<&EnvId>()
+        .map(|(_, c)| c.velocity.map(f64::from))
+        .collect();
+    let sensors: Vec<ContactSensor> = world
+        .query::<(&EnvId, &ContactSensor)>()
+        .iter(world)
+        .sort::<&EnvId>()
+        .map(|(_, sensor)| sensor.clone())
+        .collect();
+    let ended: Vec<bool> =
+        world.query::<(&EnvId, &Episode)>().iter(world).sort::<&EnvId>().map(|(_, e)| e.terminated).collect();
     let mut query = world.query::<(&EnvId, &BasePose, &Body, &JointState, &JointEffort, &Action, &Feet)>();
     let mut all = Vec::new();
-    for (id, pose, body, joints, effort, action, feet) in query.iter(world) {
+    for (id, pose, body, joints, effort, action, feet) in query.iter(world).sort::<&EnvId>() {
         let env = id.0 as usize;
         let robot = &robots[env / EACH];
         let sensor = &sensors[env];

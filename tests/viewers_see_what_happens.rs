@@ -1,6 +1,6 @@
 //! A viewer reads the simulation's state, and a push is a change of velocity.
 
-use polypod::components::BaseVelocity;
+use polypod::components::{BaseVelocity, EnvId};
 use polypod::{Sim, SimOptions};
 
 fn sim(task: &str, more: &[&str]) -> Sim {
@@ -27,7 +27,10 @@ fn a_push_adds_its_velocity_and_the_robot_moves() {
         pushed.push(&velocity).unwrap();
         let of = |sim: &mut Sim| -> Vec<[f32; 3]> {
             let world = sim.world_mut();
-            world.query::<&BaseVelocity>().iter(world).map(|velocity| velocity.linear).collect()
+            let mut rows = vec![[0.0; 3]; 5];
+            let mut query = world.query::<(&EnvId, &BaseVelocity)>();
+            query.iter(world).for_each(|(env, velocity)| rows[env.0 as usize] = velocity.linear);
+            rows
         };
         for (env, (with, without)) in of(&mut pushed).into_iter().zip(of(&mut alone)).enumerate() {
             for axis in 0..3 {

@@ -13,6 +13,7 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
 
 use crate::batch::Batch;
+use crate::blocks::BlockSizes;
 use crate::bounds::MAX_ACTION;
 use crate::components::{Body, Command, EnvId, EnvRng, Episode, Morphology};
 use crate::config::{LoadedRobot, LoadedTask, VelocityCommandConfig};
@@ -20,10 +21,9 @@ use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
-use crate::rows::NumEnvs;
 use crate::systems::{
-    BlockSizes, BrokenStates, CompiledTask, ControlStep, InstructionSet, Loaded, PolypodPlugins, Registry, ResetEnvs,
-    ResetRequest, Setup, Share, outcome, place_envs, randomise_at_startup, run,
+    BrokenStates, CompiledTask, ControlStep, InstructionSet, Loaded, PolypodPlugins, Registry, ResetEnvs, ResetRequest,
+    Setup, Share, outcome, place_envs, randomise_at_startup, run,
 };
 use crate::workers::Workers;
 
@@ -123,17 +123,14 @@ impl Sim {
 
     /// Sets the actions of joints that robots lack to zero.
     fn clear_absent_actions(&mut self) {
-        let blocks = self.world.resource::<BlockSizes>().0.clone();
-        self.world.resource_scope(|world, morphologies: Mut<Morphologies>| {
-            let mut batch = world.resource_mut::<Batch>();
+        self.world.resource_scope(|world, mut batch: Mut<Batch>| {
             let width = batch.num_actions;
-            let mut first = 0;
-            for (robot, count) in morphologies.0.iter().zip(blocks) {
-                let rows = first * width..(first + count) * width;
-                first += count;
+            let morphologies = world.resource::<Morphologies>();
+            for (morphology, envs) in world.resource::<BlockSizes>().iter() {
+                let robot = morphologies.get(morphology);
                 if robot.slots.len() < width {
                     let mask = robot.action_mask(width);
-                    for row in batch.actions[rows].chunks_exact_mut(width) {
+                    for row in batch.actions[envs.start * width..envs.end * width].chunks_exact_mut(width) {
                         row.iter_mut().zip(&mask).filter(|(_, has)| !**has).for_each(|(action, _)| *action = 0.0);
                     }
                 }
@@ -258,15 +255,15 @@ impl Sim {
 
     /// The ECS world.
     ///
-    /// A component may be given to all entities of a kind, or to some where it has `#[component(storage = "SparseSet")]`; the next
-    /// step is refused otherwise, see [`Rows`](crate::rows::Rows).
+    /// A component may be given to all entities of a kind and morphology, or to some where it has
+    /// `#[component(storage = "SparseSet")]`; the next step is refused otherwise, see [`blocks`](crate::blocks).
     pub fn world_mut(&mut self) -> &mut World {
         &mut self.world
     }
 
     /// Number of envs that are simulated here.
     pub fn num_envs(&self) -> usize {
-        self.world.resource::<NumEnvs>().0
+        self.world.resource::<BlockSizes>().num_envs()
     }
 
     /// Which envs of the whole batch they are.
@@ -276,21 +273,15 @@ impl Sim {
 
     /// The rows of the robot at place `index`, `start..end`.
     pub fn env_ids(&self, index: usize) -> std::ops::Range<usize> {
-        let counts = &self.world.resource::<BlockSizes>().0;
-        let start = counts.iter().take(index).sum();
-        start..start + counts.get(index).copied().unwrap_or(0)
+        let blocks = self.world.resource::<BlockSizes>();
+        blocks.iter().nth(index).map_or(blocks.num_envs()..blocks.num_envs(), |(_, envs)| envs)
     }
 
     /// Place of a row in its robot's rows.
     pub fn index_in_block(&self, env: usize) -> usize {
-        let mut start = 0;
-        for &count in &self.world.resource::<BlockSizes>().0 {
-            if env < start + count {
-                return env - start;
-            }
-            start += count;
-        }
-        env - start
+        let blocks = self.world.resource::<BlockSizes>();
+        let own = blocks.iter().find(|(_, envs)| envs.contains(&env));
+        env - own.map_or(blocks.num_envs(), |(_, envs)| envs.start)
     }
 
     /// Threads at work.

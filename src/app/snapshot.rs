@@ -90,7 +90,7 @@ impl Sim {
                 let problem = format!("it holds {} envs from env {first} on", snapshot.batch.num_envs);
                 Error::Snapshot(format!("{problem}, and this simulation is of envs {} to {}", own.start, own.end))
             })?,
-            count: snapshot.batch.num_envs,
+            morphologies: self.morphologies_from(snapshot.first_env, snapshot.batch.num_envs),
         };
         let logs_fit = match (&snapshot.logs, self.world.get_resource::<Logs>()) {
             (Some(theirs), Some(ours)) => theirs.fits(ours),
@@ -99,7 +99,7 @@ impl Sim {
         let batch = snapshot.batch.rows(rows.own.clone()).filter(|batch| batch.has_sizes_of(self.batch()));
         let engine = match snapshot.engine.len() {
             0 => Some(Vec::new()),
-            count if count == rows.count => snapshot.engine.get(rows.own.clone()).map(<[_]>::to_vec),
+            count if count == rows.morphologies.len() => snapshot.engine.get(rows.own.clone()).map(<[_]>::to_vec),
             _ => None,
         };
         let (true, Some(batch), Some(engine)) = (logs_fit, batch, engine) else {
@@ -120,6 +120,14 @@ impl Sim {
         mirror_all(&mut self.world)?;
         SavedComponents::measure(&mut self.world)
     }
+
+    /// The morphologies of `count` envs of the whole batch from env `first_env` on, as far as it has them.
+    fn morphologies_from(&self, first_env: u64, count: usize) -> Vec<Morphology> {
+        let counts = self.share().counts.iter().enumerate();
+        let all = counts.flat_map(|(morphology, &count)| std::iter::repeat_n(Morphology(morphology as u16), count));
+        all.skip(usize::try_from(first_env).unwrap_or(usize::MAX)).take(count).collect()
+    }
+
     /// Where this simulation's envs are among those of a snapshot that begins with `first_env` and has so many.
     fn rows_in(&self, first_env: u64, count: usize) -> Option<Range<usize>> {
         let (first, own) = (usize::try_from(first_env).ok()?, &self.share().envs);

@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use glam::DMat3;
 
+use crate::blocks::BlockList;
 use crate::dynamics::lanes::{self, Simd};
 use crate::dynamics::{ActuatorNetwork, HeightGrid, Parameters, State, StepSettings, Topology};
 use crate::morphology::MorphologyModel;
@@ -47,8 +48,8 @@ pub(crate) trait Engine<F: RowFamily>: Send + Sync {
     fn fetch(&self, env: usize, rows: F::Rows<'_>);
     /// Sets state and report of a resident robot to those of the first row.
     fn restart(&mut self, env: usize, rows: F::Rows<'_>);
-    /// `run.steps` physics steps of all robots. Of each morphology that `run` watches the first env whose new state is broken is returned.
-    fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord>;
+    /// `run.steps` physics steps of all robots, those of each morphology a block. Of each morphology that `run` watches the first env whose new state is broken is returned.
+    fn step(&mut self, workers: &Workers, blocks: BlockList<F::Rows<'_>>, run: Run) -> Vec<DivergenceRecord>;
     /// How far the links' origins are from where forward kinematics has them, at most, m.
     fn link_drift(&self, _env: usize) -> f64 {
         0.0

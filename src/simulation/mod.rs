@@ -27,6 +27,7 @@ pub use options::{Precision, SimulationOptions};
 pub use parameters::LinkId;
 pub use queries::{LinkPoses, LinkVelocities};
 
+use crate::blocks::BlockList;
 use crate::bounds::{BYTES_PER_LINK, MAX_STEPS, check_num_envs};
 use crate::config::EngineKind;
 use crate::dynamics::lanes::Simd;
@@ -373,7 +374,8 @@ impl Simulation {
             self.explicit.iter().map(|&explicit| control.implicit.map_or(explicit, |implicit| !implicit)).collect();
         self.engine.set_explicit(0, &explicit);
         let run = Run { steps: n, gains, limits: &StateLimits::default(), watched: &[false] };
-        self.engine.step(&self.workers, EnvRows::asking(actuation), run);
+        let envs = 0..self.num_envs();
+        self.engine.step(&self.workers, BlockList::of_one(envs, EnvRows::asking(actuation)), run);
         self.steps += n as u64;
         Ok(())
     }

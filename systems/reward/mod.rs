@@ -13,9 +13,9 @@ use super::terms::{CompiledTask, Registry};
 use super::view::{RobotView, ViewParam};
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
+use crate::blocks::{Block, Blocks};
 use crate::components::{Env, Episode, EpisodeSums};
 use crate::options::Autoreset;
-use crate::rows::Rows;
 use crate::workers::Workers;
 
 /// Computes rewards.
@@ -38,21 +38,19 @@ pub(super) fn compute_rewards(
     autoreset: Res<Autoreset>,
     views: ViewParam,
     mut batch: ResMut<Batch>,
-    mut envs: Rows<(&'static Episode, &'static mut EpisodeSums), Env>,
+    mut envs: Blocks<(&'static Episode, &'static mut EpisodeSums), Env>,
 ) -> Result {
-    let views = views.views(task.step_dt)?;
-    let (episodes, sums) = envs.write()?;
-    let rows = (episodes, sums, &mut batch.rewards[..]);
-    workers.for_each_chunk(rows, views.len(), |first, n, (episodes, sums, rewards)| {
-        for i in 0..n {
+    let blocks = views.views(task.step_dt)?.zip(envs.write()?).zip_envs(&mut batch.rewards[..]);
+    blocks.for_each_chunk(&workers, |Block { morphology, envs, rows: ((views, (episodes, sums)), rewards) }| {
+        let terms = &task.rewards[usize::from(morphology.0)];
+        for i in 0..envs.len() {
             let episode = &episodes[i];
             let resetting = *autoreset == Autoreset::NextStep && episode.needs_reset && !episode.done();
             if episode.invalid || resetting {
                 rewards[i] = 0.0;
                 continue;
             }
-            let view = RobotView { terminated: episode.terminated, ..views.get(first + i) };
-            let terms = &task.rewards[usize::from(views.tags[first + i].0)];
+            let view = RobotView { terminated: episode.terminated, ..views.get(i) };
             let sums = &mut sums[i];
             sums.add_errors(&view);
             let mut total = 0.0;

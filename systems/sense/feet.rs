@@ -2,9 +2,9 @@
 
 use bevy_ecs::prelude::*;
 
+use crate::blocks::{Block, Blocks};
 use crate::components::{Env, EnvOrigin, Feet, Robot};
 use crate::dynamics::lanes::Kernel;
-use crate::rows::Rows;
 use crate::workers::Workers;
 use crate::world::Ground;
 
@@ -12,16 +12,12 @@ use crate::world::Ground;
 pub(super) fn measure_feet(
     workers: Res<Workers>,
     ground: Res<Ground>,
-    mut robots: Rows<&'static mut Feet, Robot>,
-    envs: Rows<&'static EnvOrigin, Env>,
+    mut robots: Blocks<&'static mut Feet, Robot>,
+    envs: Blocks<&'static EnvOrigin, Env>,
 ) -> Result {
-    let (feet, origins) = (robots.write()?, envs.read()?);
     let ground = &ground;
-    workers.vectorize_chunks((feet, origins), origins.len(), |_, _, (feet, origins)| FeetRows {
-        ground,
-        feet,
-        origins,
-    });
+    let blocks = robots.write()?.zip(envs.read()?);
+    blocks.vectorize_chunks(&workers, |Block { rows: (feet, origins), .. }| FeetRows { ground, feet, origins });
     Ok(())
 }
 

@@ -2,6 +2,7 @@
 //!
 //! A sensor is a component of an entity of its own, one per env, and an implementation of [`Sensor`]; one line,
 //! [`add_sensor`], registers it. It is then spawned, measured, cleared at the beginning of an episode and saved in snapshots.
+//! [`RowKind::is_on`] says which morphologies have it.
 
 mod contact;
 mod feet;
@@ -16,7 +17,8 @@ use bevy_ecs::system::SystemParam;
 
 use super::spawn::spawn_robots;
 use super::terms::CompiledTask;
-use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, faults, for_both, keep_row_order, saved};
+use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, faults, for_both, keep_blocks, saved};
+use crate::blocks::{Block, Blocks, RowKind};
 use crate::components::{
     BasePose, BaseVelocity, Body, ContactForces, ContactSensor, Env, EnvId, EnvOrigin, Episode, HeightScan, Imu,
     JointDescriptors, JointState, Morphology, MountedOn, Robot, Stance,
@@ -26,7 +28,6 @@ use crate::dynamics::Parameters;
 use crate::dynamics::lanes::Kernel;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
-use crate::rows::{RowKind, Rows};
 use crate::workers::Workers;
 use crate::world::Ground;
 
@@ -96,37 +97,38 @@ pub fn add_sensor<S: Sensor>(app: &mut App) {
     app.add_systems(Setup, spawn::<S>.after(spawn_robots).in_set(SetupSet::Spawn).ambiguous_with_all());
     app.add_systems(ControlStep, measure_all::<S>.run_if(exists).in_set(PipelineSet::Sense));
     for_both(app, || begin_episodes::<S>.run_if(resource_exists::<SensorSettings<S>>).in_set(ResetSet::Sensors));
-    keep_row_order::<S>(app);
+    keep_blocks::<S>(app);
     if S::IS_SAVED {
-        saved::save_component::<S>(app);
+        saved::save_component_of::<S, S>(app);
     } else {
         saved::measure_after_restore(app, measure_anew::<S>);
     }
 }
 
-/// Spawns a sensor on every robot, in the order of the env ids.
+/// Spawns a sensor on every robot of the morphologies that have it, in the order of the env ids.
 fn spawn<S: Sensor>(world: &mut World) {
-    let Some(settings) = S::settings(&world.resource::<CompiledTask>().config) else {
+    let task = &world.resource::<CompiledTask>().config;
+    let Some(settings) = S::settings(task) else {
         return;
     };
+    let morphologies = world.resource::<Morphologies>();
+    let is_on: Vec<bool> = morphologies.0.iter().map(|morphology| S::is_on(morphology, task)).collect();
     let mut robots: Vec<(EnvId, Morphology, Entity)> = world
         .query_filtered::<(&EnvId, &Morphology, Entity), With<Robot>>()
         .iter(world)
         .map(|(env, tag, robot)| (*env, *tag, robot))
+        .filter(|(_, tag, _)| is_on[usize::from(tag.0)])
         .collect();
     robots.sort_unstable();
-    let morphologies = world.resource::<Morphologies>();
-    let sensors: Vec<_> = robots
-        .into_iter()
-        .map(|(env, tag, robot)| (env, tag, MountedOn(robot), S::new(&settings, morphologies.get(tag))))
-        .collect();
-    world.spawn_batch(sensors);
+    for (env, tag, robot) in robots {
+        let sensor = S::new(&settings, world.resource::<Morphologies>().get(tag));
+        world.spawn((env, tag, MountedOn(robot), sensor));
+    }
     world.insert_resource(SensorSettings::<S>(settings));
 }
 
 /// What sensors read of robots.
 type SensedColumns = (
-    &'static Morphology,
     &'static BasePose,
     &'static BaseVelocity,
     &'static JointState,
@@ -143,29 +145,26 @@ struct Sensing<'w, 's, S: Sensor> {
     task: Res<'w, CompiledTask>,
     ground: Res<'w, Ground>,
     settings: Res<'w, SensorSettings<S>>,
-    robots: Rows<'w, 's, SensedColumns, Robot>,
-    envs: Rows<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
-    sensors: Rows<'w, 's, &'static mut S, S>,
+    robots: Blocks<'w, 's, SensedColumns, Robot>,
+    envs: Blocks<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
+    sensors: Blocks<'w, 's, &'static mut S, S>,
 }
 
 impl<S: Sensor> Sensing<'_, '_, S> {
     /// Measures on all robots, or begins the episodes of those that have just been reset.
     fn run(&mut self, occasion: Occasion) -> Result<(), Error> {
-        let (origins, episodes) = self.envs.read()?;
-        if occasion == Occasion::Begin && !episodes.iter().any(|episode| episode.fresh) {
+        let envs = self.envs.read()?;
+        let is_any_fresh = || envs.iter().any(|block| block.rows.1.iter().any(|episode| episode.fresh));
+        if occasion == Occasion::Begin && !is_any_fresh() {
             return Ok(());
         }
-        let (tags, poses, velocities, joints, forces, bodies, stances) = self.robots.read()?;
-        let rows =
-            (tags, (poses, velocities, joints), (forces, bodies, stances), (origins, episodes), self.sensors.write()?);
-        let common = Common {
-            morphologies: &self.morphologies,
-            ground: &self.ground,
-            settings: &self.settings.0,
-            dt: self.task.config.sim.dt,
-            occasion,
-        };
-        self.workers.vectorize_chunks(rows, tags.len(), |_, _, rows| SensorRows { common, rows });
+        let (morphologies, dt) = (&self.morphologies, self.task.config.sim.dt);
+        let (ground, settings) = (&*self.ground, &self.settings.0);
+        let blocks = self.robots.read()?.zip(envs).zip(self.sensors.write_some()?);
+        blocks.vectorize_chunks(&self.workers, |Block { morphology, rows, .. }| {
+            let common = Common { morphology: morphologies.get(morphology), ground, settings, dt, occasion };
+            SensorRows { common, rows }
+        });
         Ok(())
     }
 }
@@ -205,7 +204,7 @@ enum Occasion {
 
 /// What all rows have in common.
 struct Common<'a, S: Sensor> {
-    morphologies: &'a Morphologies,
+    morphology: &'a MorphologyModel,
     ground: &'a Ground,
     settings: &'a S::Settings,
     dt: f64,
@@ -221,10 +220,10 @@ impl<S: Sensor> Clone for Common<'_, S> {
 impl<S: Sensor> Copy for Common<'_, S> {}
 
 type Columns<'a, S> = (
-    &'a [Morphology],
-    (&'a [BasePose], &'a [BaseVelocity], &'a [JointState]),
-    (&'a [ContactForces], &'a [Body], &'a [Stance]),
-    (&'a [EnvOrigin], &'a [Episode]),
+    (
+        (&'a [BasePose], &'a [BaseVelocity], &'a [JointState], &'a [ContactForces], &'a [Body], &'a [Stance]),
+        (&'a [EnvOrigin], &'a [Episode]),
+    ),
     &'a mut [S],
 );
 
@@ -238,13 +237,13 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { common: Common { morphologies, ground, settings, dt, occasion }, rows } = self;
-        let (tags, (poses, velocities, joints), (forces, bodies, stances), (origins, episodes), sensors) = rows;
+        let Self { common: Common { morphology, ground, settings, dt, occasion }, rows } = self;
+        let (((poses, velocities, joints, forces, bodies, stances), (origins, episodes)), sensors) = rows;
         let order = if S::READS_TERRAIN { ground.order_of_tiles(origins) } else { None };
-        for k in 0..tags.len() {
+        for k in 0..poses.len() {
             let row = order.as_ref().map_or(k, |order| order[k] as usize);
             let robot = SensedRobot {
-                morphology: morphologies.get(tags[row]),
+                morphology,
                 origin: &origins[row],
                 pose: &poses[row],
                 velocity: &velocities[row],

@@ -55,6 +55,8 @@ pub struct ObservationTerm {
     /// Factor of the limited numbers.
     pub scale: f32,
     pub(in crate::systems) write: ObservationFn,
+    /// Whether a morphology has it in a task; the others have zeros.
+    is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
 }
 
 /// An observation group: consecutive terms, and consecutive numbers of a row of [`Batch::observations`](crate::batch::Batch).
@@ -243,6 +245,7 @@ impl CompiledTask {
                     spec: registered.spec,
                     offset: built.offset,
                     write: built.write,
+                    is_on: registered.is_on,
                 });
             }
             let (terms, columns) = (first_term..observations.len(), first_column..width);
@@ -416,12 +419,13 @@ impl CompiledTask {
         mirror
     }
 
-    /// Which numbers of an observation this robot has: those of joints and feet that it lacks are zero, and count for nothing.
+    /// Which numbers of an observation this robot has: those of joints, feet and sensors that it lacks are zero, and count for nothing.
     pub fn observation_mask(&self, robot: &MorphologyModel) -> Vec<bool> {
         let joints = robot.action_mask(self.num_joints);
         let mut mask = Vec::with_capacity(self.num_obs());
         for term in &self.observations {
             match term.spec.kind {
+                _ if !(term.is_on)(robot, &self.config) => mask.extend(std::iter::repeat_n(false, term.size)),
                 TermKind::PerJoint => mask.extend(joints.iter().cycle().take(term.size)),
                 TermKind::PerFoot => {
                     let columns = term.size / term.history;

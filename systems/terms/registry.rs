@@ -50,6 +50,8 @@ pub(super) struct RegisteredObservation {
     pub(super) spec: TermSpec,
     pub(super) size: SizeFn,
     pub(super) build: Builder<BuiltObservation>,
+    /// Whether a morphology has it in a task.
+    pub(super) is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
 }
 
 /// An observation term with the parameters of a task.
@@ -154,16 +156,24 @@ impl Registry {
             let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
             Ok(BuiltObservation { offset, write })
         });
-        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(size), build });
+        let registered = RegisteredObservation { spec, size: Box::new(size), build, is_on: |_, _| true };
+        self.observations.insert(name, registered);
     }
 
-    /// An observation term that a system of its own writes.
-    pub(in crate::systems) fn observation_by_system(&mut self, name: &'static str, size: usize, spec: TermSpec) {
+    /// An observation term that a system of its own writes, for the morphologies that `is_on` says yes to in a task.
+    pub(in crate::systems) fn observation_by_system(
+        &mut self,
+        name: &'static str,
+        size: usize,
+        spec: TermSpec,
+        is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
+    ) {
         let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
             let NoParams {} = parse_params(file, element, table)?;
             Ok(BuiltObservation { offset: 0.0, write: None })
         });
-        self.observations.insert(name, RegisteredObservation { spec, size: Box::new(move |_, _| Ok(size)), build });
+        let size: SizeFn = Box::new(move |_, _| Ok(size));
+        self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
     }
 
     /// Names of all observation terms and what they are.

@@ -13,6 +13,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run};
+use crate::blocks::BlockList;
 use crate::dynamics::lanes::Real;
 use crate::dynamics::{
     ActuatorNetwork, ControlStep, HeightGrid, Kernels, NetworkStep, Parameters, StepSettings, Terrain, Topology,
@@ -135,16 +136,21 @@ impl<L: Kernels, T: Real> Packs<L, T> {
         bodies: &[Bodies<L, T>],
         order: &[usize],
         workers: &Workers,
-        rows: R,
+        blocks: BlockList<R>,
         keys: &'a mut [u32],
         resident: &'a mut [Pack<L>],
     ) -> Vec<Task<'a, L, R>> {
-        let mut rest = (rows, keys, Resident(resident));
-        let mut kinds = Vec::with_capacity(bodies.len());
+        let mut rest = (keys, Resident(resident));
+        let mut kept = Vec::with_capacity(bodies.len());
         for of in bodies {
             let (mine, more) = rest.split_rows(of.count);
-            kinds.push(Some(mine));
+            kept.push(Some(mine));
             rest = more;
+        }
+        let mut kinds: Vec<_> = bodies.iter().map(|_| None).collect();
+        for block in blocks {
+            let morphology = usize::from(block.morphology.0);
+            kinds[morphology] = kept[morphology].take().map(|(keys, resident)| (block.rows, keys, resident));
         }
         let mut left: usize = bodies.iter().map(|of| of.count.div_ceil(L::LANES)).sum();
         let mut tasks = Vec::new();
@@ -189,11 +195,11 @@ impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
         self.resident[pack].restart(&rows, 0, lanes);
     }
 
-    fn step(&mut self, workers: &Workers, rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
+    fn step(&mut self, workers: &Workers, blocks: BlockList<F::Rows<'_>>, run: Run) -> Vec<DivergenceRecord> {
         let Self { settings, terrain, bodies, order, keys, resident, scratch } = self;
         let terrain = terrain.as_deref();
         let found = Mutex::new(Vec::new());
-        let tasks = Self::share_out(bodies, order, workers, rows, keys, resident);
+        let tasks = Self::share_out(bodies, order, workers, blocks, keys, resident);
         workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys, resident }| {
             scratch.with(|Scratch { benches, pack_ordering }| {
                 let Bodies { first_env, topology, networks, kind, alike, own, bits, .. } = &bodies[morphology];

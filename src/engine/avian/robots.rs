@@ -10,12 +10,13 @@ use super::super::{
     state_numbers,
 };
 use super::{EngineError, Env, Settings, Worlds};
+use crate::blocks::BlockList;
 use crate::dynamics::lanes::Real;
 use crate::dynamics::{
     ActuatorNetwork, Drive, NetworkStep, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace,
 };
 use crate::obstacles::Part;
-use crate::workers::{SplitRows, Workers};
+use crate::workers::Workers;
 
 /// Robots of all kinds.
 pub(crate) struct AvianRobots {
@@ -137,11 +138,11 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
         env.force.copy_from_slice(&block.report.body_force);
     }
 
-    fn step(&mut self, workers: &Workers, mut rows: F::Rows<'_>, run: Run) -> Vec<DivergenceRecord> {
+    fn step(&mut self, workers: &Workers, blocks: BlockList<F::Rows<'_>>, run: Run) -> Vec<DivergenceRecord> {
         let mut found = Vec::new();
-        for (morphology, block) in self.blocks.iter_mut().enumerate() {
-            let (mut mine, more) = rows.split_rows(block.count);
-            rows = more;
+        for of_morphology in blocks {
+            let (morphology, mut mine) = (usize::from(of_morphology.morphology.0), of_morphology.rows);
+            let block = &mut self.blocks[morphology];
             if !F::RESIDENT {
                 block.gather(&mine);
             }
