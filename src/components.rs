@@ -1,9 +1,10 @@
 //! Every component and tag of the simulated world.
 //!
 //! One env is three kinds of entities, all tagged with [`EnvId`] and [`Morphology`]: the env itself ([`Env`]), its robot
-//! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`],
-//! [`HeightScan`]). Entities of a kind are spawned in the order of
-//! their env ids, so that systems read each component as one slice, row `i` belonging to env `i`.
+//! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`], [`HeightScan`]). Entities of a kind and a morphology are a
+//! [block](crate::blocks): systems read each of their components as one slice, in the order of their envs.
+//!
+//! A joint's state is a number of [`JointState`], its targets are in [`JointTargets`], and what it did is in [`JointEffort`].
 
 use bevy_ecs::prelude::*;
 use rand_pcg::Pcg32;
@@ -232,22 +233,60 @@ pub struct BaseVelocity {
     pub angular: [f32; 3],
 }
 
-/// Joint positions (rad) and velocities (rad/s), physical order.
-#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct JointState {
-    /// rad.
-    pub position: PerJoint,
-    /// rad/s.
-    pub velocity: PerJoint,
+/// Components of lists that have a number for each joint.
+macro_rules! joint_lists {
+    ($($(#[$about:meta])* $component:ident { $($(#[$doc:meta])* $list:ident,)* })*) => {
+        $(
+            $(#[$about])*
+            #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+            pub struct $component {
+                $($(#[$doc])* pub $list: PerJoint,)*
+            }
+
+            impl $component {
+                /// Zeros for so many joints.
+                pub fn zeros(joints: usize) -> Self {
+                    Self { $($list: smallvec![0.0; joints],)* }
+                }
+
+                /// Sets all numbers to zero.
+                pub fn clear(&mut self) {
+                    $(self.$list.fill(0.0);)*
+                }
+
+                /// Whether all lists are as long as those of `other`.
+                pub fn has_sizes_of(&self, other: &Self) -> bool {
+                    true $(&& self.$list.len() == other.$list.len())*
+                }
+            }
+        )*
+    };
 }
 
-/// What the policy asked for, raw, in the order of the robot's slots.
-#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Action {
-    /// The present one.
-    pub current: PerJoint,
-    /// The one before.
-    pub previous: PerJoint,
+joint_lists! {
+    /// Joint positions (rad) and velocities (rad/s), physical order.
+    JointState {
+        /// rad.
+        position,
+        /// rad/s.
+        velocity,
+    }
+
+    /// What the policy asked for, raw, in the order of the robot's slots.
+    Action {
+        /// The present one.
+        current,
+        /// The one before.
+        previous,
+    }
+
+    /// What the joints did in the last physics step, physical order.
+    JointEffort {
+        /// Effort that the actuators applied, N m.
+        applied,
+        /// rad/s^2.
+        acceleration,
+    }
 }
 
 /// Joint position targets, rad, physical order.
@@ -275,15 +314,6 @@ pub struct ExternalWrench {
     pub force: [f32; 3],
     /// N m.
     pub torque: [f32; 3],
-}
-
-/// What the joints did in the last physics step, physical order.
-#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct JointEffort {
-    /// Effort that the actuators applied, N m.
-    pub applied: PerJoint,
-    /// rad/s^2.
-    pub acceleration: PerJoint,
 }
 
 /// A contact's impulse.

@@ -150,14 +150,12 @@ pub(super) fn reset_envs(
             for event in &task.reset_events {
                 event(&mut NewState { morphology, pose, velocity, joints, delay, wrench, body }, rng);
             }
-            actions[i].current.fill(0.0);
-            actions[i].previous.fill(0.0);
+            actions[i].clear();
             for past in &mut targets[i].history {
                 past.copy_from_slice(&stance.default_position);
             }
             targets[i].fresh = true;
-            efforts[i].applied.fill(0.0);
-            efforts[i].acceleration.fill(0.0);
+            efforts[i].clear();
             impulses[i].contacts.clear();
             impulses[i].bounds.fill(0.0);
             forces[i].clear();

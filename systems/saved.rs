@@ -212,13 +212,13 @@ impl Saved for EnvOrigin {
 
 impl Saved for JointState {
     fn fits(&self, present: &Self, _: &Place) -> bool {
-        self.position.len() == present.position.len() && self.velocity.len() == present.velocity.len()
+        self.has_sizes_of(present)
     }
 }
 
 impl Saved for Action {
     fn fits(&self, present: &Self, _: &Place) -> bool {
-        self.current.len() == present.current.len() && self.previous.len() == present.previous.len()
+        self.has_sizes_of(present)
     }
 }
 
@@ -242,7 +242,7 @@ impl Saved for ActuatorMemory {
 
 impl Saved for JointEffort {
     fn fits(&self, present: &Self, _: &Place) -> bool {
-        self.applied.len() == present.applied.len() && self.acceleration.len() == present.acceleration.len()
+        self.has_sizes_of(present)
     }
 }
 

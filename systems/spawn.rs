@@ -81,17 +81,17 @@ pub(super) fn spawn_robots(
 }
 
 fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
-    let zeros: PerJoint = smallvec![0.0; model.topology.num_joints()];
-    let slots: PerJoint = smallvec![0.0; model.slots.len()];
+    let joints = model.topology.num_joints();
+    let zeros: PerJoint = smallvec![0.0; joints];
     let ages = history_length(model.max_delay(), decimation);
     (
         BasePose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] },
         BaseVelocity::default(),
-        JointState { position: zeros.clone(), velocity: zeros.clone() },
-        Action { current: slots.clone(), previous: slots },
+        JointState::zeros(joints),
+        Action::zeros(model.slots.len()),
         JointTargets { history: smallvec![zeros.clone(); ages], fresh: true },
         (ActuatorDelay(zeros.clone()), ActuatorMemory(vec![0.0; model.num_remembered()].into())),
-        JointEffort { applied: zeros.clone(), acceleration: zeros.clone() },
+        JointEffort::zeros(joints),
         ConstraintImpulses { contacts: smallvec![], bounds: zeros },
         ContactForces::zeros(model.feet.len(), decimation),
         Feet::zeros(model.feet.len()),
