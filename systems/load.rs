@@ -5,20 +5,20 @@ use std::ops::Range;
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
-use super::terms::{CompiledTask, Registry};
+use super::terms::{BODY_VARIATION, CompiledTask, Registry};
 use super::{Setup, SetupSet};
 use crate::batch::Batch;
 use crate::blocks::BlockSizes;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs, check_threads};
-use crate::config::{ConfigError, EngineKind, Library, LoadedRobot, LoadedTask, TaskConfig};
+use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask, TaskConfig};
 use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
-use crate::engine::history_length;
+use crate::engine::{Engines, history_length};
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
 use crate::robot::{Slot, summed_up};
-use crate::workers::{Workers, packs_of};
+use crate::workers::Workers;
 
 /// Reads the task and its robots, and compiles the task's terms for them.
 #[derive(Default)]
@@ -91,13 +91,23 @@ fn load_into(world: &mut World) -> Result<(), Error> {
         tracing::warn!("{warning}");
     }
     let mut morphologies = Morphologies::in_batch(morphologies, &slots(&options.slots)?);
+    let engine = world.resource::<Engines>().of(&task.config)?;
     let compiled = CompiledTask::new(&task.config, &morphologies, world.resource::<Registry>())?;
+    let name = &task.config.physics.engine;
+    if !engine.varies_shapes() && task.config.events.get(BODY_VARIATION).is_some_and(|event| event.enabled) {
+        let problem = format!("the engine {name} cannot change the shapes of links");
+        let remedy = "set physics.engine = \"articulated\", or enabled = false";
+        let element = format!("events.{BODY_VARIATION}");
+        return Err(ConfigError::invalid(task.config.name.clone(), element, problem, remedy).into());
+    }
     for morphology in &mut morphologies.0 {
         morphology.allow_action_delay(compiled.max_action_delay(morphology));
         let friction = compiled.contact_friction(morphology);
-        if friction != ContactFriction::Sliding && task.config.physics.engine == EngineKind::Avian {
-            let problem =
-                format!("the engine avian has no torsional and rolling friction, which {} has here", morphology.name());
+        if friction != ContactFriction::Sliding && !engine.has_spin_friction() {
+            let problem = format!(
+                "the engine {name} has no torsional and rolling friction, which {} has here",
+                morphology.name()
+            );
             let remedy = "set physics.engine = \"articulated\", or leave torsional_friction and rolling_friction out";
             return Err(ConfigError::invalid(task.config.name.clone(), "physics.engine", problem, remedy).into());
         }
@@ -110,16 +120,13 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     check_num_envs(num_envs, BYTES_PER_ENV + most.unwrap_or(0))
         .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;
     let simd = Simd::choose(options.simd)?;
-    // a robot at a time, or a pack of one kind
-    let pieces = match task.config.physics.engine {
-        EngineKind::Avian => num_envs,
-        EngineKind::Articulated => counts.iter().map(|&count| packs_of(count)).sum(),
-    };
+    let blocks = BlockSizes(counts);
+    let pieces = engine.pieces(&blocks);
     world.insert_resource(Workers::for_pieces(options.threads, pieces, simd));
     world.insert_resource(Batch::new(num_envs, compiled.num_obs(), compiled.num_joints));
     world.insert_resource(options.autoreset);
     world.insert_resource(InstructionSet(simd));
-    world.insert_resource(BlockSizes(counts));
+    world.insert_resource(blocks);
     world.insert_resource(share);
     world.insert_resource(morphologies);
     world.insert_resource(compiled);

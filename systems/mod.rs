@@ -63,6 +63,7 @@ use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleT
 use bevy_ecs::system::ScheduleSystem;
 
 use crate::blocks::{RowKind, restore_order, separate_morphologies};
+use crate::engine::Engines;
 use crate::options::Autoreset;
 
 pub use act::ActPlugin;
@@ -80,7 +81,7 @@ pub use logs::{EpisodeStats, Logs, LogsPlugin, RobotLog};
 pub use mirror::MirrorPlugin;
 pub(crate) use mirror::mirror_all;
 pub use observe::{ObservePlugin, add_observation};
-pub use physics::{PhysicsEngine, PhysicsPlugin};
+pub use physics::{PhysicsEngine, PhysicsPlugin, add_engine};
 pub(crate) use physics::{check_engine, load_engine, run_physics, save_engine};
 pub use reset::ResetPlugin;
 pub use reward::RewardPlugin;
@@ -273,7 +274,10 @@ impl Plugin for PipelinePlugin {
             );
         }
         app.add_schedule(setup).add_schedule(step).add_schedule(reset);
-        app.init_resource::<Autoreset>().init_resource::<ResetRequest>().init_resource::<SavedComponents>();
+        app.init_resource::<Engines>()
+            .init_resource::<Autoreset>()
+            .init_resource::<ResetRequest>()
+            .init_resource::<SavedComponents>();
         app.insert_resource(FallbackErrorHandler(faults::note));
         if !app.world().contains_resource::<Registry>() {
             app.insert_resource(Registry::builtin());

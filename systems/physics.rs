@@ -1,4 +1,4 @@
-//! Physics: the engines, what they read and write of the robots' components, and the system that has one step them.
+//! Physics: makes the engine that the task names, and has it step the robots.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -8,16 +8,10 @@ use super::load::InstructionSet;
 use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet, Setup, SetupSet, faults};
 use crate::blocks::{BlockSizes, Blocks};
-use crate::components::{
-    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, ContactForces, Env, EnvId,
-    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets, Robot,
-};
-use crate::config::EngineKind;
-use crate::dynamics::{ContactSettings, Plane, StepSettings};
-use crate::engine::{self, ComponentRows, Components, Engine, EngineChoice, Kind, Run};
+use crate::components::{Body, Env, EnvId, EnvOrigin, Robot};
+use crate::engine::{Engine, EngineFactory, EngineSetup, Engines, RobotColumns, RobotSlices, Run};
 use crate::error::Error;
 use crate::morphology::Morphologies;
-use crate::obstacles;
 use crate::workers::Workers;
 use crate::world::Ground;
 
@@ -35,12 +29,18 @@ impl Plugin for PhysicsPlugin {
     }
 }
 
-/// The engine that steps the robots of a simulation: the articulated one, on the instruction set it was made for, or Avian's.
+/// The engine that steps the robots of a simulation, by the name in its task.
 #[derive(Resource)]
-pub struct PhysicsEngine(Box<dyn Engine<Components>>);
+pub struct PhysicsEngine(Box<dyn Engine>);
+
+/// Adds an engine, in a plugin's `build`. Tasks name it in `physics.engine`.
+pub fn add_engine(app: &mut App, name: &'static str, factory: impl EngineFactory) {
+    app.world_mut().get_resource_or_init::<Engines>().add(name, factory);
+}
 
 fn make_engine(
     mut commands: Commands,
+    engines: Res<Engines>,
     simd: Res<InstructionSet>,
     task: Res<CompiledTask>,
     morphologies: Res<Morphologies>,
@@ -48,45 +48,24 @@ fn make_engine(
     ground: Res<Ground>,
     workers: Res<Workers>,
 ) -> Result {
-    let config = &task.config;
-    let (on_plane, level) = (ground.layout.is_none(), Plane::level(ground.height));
-    let (choice, plane) = match config.physics.engine {
-        EngineKind::Articulated => (EngineChoice::Articulated(simd.0, ground.terrain.clone()), Some(level)),
-        EngineKind::Avian => {
-            let obstacles = config.scene.obstacles.iter().flat_map(obstacles::parts);
-            let terrain = config.scene.terrain.as_ref().and_then(obstacles::terrain);
-            let floor = obstacles::floor(&config.scene.pits());
-            let plane = Some(level).filter(|_| on_plane && floor.is_none());
-            let statics = obstacles.chain(terrain).chain(floor).collect();
-            (EngineChoice::Avian(config.physics.avian_substeps as usize, statics), plane)
-        }
+    let setup = EngineSetup {
+        task: &task.config,
+        morphologies: &morphologies.0,
+        blocks: &blocks,
+        ground: &ground,
+        simd: simd.0,
+        workers: &workers,
     };
-    let settings = StepSettings {
-        dt: config.sim.dt,
-        decimation: config.sim.decimation as usize,
-        gravity: ground.gravity,
-        contact: ContactSettings {
-            iterations: config.physics.solver_iterations as usize,
-            correction: config.physics.depenetration_rate,
-            max_depenetration_velocity: config.physics.max_depenetration_velocity,
-            ground: plane,
-            ..ContactSettings::default()
-        },
-    };
-    let kinds: Vec<Kind<f32>> =
-        morphologies.0.iter().zip(&blocks.0).map(|(kind, &count)| Kind::of_morphology(kind, count)).collect();
-    let engine = engine::make(choice, settings, &kinds, &workers).map_err(|error| {
-        let remedy = "use \"articulated\", or another sim.dt or robot";
-        Error::argument("physics.engine", error.to_string(), remedy)
-    })?;
+    let engine = engines.of(&task.config).map_err(Error::from)?.make(&setup)?;
     commands.insert_resource(PhysicsEngine(engine));
     commands.insert_resource(BrokenStates::new(blocks.0.len()));
     Ok(())
 }
 
 /// What the engine knows of each env beyond its components, as bytes.
-pub(crate) fn save_engine(world: &World) -> Result<Vec<Vec<u8>>, postcard::Error> {
-    world.get_resource::<PhysicsEngine>().map_or_else(|| Ok(Vec::new()), |engine| engine.0.save())
+pub(crate) fn save_engine(world: &World) -> Result<Vec<Vec<u8>>, Error> {
+    let saved = world.get_resource::<PhysicsEngine>().map_or_else(|| Ok(Vec::new()), |engine| engine.0.save());
+    saved.map_err(Error::Snapshot)
 }
 
 /// Whether the engine can go on from these bytes.
@@ -121,47 +100,16 @@ pub(super) fn step_physics(
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
     mut engine: ResMut<PhysicsEngine>,
-    mut robots: Blocks<PhysicsColumns, Robot>,
+    mut robots: Blocks<RobotColumns, Robot>,
     envs: Blocks<&'static EnvOrigin, Env>,
 ) -> Result {
-    let blocks = robots.write()?.zip(envs.read()?).map(|_, (robots, origins)| {
-        let (poses, velocities, joints, targets, delays, memories, wrenches, efforts, impulses, forces, feet) = robots;
-        ComponentRows {
-            origins,
-            poses,
-            velocities,
-            joints,
-            targets,
-            delays,
-            memories,
-            wrenches,
-            efforts,
-            impulses,
-            forces,
-            feet,
-        }
-    });
+    let blocks = robots.write()?.zip(envs.read()?).map(|_, (robots, origins)| RobotSlices::new(robots, origins));
     let steps = task.config.sim.decimation as usize;
     let run = Run { steps, gains: true, limits: &task.limits, watched: broken.watched() };
     let records = engine.0.step(&workers, blocks, run);
     broken.note(records);
     Ok(())
 }
-
-/// What physics reads and writes of robots.
-type PhysicsColumns = (
-    &'static mut BasePose,
-    &'static mut BaseVelocity,
-    &'static mut JointState,
-    &'static mut JointTargets,
-    &'static mut ActuatorDelay,
-    &'static mut ActuatorMemory,
-    &'static mut ExternalWrench,
-    &'static mut JointEffort,
-    &'static mut ConstraintImpulses,
-    &'static mut ContactForces,
-    &'static mut Feet,
-);
 
 /// The physics of one control step alone, for replays.
 pub(crate) fn run_physics(world: &mut World) -> Result<(), Error> {

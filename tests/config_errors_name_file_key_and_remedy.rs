@@ -112,8 +112,8 @@ fn wrong_types_name_the_expected_one() {
     assert_error(&error, &file, "sim.decimation", "a whole number", "write a whole number");
     let (error, file) = root.task_error("events = 3");
     assert_error(&error, &file, "events", "integer `3` where a table", "write a table");
-    let (error, file) = root.task_error("[physics]\nengine = \"articulatd\"");
-    assert_error(&error, &file, "physics.engine", "`articulatd`", "did you mean `articulated`?");
+    let (error, file) = root.task_error("[physics]\nengine = 3");
+    assert_error(&error, &file, "physics.engine", "integer `3`", "write a string");
     let (error, file) = root.task_error("[sim]\ngravity = [0.0, 0.0]");
     assert_error(&error, &file, "sim.gravity", "2 elements", "an array of length 3");
     let (error, file) = root.task_error("[[observations.policy]]\nterm = 1");

@@ -80,7 +80,7 @@ fn overrides_change_what_they_name() {
         ],
     )
     .config;
-    assert_eq!(config.physics.engine, polypod::config::EngineKind::Avian);
+    assert_eq!(config.physics.engine, "avian");
     assert_eq!(config.physics.depenetration_rate, 0.25);
     assert_eq!(config.rewards["anymal"]["feet_air_time"].weight, 0.25);
     assert_eq!(config.rewards["anymal"]["alive"].weight, 1.0);

@@ -14,6 +14,7 @@ mod a_reset_places_the_robot;
 mod a_sensor_may_be_of_some_morphologies;
 mod actions_become_targets;
 mod an_empty_root_is_no_base;
+mod an_engine_may_be_anothers;
 mod arrows_point_one_way;
 mod avian_engine;
 mod batch_composition_does_not_change_bits;

@@ -68,7 +68,7 @@ impl Sim {
             first_env: self.share().envs.start as u64,
             batch: self.batch().clone(),
             logs: self.world.get_resource::<Logs>().cloned(),
-            engine: save_engine(&self.world).map_err(unwritable)?,
+            engine: save_engine(&self.world)?,
             components: SavedComponents::save(&mut self.world).map_err(unwritable)?,
         };
         sealed::seal(&self.header(), &snapshot).map_err(unwritable)

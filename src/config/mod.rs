@@ -32,9 +32,9 @@ pub(crate) use robot::{matches, table_steps};
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
 pub use task::{
-    AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EngineKind, EventConfig, EventMode,
-    HeightScannerConfig, MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig,
-    RewardConfig, SensorsConfig, SimConfig, TaskConfig, VelocityCommandConfig,
+    AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig, EventMode, HeightScannerConfig,
+    MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig,
+    SimConfig, TaskConfig, VelocityCommandConfig,
 };
 pub use terrain::{
     BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,

@@ -122,8 +122,8 @@ pub const AVIAN_SUBSTEPS: usize = 8;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PhysicsConfig {
-    /// Engine. Default: articulated.
-    pub engine: EngineKind,
+    /// Name of the engine: `articulated`, `avian`, or one that a plugin has added. Default: articulated.
+    pub engine: String,
     /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.
     #[serde(deserialize_with = "values::count_up_to::<MAX_SWEEPS, _>")]
     pub solver_iterations: u32,
@@ -144,7 +144,7 @@ pub struct PhysicsConfig {
 impl Default for PhysicsConfig {
     fn default() -> Self {
         Self {
-            engine: EngineKind::Articulated,
+            engine: "articulated".into(),
             solver_iterations: SWEEPS as u32,
             avian_substeps: AVIAN_SUBSTEPS as u32,
             max_depenetration_velocity: 1.0,
@@ -152,16 +152,6 @@ impl Default for PhysicsConfig {
             mirror_links: false,
         }
     }
-}
-
-/// The two physics engines.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EngineKind {
-    /// Reduced coordinates, many robots in SIMD lanes.
-    Articulated,
-    /// Links as Avian's rigid bodies.
-    Avian,
 }
 
 /// A surface.

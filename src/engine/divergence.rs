@@ -40,13 +40,21 @@ impl Motion {
 }
 
 /// What physics saw of a control step that broke a state.
-pub(crate) struct DivergenceRecord {
-    pub(crate) morphology: usize,
-    pub(crate) env: usize,
-    pub(crate) before: Motion,
-    pub(crate) targets: JointTargets,
-    pub(crate) delay: ActuatorDelay,
-    pub(crate) memory: ActuatorMemory,
-    pub(crate) wrench: ExternalWrench,
-    pub(crate) after: Motion,
+pub struct DivergenceRecord {
+    /// The env's morphology.
+    pub morphology: usize,
+    /// The env.
+    pub env: usize,
+    /// The robot before the step.
+    pub before: Motion,
+    /// What its actuators were asked for.
+    pub targets: JointTargets,
+    /// How late.
+    pub delay: ActuatorDelay,
+    /// What the networks of its actuators remembered before the step.
+    pub memory: ActuatorMemory,
+    /// Force and torque from outside.
+    pub wrench: ExternalWrench,
+    /// The robot after the step: broken.
+    pub after: Motion,
 }

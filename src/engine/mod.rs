@@ -4,6 +4,7 @@ pub(crate) mod articulated;
 pub(crate) mod avian;
 mod divergence;
 mod limits;
+mod registry;
 mod rows;
 
 use std::sync::Arc;
@@ -20,14 +21,83 @@ use crate::workers::Workers;
 use articulated::Packs;
 use avian::{AvianRobots, EngineError};
 
-pub(crate) use divergence::DivergenceRecord;
-pub use divergence::Motion;
+pub use divergence::{DivergenceRecord, Motion};
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
-pub(crate) use rows::{ComponentRows, Components, Contacts, RobotRows, RowFamily, ask_nothing, get, put};
+pub use registry::{EngineFactory, EngineSetup, Engines};
+pub use rows::RobotSlices;
+pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, ask_nothing, get, put};
 
-/// What steps the bodies of all robots; its caller keeps their states in rows.
-pub(crate) trait Engine<F: RowFamily>: Send + Sync {
+/// Steps the bodies of a task's robots.
+///
+/// The pipeline keeps the robots' states in components and hands them over in blocks: slices of one morphology's robots, in the order
+/// of their envs. An engine reads states, targets and wrenches there, makes the physics steps of a control step, and writes states
+/// and reports. It may keep more between control steps, such as the same columns in a device's memory.
+///
+/// What happens to a robot depends on its own row and numbers alone, and no bit on the number of threads. A state that is not
+/// finite stays in its row: the pipeline ends the episode.
+pub trait Engine: Send + Sync {
+    /// Takes over the numbers of an env's robot (masses, lengths, gains, friction): of all before the first step, and then of those
+    /// that have changed.
+    fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
+
+    /// Makes the physics steps of a control step. Of each morphology that `run` watches, returns what became of the first env whose
+    /// new state is beyond the limits; an engine that returns none is not dumped.
+    fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord>;
+
+    /// What decides how the envs go on beyond their components, as bytes, of each env. Default: nothing does.
+    ///
+    /// # Errors
+    /// Why it cannot be written.
+    fn save(&self) -> Result<Vec<Vec<u8>>, String> {
+        Ok(Vec::new())
+    }
+
+    /// Checks bytes of a snapshot, and changes nothing. Default: there must be none.
+    ///
+    /// # Errors
+    /// What is wrong with them.
+    fn check(&self, envs: &[Vec<u8>]) -> Result<(), String> {
+        if envs.is_empty() { Ok(()) } else { Err("the engine keeps nothing".into()) }
+    }
+
+    /// Takes up what [`save`](Self::save) gave, once components and numbers are set; bytes that [`check`](Self::check) refuses
+    /// change nothing.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check).
+    fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), String> {
+        self.check(envs)
+    }
+}
+
+/// An engine of rows as one of the pipeline.
+struct TaskEngine(Box<dyn RowEngine<Components>>);
+
+impl Engine for TaskEngine {
+    fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
+        self.0.upload(env, parameters);
+    }
+
+    fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord> {
+        self.0.step(workers, robots, run)
+    }
+
+    fn save(&self) -> Result<Vec<Vec<u8>>, String> {
+        self.0.save().map_err(|error| error.to_string())
+    }
+
+    fn check(&self, envs: &[Vec<u8>]) -> Result<(), String> {
+        self.0.check(envs).map_err(|error| error.to_string())
+    }
+
+    fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), String> {
+        self.0.load(envs).map_err(|error| error.to_string())
+    }
+}
+
+/// Steps the bodies of all robots, which its caller keeps in rows of one family.
+pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
     /// What decides how the envs go on, beyond their rows, as bytes; of each env.
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
         Ok(Vec::new())
@@ -36,7 +106,7 @@ pub(crate) trait Engine<F: RowFamily>: Send + Sync {
     fn check(&self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         if envs.is_empty() { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
     }
-    /// Takes them up, once the rows and the robots' numbers are set; bytes that [`Engine::check`] refuses change nothing.
+    /// Takes them up, once the rows and the robots' numbers are set; bytes that [`RowEngine::check`] refuses change nothing.
     fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         Ok(())
     }
@@ -48,7 +118,8 @@ pub(crate) trait Engine<F: RowFamily>: Send + Sync {
     fn fetch(&self, env: usize, rows: F::Rows<'_>);
     /// Sets state and report of a resident robot to those of the first row.
     fn restart(&mut self, env: usize, rows: F::Rows<'_>);
-    /// `run.steps` physics steps of all robots, those of each morphology a block. Of each morphology that `run` watches the first env whose new state is broken is returned.
+    /// Makes `run.steps` physics steps of all robots, those of each morphology a block. Returns of each morphology that `run` watches the
+    /// first env whose new state is broken.
     fn step(&mut self, workers: &Workers, blocks: BlockList<F::Rows<'_>>, run: Run) -> Vec<DivergenceRecord>;
     /// How far the links' origins are from where forward kinematics has them, at most, m.
     fn link_drift(&self, _env: usize) -> f64 {
@@ -58,15 +129,15 @@ pub(crate) trait Engine<F: RowFamily>: Send + Sync {
 
 /// What one [`Engine::step`] does.
 #[derive(Clone, Copy)]
-pub(crate) struct Run<'a> {
+pub struct Run<'a> {
     /// Number of physics steps.
-    pub(crate) steps: usize,
-    /// Whether the gains pull to the targets. Without them the feed-forward efforts act alone.
-    pub(crate) gains: bool,
+    pub steps: usize,
+    /// Whether the gains pull to the targets, as in a task. Without them the feed-forward efforts act alone.
+    pub gains: bool,
     /// When a state is broken.
-    pub(crate) limits: &'a StateLimits,
+    pub limits: &'a StateLimits,
     /// Whether broken states are looked for, `[morphologies]`.
-    pub(crate) watched: &'a [bool],
+    pub watched: &'a [bool],
 }
 
 /// What an engine knows of one kind of robot; `T` is the type of its rows' numbers.
@@ -120,7 +191,7 @@ pub(crate) fn make<F: RowFamily>(
     settings: StepSettings,
     kinds: &[Kind<F::Number>],
     workers: &Workers,
-) -> Result<Box<dyn Engine<F>>, EngineError> {
+) -> Result<Box<dyn RowEngine<F>>, EngineError> {
     let (resident, threads) = (F::RESIDENT, workers.threads());
     Ok(match choice {
         EngineChoice::Avian(substeps, statics) => {

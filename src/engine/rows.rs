@@ -13,9 +13,8 @@ use crate::workers::SplitRows;
 
 /// Rows of one caller, for any time that an engine borrows them.
 pub(crate) trait RowFamily: 'static {
-    /// Whether robots are at home in the engine, between steps as well. [`Engine::fetch`](super::Engine::fetch) then reads their states
-    /// and [`Engine::restart`](super::Engine::restart) writes them; a step asks its rows for the drive alone. Else robots are at home in
-    /// their rows.
+    /// Whether the engine keeps the robots' states between steps. [`RowEngine::fetch`](super::RowEngine::fetch) then reads them and
+    /// [`RowEngine::restart`](super::RowEngine::restart) writes them; a step asks its rows for the drive alone. Else the rows keep them.
     const RESIDENT: bool;
     /// Type of the rows' numbers and of the robots' parameters.
     type Number: Real;
@@ -92,73 +91,72 @@ pub(crate) struct Components;
 impl RowFamily for Components {
     const RESIDENT: bool = false;
     type Number = f32;
-    type Rows<'a> = ComponentRows<'a>;
+    type Rows<'a> = RobotSlices<'a>;
 }
 
-/// The components that the engine reads and writes, row `i` belonging to env `i`.
-pub(crate) struct ComponentRows<'a> {
-    pub(crate) origins: &'a [EnvOrigin],
-    pub(crate) poses: &'a mut [BasePose],
-    pub(crate) velocities: &'a mut [BaseVelocity],
-    pub(crate) joints: &'a mut [JointState],
-    pub(crate) targets: &'a mut [JointTargets],
-    pub(crate) delays: &'a mut [ActuatorDelay],
-    pub(crate) memories: &'a mut [ActuatorMemory],
-    pub(crate) wrenches: &'a mut [ExternalWrench],
-    pub(crate) efforts: &'a mut [JointEffort],
-    pub(crate) impulses: &'a mut [ConstraintImpulses],
-    pub(crate) forces: &'a mut [ContactForces],
-    pub(crate) feet: &'a mut [Feet],
+/// Writes the struct of the components that engines read and write, and what is done with all of them.
+macro_rules! robot_slices {
+    ($($(#[$doc:meta])* $name:ident: $component:ty,)*) => {
+        /// The components that an engine reads and writes of one morphology's robots, one row for each robot.
+        pub struct RobotSlices<'a> {
+            /// Where the envs are on the ground. Read only.
+            pub origins: &'a [EnvOrigin],
+            $($(#[$doc])* pub $name: &'a mut [$component],)*
+        }
+
+        /// The same components but for those of envs, as a query.
+        pub(crate) type RobotColumns = ($(&'static mut $component,)*);
+
+        impl<'a> RobotSlices<'a> {
+            /// Of the components in the order of [`RobotColumns`].
+            pub(crate) fn new(($($name,)*): ($(&'a mut [$component],)*), origins: &'a [EnvOrigin]) -> Self {
+                Self { origins, $($name,)* }
+            }
+
+            /// Asks for a row's memory.
+            #[inline]
+            fn prefetch_row(&self, row: usize) {
+                prefetch(&self.origins[row]);
+                $(prefetch(&self.$name[row]);)*
+            }
+        }
+
+        impl SplitRows for RobotSlices<'_> {
+            fn split_rows(self, n: usize) -> (Self, Self) {
+                let origins = self.origins.split_at(n);
+                $(let $name = self.$name.split_at_mut(n);)*
+                (Self { origins: origins.0, $($name: $name.0,)* }, Self { origins: origins.1, $($name: $name.1,)* })
+            }
+        }
+    };
 }
 
-impl SplitRows for ComponentRows<'_> {
-    fn split_rows(self, n: usize) -> (Self, Self) {
-        let (origins, origins2) = self.origins.split_at(n);
-        let (poses, poses2) = self.poses.split_at_mut(n);
-        let (velocities, velocities2) = self.velocities.split_at_mut(n);
-        let (joints, joints2) = self.joints.split_at_mut(n);
-        let (targets, targets2) = self.targets.split_at_mut(n);
-        let (delays, delays2) = self.delays.split_at_mut(n);
-        let (memories, memories2) = self.memories.split_at_mut(n);
-        let (wrenches, wrenches2) = self.wrenches.split_at_mut(n);
-        let (efforts, efforts2) = self.efforts.split_at_mut(n);
-        let (impulses, impulses2) = self.impulses.split_at_mut(n);
-        let (forces, forces2) = self.forces.split_at_mut(n);
-        let (feet, feet2) = self.feet.split_at_mut(n);
-        (
-            Self {
-                origins,
-                poses,
-                velocities,
-                joints,
-                targets,
-                delays,
-                memories,
-                wrenches,
-                efforts,
-                impulses,
-                forces,
-                feet,
-            },
-            Self {
-                origins: origins2,
-                poses: poses2,
-                velocities: velocities2,
-                joints: joints2,
-                targets: targets2,
-                delays: delays2,
-                memories: memories2,
-                wrenches: wrenches2,
-                efforts: efforts2,
-                impulses: impulses2,
-                forces: forces2,
-                feet: feet2,
-            },
-        )
-    }
+robot_slices! {
+    /// Pose of the base: read, then written.
+    poses: BasePose,
+    /// Velocity of the base: read, then written.
+    velocities: BaseVelocity,
+    /// Joint positions and velocities: read, then written.
+    joints: JointState,
+    /// Joint position targets of this control step and the ones before.
+    targets: JointTargets,
+    /// How many physics steps late each joint's target comes.
+    delays: ActuatorDelay,
+    /// What the networks of actuators remember: read, then written.
+    memories: ActuatorMemory,
+    /// Force and torque on the base from outside.
+    wrenches: ExternalWrench,
+    /// Efforts and accelerations of the joints in the last physics step: written.
+    efforts: JointEffort,
+    /// Impulses from which the solver of the next step may start: read, then written.
+    impulses: ConstraintImpulses,
+    /// Contact forces: written.
+    forces: ContactForces,
+    /// Positions and velocities of the feet; the pipeline measures their heights. Written.
+    feet: Feet,
 }
 
-impl ComponentRows<'_> {
+impl RobotSlices<'_> {
     fn motion(&self, row: usize) -> Motion {
         Motion {
             pose: self.poses[row],
@@ -170,7 +168,7 @@ impl ComponentRows<'_> {
     }
 }
 
-impl RobotRows for ComponentRows<'_> {
+impl RobotRows for RobotSlices<'_> {
     type Number = f32;
 
     #[inline]
@@ -256,17 +254,7 @@ impl RobotRows for ComponentRows<'_> {
 
     #[inline]
     fn prefetch(&self, row: usize) {
-        prefetch(&self.origins[row]);
-        prefetch(&self.poses[row]);
-        prefetch(&self.velocities[row]);
-        prefetch(&self.joints[row]);
-        prefetch(&self.targets[row]);
-        prefetch(&self.delays[row]);
-        prefetch(&self.wrenches[row]);
-        prefetch(&self.efforts[row]);
-        prefetch(&self.impulses[row]);
-        prefetch(&self.forces[row]);
-        prefetch(&self.feet[row]);
+        self.prefetch_row(row);
     }
 
     fn record(

@@ -29,11 +29,10 @@ pub use queries::{LinkPoses, LinkVelocities};
 
 use crate::blocks::BlockList;
 use crate::bounds::{BYTES_PER_LINK, MAX_STEPS, check_num_envs};
-use crate::config::EngineKind;
 use crate::dynamics::lanes::Simd;
 use crate::dynamics::{ContactSettings, Parameters, Plane, StepSettings};
 use crate::engine::avian::EngineError;
-use crate::engine::{self, Engine, EngineChoice, Run, StateLimits};
+use crate::engine::{self, EngineChoice, RowEngine, Run, StateLimits};
 use crate::error::Error;
 use crate::robot::Warning;
 use crate::workers::{Workers, packs_of};
@@ -70,7 +69,7 @@ pub struct Simulation {
     /// Largest entry of each joint's effort table, 1 without one.
     effort_scale: Vec<f64>,
     settings: StepSettings,
-    engine: Box<dyn Engine<Envs>>,
+    engine: Box<dyn RowEngine<Envs>>,
     /// The numbers of each env's robot, as precise as the engine computes.
     bodies: Vec<Parameters<f64>>,
     workers: Workers,
@@ -97,7 +96,7 @@ impl Simulation {
             let length = n.iter().map(|x| x * x).sum::<f64>().sqrt();
             n.map(|x| x / length)
         });
-        let avian = options.engine() == EngineKind::Avian;
+        let avian = options.is_avian();
         let settings = StepSettings {
             dt: options.dt,
             decimation: if avian { 1 } else { MAX_RUN },
@@ -119,15 +118,15 @@ impl Simulation {
         let bytes = BYTES_PER_LINK * robot.topology.num_links();
         check_num_envs(options.num_envs, bytes)
             .map_err(|(problem, remedy)| Error::argument("num_envs", problem, remedy))?;
-        let pieces = match (options.engine(), options.precision) {
-            (EngineKind::Articulated, Precision::Single) => packs_of(options.num_envs),
+        let pieces = match (avian, options.precision) {
+            (false, Precision::Single) => packs_of(options.num_envs),
             _ => options.num_envs,
         };
         let workers = Workers::for_pieces(options.threads, pieces, simd);
-        let choice = match (options.engine(), options.precision) {
-            (EngineKind::Avian, _) => EngineChoice::Avian(options.avian_substeps, Vec::new()),
-            (EngineKind::Articulated, Precision::Single) => EngineChoice::Articulated(simd, None),
-            (EngineKind::Articulated, Precision::Double) => EngineChoice::ArticulatedDouble,
+        let choice = match (avian, options.precision) {
+            (true, _) => EngineChoice::Avian(options.avian_substeps, Vec::new()),
+            (false, Precision::Single) => EngineChoice::Articulated(simd, None),
+            (false, Precision::Double) => EngineChoice::ArticulatedDouble,
         };
         let (topology, n) = (&robot.topology, options.num_envs);
         let rounds = !avian && options.precision == Precision::Single;
@@ -151,7 +150,7 @@ impl Simulation {
                 .map(|joint| joint.effort_table.as_ref())
                 .map(|table| table.map_or(1.0, |t| t.limits.iter().fold(0.0, |most, &x| f64::from(x).max(most))))
                 .collect(),
-            fingerprint: snapshot::fingerprint(&robot, &settings, options.engine(), options.avian_substeps),
+            fingerprint: snapshot::fingerprint(&robot, &settings, avian.then_some(options.avian_substeps)),
             settings,
             engine,
             bodies: vec![nominal; n],

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::bounds::{LARGEST, MAX_DT, MAX_ENVS, MAX_GRAVITY, MAX_SUBSTEPS, MAX_SWEEPS, MIN_DT, check_threads};
-use crate::config::{AVIAN_SUBSTEPS, EARTH_GRAVITY, EngineKind};
+use crate::config::{AVIAN_SUBSTEPS, EARTH_GRAVITY};
 use crate::dynamics::SWEEPS;
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
@@ -102,9 +102,9 @@ impl SimulationOptions {
         has_extension("urdf") || (path.is_file() && !has_extension("toml"))
     }
 
-    /// The engine by its name, once that is checked.
-    pub(super) fn engine(&self) -> EngineKind {
-        if self.engine == "avian" { EngineKind::Avian } else { EngineKind::Articulated }
+    /// Whether the engine is Avian's.
+    pub(super) fn is_avian(&self) -> bool {
+        self.engine == "avian"
     }
 
     /// Checks what does not depend on the robot.
@@ -160,7 +160,7 @@ impl SimulationOptions {
             [("torsional_friction", self.torsional_friction), ("rolling_friction", self.rolling_friction)]
         {
             check_non_negative(element, &[coefficient])?;
-            if coefficient > 0.0 && self.engine() == EngineKind::Avian {
+            if coefficient > 0.0 && self.is_avian() {
                 let remedy = "pass 0, or use the engine \"articulated\"";
                 return Err(Error::argument(element, "the engine avian has no such friction", remedy));
             }

@@ -6,7 +6,6 @@ use super::Simulation;
 use super::envs::{Env, EnvRows};
 use super::options::Precision;
 use super::robot::Robot;
-use crate::config::EngineKind;
 use crate::dynamics::{Parameters, StepSettings};
 use crate::error::Error;
 use crate::hash::fnv1a;
@@ -25,13 +24,13 @@ struct Snapshot {
     engine: Vec<Vec<u8>>,
 }
 
-/// A hash of what decides a step but for the state and the envs' own numbers. `substeps` are those of the engine `avian`.
-pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, engine: EngineKind, substeps: usize) -> u64 {
+/// A hash of what decides a step but for the state and the envs' own numbers; with the substeps of the engine `avian`, if it is that.
+pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, avian_substeps: Option<usize>) -> u64 {
     let mut text = format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal);
     if !robot.networks.is_empty() {
         text += &format!(" {:?}", robot.networks);
     }
-    if engine == EngineKind::Avian {
+    if let Some(substeps) = avian_substeps {
         text += &format!(" avian {substeps}");
     }
     fnv1a(text.as_bytes())

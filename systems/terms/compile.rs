@@ -13,7 +13,7 @@ use crate::bounds::MAX_BUCKETS;
 use crate::config::quantities::{FrictionCoefficient, FrictionLength, SpeedLimit};
 use crate::config::values;
 use crate::config::{
-    ConfigError, ConfigErrorKind, EngineKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
+    ConfigError, ConfigErrorKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
 };
 use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
@@ -319,11 +319,6 @@ impl CompiledTask {
         let (mut at_startup, mut on_body, mut at_reset, mut at_intervals) = (vec![], vec![], vec![], vec![]);
         for (name, event) in self.config.events.iter().filter(|(_, event)| event.enabled) {
             let element = format!("events.{name}");
-            if name == BODY_VARIATION && self.config.physics.engine == EngineKind::Avian {
-                let problem = "the engine avian cannot change the shapes of links";
-                let remedy = "set physics.engine = \"articulated\", or enabled = false";
-                return Err(ConfigError::invalid(file, element, problem, remedy));
-            }
             if name == PHYSICS_MATERIAL {
                 self.physics_material = Some(parse_params(file, &element, &event.params)?);
             }

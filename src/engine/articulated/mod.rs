@@ -12,7 +12,7 @@ use std::cmp::Reverse;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run};
+use super::{DivergenceRecord, Kind, RobotRows, RowEngine, RowFamily, Run};
 use crate::blocks::BlockList;
 use crate::dynamics::lanes::Real;
 use crate::dynamics::{
@@ -170,7 +170,7 @@ impl<L: Kernels, T: Real> Packs<L, T> {
     }
 }
 
-impl<L: Kernels, F: RowFamily> Engine<F> for Packs<L, F::Number> {
+impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
     fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
         if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {

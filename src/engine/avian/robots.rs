@@ -6,7 +6,7 @@
 use glam::DVec2;
 
 use super::super::{
-    DivergenceRecord, Engine, Kind, RobotRows, RowFamily, Run, StateLimits, ask_nothing, get, history_length, put,
+    DivergenceRecord, Kind, RobotRows, RowEngine, RowFamily, Run, StateLimits, ask_nothing, get, history_length, put,
     state_numbers,
 };
 use super::{EngineError, Env, Settings, Worlds};
@@ -77,7 +77,7 @@ impl AvianRobots {
     }
 }
 
-impl<F: RowFamily> Engine<F> for AvianRobots {
+impl<F: RowFamily> RowEngine<F> for AvianRobots {
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
         let robots = self.blocks.iter().flat_map(|block| (0..block.count).map(|env| block.worlds.save(env)));
         robots.collect()
@@ -93,7 +93,7 @@ impl<F: RowFamily> Engine<F> for AvianRobots {
     }
 
     fn load(&mut self, mut envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
-        Engine::<F>::check(self, envs)?;
+        RowEngine::<F>::check(self, envs)?;
         for block in &mut self.blocks {
             let (mine, rest) = envs.split_at_checked(block.count).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
             block.worlds.load(mine)?;
