@@ -4,7 +4,8 @@ use std::sync::{Arc, Barrier, Mutex};
 
 use polypod::dynamics::lanes::Simd;
 use polypod::learner::{
-    Activation, Algorithm, Learner, LearnerError, Network, Options, Peers, Symmetry, Which, Worker,
+    Activation, Algorithm, Joints, Learner, LearnerError, Network, Options, Peers, RolloutArrays, Symmetry, Which,
+    Worker,
 };
 use polypod::{Sim, SimOptions};
 
@@ -13,7 +14,13 @@ use crate::common::{busy, noise, size};
 const ITERATIONS: u64 = 3;
 
 fn options(symmetry: Symmetry) -> Options {
-    let network = |activation, hidden_dims| Network { hidden_dims, activation, obs_normalization: true };
+    let network = |activation, hidden_dims| Network {
+        hidden_dims,
+        activation,
+        obs_normalization: true,
+        columns: Vec::new(),
+        joints: None,
+    };
     Options {
         num_steps_per_env: 12,
         // sizes that fill no line, so that the rest of each is met
@@ -38,6 +45,22 @@ fn options(symmetry: Symmetry) -> Options {
     }
 }
 
+/// Networks of joints that read the task `velocity_flat_joints` with so many slots.
+fn options_of_joints(slots: usize, symmetry: Symmetry) -> Options {
+    let columns = |number: usize| -> Vec<usize> { (0..slots).map(|slot| 12 + number * slots + slot).collect() };
+    let joints = |joint_dim, num_heads| Joints {
+        joint_dim,
+        num_heads,
+        states: (0..3).map(columns).collect(),
+        scales: vec![1.0, 0.1, 0.5],
+        descriptions: (3..22).map(columns).collect(),
+        general: (0..12).collect(),
+    };
+    let mut options = options(symmetry);
+    (options.actor.joints, options.critic.joints) = (Some(joints(20, 9)), Some(joints(8, 3)));
+    options
+}
+
 /// Small numbers that depend on their places alone; deviations of one half.
 fn fill(learner: &mut Learner) {
     for which in [Which::Actor, Which::Critic] {
@@ -45,7 +68,7 @@ fn fill(learner: &mut Learner) {
         for (layer, weights) in state.weights.iter_mut().enumerate() {
             weights.iter_mut().enumerate().for_each(|(i, x)| *x = 0.2 * noise(layer as u64, i, 0, 0));
         }
-        if which == Which::Actor {
+        if which == Which::Actor && learner.settings().options.actor.joints.is_none() {
             state.weights[0].fill(0.5);
         }
         learner.set_network(which, &state).unwrap();
@@ -67,6 +90,22 @@ fn trained(simd: Simd, threads: usize, symmetry: Symmetry) -> u64 {
     learnt(sim, learner, 1)
 }
 
+/// The same of networks of joints, for bodies with different joints.
+fn joints_trained(simd: Simd, threads: usize, symmetry: Symmetry) -> u64 {
+    let sim = Sim::new(&SimOptions { simd: Some(simd), threads: Some(threads), ..of_joints(72) }).unwrap();
+    let learner = sim.learner(options_of_joints(sim.batch().num_actions, symmetry)).unwrap();
+    learnt(sim, learner, 1)
+}
+
+/// Bodies with different joints, and with gains that differ from env to env.
+fn of_joints(num_envs: usize) -> SimOptions {
+    let mut options = busy(&["unitree_a1", "tests/data/bodies/configs/robots/small_biped.toml", "spot"], num_envs);
+    options.task = "velocity_flat_joints".into();
+    let more = ["events.push_robot.velocity_range=[-8.0, 8.0]", "events.randomize_actuator_gains.enabled=true"];
+    options.overrides.extend(more.map(String::from));
+    options
+}
+
 /// Hash of a learner after some iterations. With several workers, each has only seen its share of the episodes.
 fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     fill(&mut learner);
@@ -80,7 +119,7 @@ fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     for which in [Which::Actor, Which::Critic] {
         let state = learner.network(which);
         numbers.extend([state.weights, state.first, state.second].concat().concat());
-        numbers.extend(&learner.normalizer(which).unwrap().variance);
+        learner.normalizers(which).iter().for_each(|of| numbers.extend(&of.variance));
     }
     numbers.iter().fold(rate.to_bits(), |hash, x| (hash ^ u64::from(x.to_bits())).wrapping_mul(0x0000_0100_0000_01b3))
 }
@@ -95,6 +134,56 @@ fn threads_and_instruction_sets_do_not_change_the_policy() {
             }
         }
     }
+}
+
+#[test]
+fn threads_and_instruction_sets_do_not_change_a_policy_of_joints() {
+    for symmetry in [Symmetry::Alternate, Symmetry::Both] {
+        let expected = joints_trained(Simd::available()[0], 1, symmetry);
+        for simd in Simd::available() {
+            assert_eq!(joints_trained(simd, 2, symmetry), expected, "{}, 2 threads", simd.name());
+        }
+        assert_eq!(joints_trained(Simd::available()[0], 3, symmetry), expected, "3 threads");
+    }
+}
+
+/// The means of the first actions of the envs of a robot that has 16 envs, in a batch that holds `others` too.
+fn first_means(others: &[&str]) -> Vec<u32> {
+    let robots: Vec<&str> = ["unitree_a1"].iter().chain(others).copied().collect();
+    let mut options = SimOptions { robots: Some(robots.iter().map(|name| name.to_string()).collect()), ..of_joints(0) };
+    options.num_envs = 10 * robots.len();
+    let mut sim = Sim::new(&options).unwrap();
+    let learner_options = options_of_joints(sim.batch().num_actions, Symmetry::None);
+    let (slots, width) = (sim.batch().num_actions, sim.batch().num_obs);
+    let mut learner = sim.learner(learner_options).unwrap();
+    fill(&mut learner);
+    sim.collect(&mut learner, 0).unwrap();
+    let samples = learner.num_own_samples();
+    let zeros = |numbers: usize| vec![0.0; samples * numbers];
+    let (mut observations, mut actions, mut means) = (zeros(width), zeros(slots), zeros(slots));
+    let [mut rewards, mut log_probs, mut values, mut returns, mut advantages] = [0; 5].map(|_| zeros(1));
+    let (mut ends, mut places) = (vec![0; samples], vec![0; samples]);
+    let arrays = RolloutArrays {
+        observations: &mut observations,
+        actions: &mut actions,
+        means: &mut means,
+        rewards: &mut rewards,
+        ends: &mut ends,
+        log_probs: &mut log_probs,
+        values: &mut values,
+        returns: &mut returns,
+        advantages: &mut advantages,
+        places: &mut places,
+    };
+    sim.write_rollout(&learner, arrays).unwrap();
+    assert!(means[..10 * slots].iter().all(|x| *x != 0.0), "all of them have all slots");
+    means[..10 * slots].iter().map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn a_policy_of_joints_acts_in_company_as_it_does_alone() {
+    assert_eq!(first_means(&["spot"]), first_means(&[]));
+    assert_eq!(first_means(&["anymal_c", "unitree_go2"]), first_means(&[]));
 }
 
 /// Workers that are threads of this test.
@@ -126,13 +215,13 @@ impl Peers for Threads {
 }
 
 /// Hash of each of several workers' learners.
-fn trained_by(count: usize, options: &Options) -> Vec<u64> {
+fn trained_by(count: usize, options: &Options, envs: &SimOptions) -> Vec<u64> {
     let (barrier, sent) = (Arc::new(Barrier::new(count)), Arc::new(Mutex::new(vec![Vec::new(); count])));
     let worker = |index: usize| {
-        let (worker, envs) = (Worker { index, count }, pushed(ENVS_OF_WORKERS));
+        let worker = Worker { index, count };
         let peers = Threads { index, barrier: barrier.clone(), sent: sent.clone() };
         let share = Some(worker.envs(ENVS_OF_WORKERS).unwrap());
-        let sim = Sim::new(&SimOptions { share, ..envs }).unwrap();
+        let sim = Sim::new(&SimOptions { share, ..envs.clone() }).unwrap();
         let learner = sim.learner_of_worker(options.clone(), worker, Box::new(peers)).unwrap();
         learnt(sim, learner, 0)
     };
@@ -152,13 +241,24 @@ fn workers_do_not_change_the_policy() {
     per_mini_batch.algorithm.normalize_advantage_per_mini_batch = true;
     per_mini_batch.normalize_advantage_per_robot = false;
     for options in [options(Symmetry::Both), per_mini_batch] {
-        let sim = Sim::new(&pushed(ENVS_OF_WORKERS)).unwrap();
+        let envs = pushed(ENVS_OF_WORKERS);
+        let sim = Sim::new(&envs).unwrap();
         let learner = sim.learner(options.clone()).unwrap();
         let expected = learnt(sim, learner, 1);
         for count in [2, 3, 4] {
-            assert_eq!(trained_by(count, &options), vec![expected; count], "{count} workers");
+            assert_eq!(trained_by(count, &options, &envs), vec![expected; count], "{count} workers");
         }
     }
+}
+
+#[test]
+fn workers_do_not_change_a_policy_of_joints() {
+    let envs = of_joints(72);
+    let sim = Sim::new(&envs).unwrap();
+    let options = options_of_joints(sim.batch().num_actions, Symmetry::Alternate);
+    let learner = sim.learner(options.clone()).unwrap();
+    let expected = learnt(sim, learner, 1);
+    assert_eq!(trained_by(3, &options, &envs), vec![expected; 3]);
 }
 
 #[test]

@@ -106,8 +106,9 @@ class Peers(Protocol):
         """
 
 class Learner:
-    """Proximal policy optimisation of two perceptrons on the threads of a `VecSim`, in float32.
+    """Proximal policy optimisation of two networks on the threads of a `VecSim`, in float32.
 
+    A network is a perceptron or a network of joints, as `polypod.networks:UrmaModel` is one.
     It computes what rsl_rl's PPO computes. What it computes depends on its options, its networks' numbers, the seed of
     the simulation and the iteration alone: not on the number of threads and not on the instruction set. Its networks
     begin with zeros: see `set_network`.
@@ -131,8 +132,8 @@ class Learner:
 
         Raises:
             ValueError: for options that cannot be read.
-            ConfigError: for options that are out of range, more workers than blocks of envs, and the simulation of
-                another share.
+            ConfigError: for options that are out of range or name no columns of a task with several observation
+                groups, more workers than blocks of envs, and the simulation of another share.
         """
 
     def collect(self, sim: VecSim, iteration: int) -> list[tuple[int, int, float, float]]:
@@ -180,12 +181,15 @@ class Learner:
 
         Returns:
             Weights, Adam's mean of the gradients, Adam's mean of their squares, and Adam's steps. Each list is in the
-            order of torch's parameters: the deviations of the actions (of the actor), then weight [outputs, inputs] and
-            bias [outputs] of each layer; flat.
+            order of torch's parameters: the deviations of the actions (of a perceptron that is the actor), then weight
+            [outputs, inputs] and bias [outputs] of each layer; flat.
         """
 
     def action_std(self) -> npt.NDArray[np.float32]:
-        """Returns the deviations that the actions are drawn with, [num_actions]: at least 1e-6."""
+        """Returns the deviations that the actions are drawn with, [num_actions]: at least 1e-6.
+
+        Of a network of joints, those of the last actions of all envs: one for each joint that a robot has.
+        """
 
     def set_network(
         self,
@@ -202,11 +206,22 @@ class Learner:
                 which change nothing.
         """
 
-    def normalizer(self, name: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], int] | None:
-        """Returns mean [num_obs], variance [num_obs] and number of the observations, or None for a network without."""
+    def normalizer(
+        self, name: str, index: int = 0
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], int] | None:
+        """Returns mean, variance and number of the samples of one of a network's statistics.
+
+        Args:
+            name: of the network.
+            index: 0 for what a perceptron reads. A network of joints has four: of what joints do, of the numbers that
+                describe them, of the logarithms of these, and of what belongs to no joint.
+
+        Returns:
+            Arrays with one number for each that is normalised, or None where there are no such statistics.
+        """
 
     def set_normalizer(
-        self, name: str, mean: npt.NDArray[np.float32], variance: npt.NDArray[np.float32], count: int
+        self, name: str, mean: npt.NDArray[np.float32], variance: npt.NDArray[np.float32], count: int, index: int = 0
     ) -> None:
         """Takes over what `normalizer` gives. Raises ConfigError for other sizes and numbers that it never gives."""
 

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use polypod_learner::{
-    Episode, Learner, LearnerError, Losses, Options, Peers, Robot, RolloutArrays, Settings, Symmetry, Team, Worker,
+    Episode, Learner, LearnerError, Losses, Network, Options, Peers, Robot, RolloutArrays, Settings, Symmetry, Team,
+    Worker,
 };
 
 use super::Sim;
@@ -27,10 +28,11 @@ impl Sim {
     /// A learner for this simulation's envs, robots and observations, with the simulation's seed. Its networks' numbers are zero.
     ///
     /// # Errors
-    /// Options that are out of range; a task of several observation groups; a simulation of a share of the envs.
+    /// Options that are out of range; networks that name no columns of a task with several observation groups; a simulation of a share
+    /// of the envs.
     pub fn learner(&self, options: Options) -> Result<Learner, Error> {
         self.check_share(Worker::ALONE)?;
-        self.check_groups()?;
+        self.check_groups(&options)?;
         Ok(Learner::new(self.learner_settings(options), self.simd())?)
     }
 
@@ -40,7 +42,7 @@ impl Sim {
     /// As [`Sim::learner`]; more workers than blocks of envs; a simulation of another share.
     pub fn learner_of_worker(&self, options: Options, worker: Worker, peers: Box<dyn Peers>) -> Result<Learner, Error> {
         self.check_share(worker)?;
-        self.check_groups()?;
+        self.check_groups(&options)?;
         Ok(Learner::with_peers(self.learner_settings(options), self.simd(), worker, peers)?)
     }
 
@@ -71,12 +73,16 @@ impl Sim {
         Ok(())
     }
 
-    fn check_groups(&self) -> Result<(), Error> {
-        if let [_, other, ..] = &self.task().groups[..] {
-            let problem = format!("the task has the observation group `{}` beside the policy's", other.name);
-            return Err(Error::argument("observations", problem, "learn with rsl_rl, or from a task of one group"));
+    /// Refuses networks that do not say which groups they read, where there are several.
+    fn check_groups(&self, options: &Options) -> Result<(), Error> {
+        let says = |network: &Network| network.joints.is_some() || !network.columns.is_empty();
+        match &self.task().groups[..] {
+            [_, other, ..] if !(says(&options.actor) && says(&options.critic)) => {
+                let problem = format!("the task has the observation group `{}` besides the policy's", other.name);
+                Err(Error::argument("observations", problem, "name the columns that each network reads"))
+            }
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     fn learner_settings(&self, options: Options) -> Settings {

@@ -3,7 +3,7 @@
 use polypod_dynamics::elementary::exp;
 
 use crate::lines::{Line, WIDTH, lines_of};
-use crate::settings::{Robot, Settings};
+use crate::settings::Settings;
 
 /// Deviations that the policy may have: those of rsl_rl's `GaussianDistribution`. Each step of the optimiser ends within them.
 pub(crate) const RANGE: [f32; 2] = [1e-6, 1e6];
@@ -22,20 +22,6 @@ pub(crate) struct Gaussian {
     constant: f32,
 }
 
-/// Sum of a line's numbers, in a fixed order that lanes can follow.
-#[inline(always)]
-fn sum_of(line: &[f32; WIDTH]) -> f32 {
-    let mut half = WIDTH / 2;
-    let mut sums = *line;
-    while half > 0 {
-        for i in 0..half {
-            sums[i] += sums[i + half];
-        }
-        half /= 2;
-    }
-    sums[0]
-}
-
 /// Hyperparameters of the surrogate loss, and the sample's part of it.
 pub(crate) struct Surrogate {
     pub(crate) clip: f32,
@@ -46,10 +32,10 @@ pub(crate) struct Surrogate {
 }
 
 impl Gaussian {
-    /// With deviations `[lines of an action]`, limited to [`RANGE`], of the actions that a robot has.
-    pub(crate) fn new(deviation: &[Line], num_actions: usize, robot: &Robot) -> Self {
+    /// With deviations `[lines of an action]`, limited to [`RANGE`], of the actions that a robot has, in order.
+    pub(crate) fn new(deviation: &[Line], num_actions: usize, actions: Vec<usize>) -> Self {
         let mut this = Self {
-            actions: (0..num_actions).filter(|action| robot.has_action(*action)).collect(),
+            actions,
             num_actions,
             deviation: vec![Line::ZERO; lines_of(num_actions)],
             inverse: vec![Line::ZERO; lines_of(num_actions)],
@@ -89,7 +75,7 @@ impl Gaussian {
                 let z = (action.0[i] - mean.0[i]) * inverse.0[i];
                 squares.0[i] = z * z;
             }
-            sum += sum_of(&squares.0);
+            sum += squares.sum();
         }
         self.constant - 0.5 * sum
     }
@@ -130,7 +116,7 @@ impl Gaussian {
                 let z = (old_mean[k].0[i] - mean[k].0[i]) * inverse.0[i];
                 terms.0[i] = z * z;
             }
-            sum += sum_of(&terms.0);
+            sum += terms.sum();
         }
         of_deviations + 0.5 * sum
     }
@@ -143,6 +129,11 @@ impl Gaussian {
             sum += 0.5 * (ratio * ratio - 1.0) - libm::logf(ratio);
         }
         sum
+    }
+
+    /// Deviations of the actions that the robot has, in order.
+    pub(crate) fn deviations(&self) -> impl Iterator<Item = f32> {
+        self.actions.iter().map(|&i| self.deviation[i / WIDTH].0[i % WIDTH])
     }
 
     /// Adds the derivative of `-coefficient * entropy` to those of the deviations.
@@ -164,8 +155,11 @@ pub(crate) struct Distributions {
 }
 
 impl Distributions {
-    /// With deviations `[lines of an action]`.
+    /// With deviations `[lines of an action]`; none where each body has its own.
     pub(crate) fn new(deviation: &[Line], settings: &Settings) -> Self {
+        if deviation.is_empty() {
+            return Self { of_robot: Vec::new(), gaussians: Vec::new() };
+        }
         let mut masks: Vec<&[bool]> = Vec::new();
         let mut this = Self { of_robot: Vec::new(), gaussians: Vec::new() };
         for robot in &settings.robots {
@@ -173,7 +167,8 @@ impl Distributions {
             this.of_robot.push(known.unwrap_or(masks.len()));
             if known.is_none() {
                 masks.push(&robot.action_mask);
-                this.gaussians.push(Gaussian::new(deviation, settings.num_actions, robot));
+                let actions = (0..settings.num_actions).filter(|action| robot.has_action(*action)).collect();
+                this.gaussians.push(Gaussian::new(deviation, settings.num_actions, actions));
             }
         }
         this
@@ -189,8 +184,13 @@ impl Distributions {
         &self.gaussians[self.of_robot[robot]]
     }
 
-    /// Whether robots have different actions.
-    pub(crate) fn differ(&self) -> bool {
-        self.gaussians.len() > 1
+    /// The only one: that of all robots, where all have the same actions.
+    pub(crate) fn only(&self) -> Option<&Gaussian> {
+        if let [only] = &self.gaussians[..] { Some(only) } else { None }
+    }
+
+    /// Whether each body has its own, which depends on what it is.
+    pub(crate) fn are_of_bodies(&self) -> bool {
+        self.gaussians.is_empty()
     }
 }

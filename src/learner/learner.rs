@@ -5,18 +5,19 @@ use std::ops::Range;
 
 use polypod_dynamics::lanes::{Simd, SimdDispatch};
 
+use crate::bodies::Bodies;
 use crate::gaussian::{Distributions, RANGE};
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
-use crate::network::{Mirror, Net, NetworkState, Which};
+use crate::network::{Mirror, Net, NetworkState, Row, Which};
 use crate::normalizer::Normalizer;
 use crate::peers::{Alone, Peers, Shares, Worker};
 use crate::perceptron::Tile;
 use crate::random::Use;
 use crate::reward_scale::RewardScale;
 use crate::rollout::{Episode, Part, parts_of};
-use crate::settings::{LearnerError, Settings};
+use crate::settings::{LearnerError, Settings, Symmetry};
 
 /// Threads that work on tasks side by side.
 pub trait Team {
@@ -101,8 +102,7 @@ impl Learner {
         let own = worker.envs(settings.num_envs)?;
         let all: Vec<_> = parts_of(settings.num_envs).collect();
         let shares = Shares::new(worker, all.len());
-        let actor = Net::new(settings.num_obs, &settings.options.actor, settings.num_actions, settings.num_actions);
-        let critic = Net::new(settings.num_obs, &settings.options.critic, 1, 0);
+        let (actor, critic) = (Net::new(Which::Actor, &settings), Net::new(Which::Critic, &settings));
         let is_own = |envs: &Range<usize>| own.start <= envs.start && envs.end <= own.end;
         let parts = all.into_iter().filter(is_own).map(|envs| Part::new(envs, own.start, &settings)).collect();
         let of = |robot: &crate::settings::Robot| Mirror {
@@ -113,7 +113,7 @@ impl Learner {
             matrix: Matrix::new(simd),
             dispatch: simd.dispatch(),
             mirrors: settings.robots.iter().map(of).collect(),
-            old: Distributions::new(actor.perceptron.extra(), &settings),
+            old: Distributions::new(actor.deviations(), &settings),
             advantage_scale: vec![(0.0, 1.0); settings.robots.len()],
             mini_batch_scale: Vec::new(),
             reward_scale: settings.options.normalize_reward_per_robot.then(|| RewardScale::new(settings.robots.len())),
@@ -162,7 +162,8 @@ impl Learner {
     /// # Errors
     /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not finite, which change nothing.
     pub fn set_network(&mut self, which: Which, state: &NetworkState) -> Result<(), LearnerError> {
-        let deviations = state.weights.iter().take(usize::from(which == Which::Actor)).flatten();
+        let has_deviations = !self.net(which).deviations().is_empty();
+        let deviations = state.weights.iter().take(usize::from(has_deviations)).flatten();
         check_numbers("deviations", deviations, 0.0)?;
         check_numbers("second", state.second.iter().flatten(), 0.0)?;
         for (element, arrays) in [("weights", &state.weights), ("first", &state.first)] {
@@ -172,31 +173,41 @@ impl Learner {
         fits.then_some(()).ok_or_else(|| LearnerError::new("state", "its arrays have other sizes than the network's"))
     }
 
-    /// Deviations that the actions are drawn with, `[num_actions]`: at least 1e-6.
+    /// Deviations that the actions are drawn with, `[num_actions]`: at least 1e-6. Of a network of joints, those of the last actions of all
+    /// envs, one for each joint that a robot has.
     pub fn deviations(&self) -> Vec<f32> {
-        let numbers = self.actor.perceptron.extra().iter().flat_map(|line| line.0).take(self.settings.num_actions);
+        if self.actor.joints().is_some() {
+            return self.parts.iter().flat_map(|part| part.bodies[0].last_deviations()).collect();
+        }
+        let numbers = self.actor.deviations().iter().flat_map(|line| line.0).take(self.settings.num_actions);
         numbers.map(|x| x.clamp(RANGE[0], RANGE[1])).collect()
     }
 
-    /// A network's statistics of the observations, if it has any.
-    pub fn normalizer(&self, which: Which) -> Option<&Normalizer> {
-        self.net(which).normalizer.as_ref()
+    /// A network's statistics: of a perceptron, those of the observations; of a network of joints, those of states, of a description's
+    /// numbers, of their logarithms and of the rest. Empty where nothing is normalised.
+    pub fn normalizers(&self, which: Which) -> &[Normalizer] {
+        &self.net(which).normalizers
     }
 
-    /// Takes over statistics of the observations; a network without them ignores it.
+    /// Takes over one of a network's statistics; a network without them ignores it.
     ///
     /// # Errors
-    /// Those of other observations, a variance below 0, and a number that is not finite.
-    pub fn set_normalizer(&mut self, which: Which, normalizer: Normalizer) -> Result<(), LearnerError> {
-        let size = self.settings.num_obs;
+    /// Those of other numbers, a variance below 0, and a number that is not finite.
+    pub fn set_normalizer(&mut self, which: Which, index: usize, normalizer: Normalizer) -> Result<(), LearnerError> {
+        let normalizers = &mut self.net_mut(which).normalizers;
+        if normalizers.is_empty() {
+            return Ok(());
+        }
+        let Some(of) = normalizers.get_mut(index) else {
+            return Err(LearnerError::new("normalizer", format!("there is no number {index}")));
+        };
+        let size = of.mean.len();
         check_numbers("mean", &normalizer.mean, f32::MIN)?;
         check_numbers("variance", &normalizer.variance, 0.0)?;
         if normalizer.mean.len() != size || normalizer.variance.len() != size {
             return Err(LearnerError::new("normalizer", format!("it is not of {size} numbers")));
         }
-        if let Some(of) = &mut self.net_mut(which).normalizer {
-            *of = normalizer;
-        }
+        *of = normalizer;
         Ok(())
     }
 
@@ -262,7 +273,10 @@ impl Learner {
     /// Begins the samples of an iteration.
     pub fn begin(&mut self, iteration: u64) {
         (self.iteration, self.step) = (iteration, 0);
-        self.old = Distributions::new(self.actor.perceptron.extra(), &self.settings);
+        self.old = Distributions::new(self.actor.deviations(), &self.settings);
+        for part in &mut self.parts {
+            part.bodies.iter_mut().for_each(Bodies::clear);
+        }
     }
 
     /// Stores the observations `[envs, num_obs]` before a step, and draws the actions `[envs, num_actions]`.
@@ -273,7 +287,8 @@ impl Learner {
         let Settings { num_obs, num_actions, seed, .. } = self.settings;
         let (step, lines) = (self.step, [lines_of(num_obs), lines_of(num_actions)]);
         let time = self.iteration * self.settings.options.num_steps_per_env as u64 + step as u64;
-        let (actor, matrix, distributions) = (&self.actor, self.matrix, &self.old);
+        let (actor, matrix, distributions, mirrors) = (&self.actor, self.matrix, &self.old, &self.mirrors[..]);
+        let learns_images = self.settings.options.symmetry != Symmetry::None;
         let mut rest = actions;
         let mut tasks = Vec::new();
         for part in &mut self.parts {
@@ -285,11 +300,26 @@ impl Learner {
         team.for_each(tasks, |(part, from, to)| {
             part.store_observations(step, from, num_obs);
             let (n, first_env) = (part.len(), part.envs.start);
-            let observations = &part.observations[step * n * lines[0]..][..n * lines[0]];
+            part.find_bodies(Which::Actor, actor, step * n..(step + 1) * n, learns_images.then_some(mirrors), num_obs);
+            let mut old = std::mem::take(&mut part.bodies[0].old);
+            let bodies = &part.bodies[0];
+            let observations = part.observations[step * n * lines[0]..][..n * lines[0]].chunks_exact(lines[0]);
+            let rows: Vec<Row> = observations
+                .enumerate()
+                .map(|(env, observation)| Row {
+                    observation,
+                    mirror: None,
+                    robot: part.robot_of[env],
+                    body: bodies.of_samples.get(step * n + env).copied().unwrap_or(0),
+                })
+                .collect();
             with_tile(|tile| {
                 let mut own_mean = vec![Line::ZERO; lines[1]];
-                actor.evaluate(matrix, observations, tile, |env, mean| {
-                    let gaussian = distributions.of(part.robot_of[env]);
+                actor.evaluate(matrix, &rows, bodies, tile, |env, mean, of_body| {
+                    if let Some(gaussian) = of_body {
+                        old[rows[env].body].get_or_insert_with(|| gaussian.clone());
+                    }
+                    let gaussian = of_body.unwrap_or_else(|| distributions.of(part.robot_of[env]));
                     own_mean.copy_from_slice(mean);
                     gaussian.clear_absent(&mut own_mean);
                     let mean = &own_mean[..];
@@ -309,6 +339,7 @@ impl Learner {
                     part.means[at..][..lines[1]].copy_from_slice(mean);
                 });
             });
+            part.bodies[0].old = old;
         });
     }
 
@@ -335,17 +366,31 @@ impl Learner {
     pub fn finish_rollout(&mut self, team: &impl Team, observations: &[f32]) -> Result<(), LearnerError> {
         let Settings { num_obs, seed, .. } = self.settings;
         let (algorithm, iteration) = (&self.settings.options.algorithm, self.iteration);
-        let (critic, matrix) = (&self.critic, self.matrix);
+        let (critic, matrix, mirrors) = (&self.critic, self.matrix, &self.mirrors[..]);
+        let learns_images = self.settings.options.symmetry != Symmetry::None;
         let mut returns: Vec<Vec<Moments>> = vec![Vec::new(); self.parts.len()];
         let tasks: Vec<_> = self.parts.iter_mut().zip(&mut returns).collect();
         team.for_each(tasks, |(part, returns)| {
-            let Part { observations: stored, values, last_values, .. } = part;
+            let (n, lines, mirrors) = (part.len(), lines_of(num_obs), learns_images.then_some(mirrors));
+            part.find_bodies(Which::Critic, critic, 0..part.rewards.len(), mirrors, num_obs);
+            let mut last = vec![Line::ZERO; n * lines];
+            let from = &observations[part.rows.start * num_obs..part.rows.end * num_obs];
+            crate::rollout::rows_to_lines(from, num_obs, &mut last);
+            let last_bodies = part.last_bodies(Which::Critic, critic, &last, num_obs);
+            let Part { observations: stored, values, last_values, robot_of, bodies: [_, bodies], .. } = part;
+            let row = |k: usize, observation, body: &[usize]| Row {
+                observation,
+                mirror: None,
+                robot: robot_of[k % n],
+                body: body.get(k).copied().unwrap_or(0),
+            };
             with_tile(|tile| {
-                critic.evaluate(matrix, stored, tile, |sample, value| values[sample] = value[0].0[0]);
-                let mut last = vec![Line::ZERO; part.envs.len() * lines_of(num_obs)];
-                let from = &observations[part.rows.start * num_obs..part.rows.end * num_obs];
-                crate::rollout::rows_to_lines(from, num_obs, &mut last);
-                critic.evaluate(matrix, &last, tile, |env, value| last_values[env] = value[0].0[0]);
+                let samples = stored.chunks_exact(lines).enumerate();
+                let rows: Vec<Row> = samples.map(|(k, of)| row(k, of, &bodies.of_samples)).collect();
+                critic.evaluate(matrix, &rows, bodies, tile, |sample, value, _| values[sample] = value[0].0[0]);
+                let rows: Vec<Row> =
+                    last.chunks_exact(lines).enumerate().map(|(k, of)| row(k, of, &last_bodies)).collect();
+                critic.evaluate(matrix, &rows, bodies, tile, |env, value, _| last_values[env] = value[0].0[0]);
             });
             *returns = part.discounted_returns(algorithm.gamma);
             let samples = part.rewards.len();

@@ -5,7 +5,11 @@
 mod activation;
 mod adam;
 mod arrays;
+mod attention;
+mod bodies;
 mod gaussian;
+mod joints;
+mod layer;
 mod learner;
 mod lines;
 mod matrix;
@@ -29,5 +33,5 @@ pub use normalizer::Normalizer;
 pub use peers::{Peers, Worker};
 pub use reward_scale::RewardScale;
 pub use rollout::Episode;
-pub use settings::{Algorithm, LearnerError, Network, Options, Robot, Settings, Symmetry};
+pub use settings::{Algorithm, Joints, LearnerError, Network, Options, Robot, Settings, Symmetry};
 pub use update::Losses;

@@ -14,6 +14,20 @@ pub(crate) struct Line(pub(crate) [f32; WIDTH]);
 
 impl Line {
     pub(crate) const ZERO: Self = Self([0.0; WIDTH]);
+
+    /// Sum of its numbers, in a fixed order that lanes can follow.
+    #[inline(always)]
+    pub(crate) fn sum(&self) -> f32 {
+        let mut half = WIDTH / 2;
+        let mut sums = self.0;
+        while half > 0 {
+            for i in 0..half {
+                sums[i] += sums[i + half];
+            }
+            half /= 2;
+        }
+        sums[0]
+    }
 }
 
 /// Lines that `count` numbers take.

@@ -7,6 +7,8 @@
 //! Every number of a product is one chain of fused multiply-adds in the order of the inner dimension. So the bits depend neither on
 //! the width of the registers nor on the size of the blocks.
 
+use std::ops::Range;
+
 use polypod_dynamics::lanes::{Kernel, Lanes, Portable, Real, Simd};
 
 use crate::activation::Activation;
@@ -17,8 +19,10 @@ pub(crate) const BLOCK: usize = 8;
 
 /// `out = end(a b)`.
 pub(crate) struct Product<'a> {
-    /// Rows of `a` and of `out`, a multiple of [`BLOCK`].
+    /// Rows of `a` and of `out`.
     pub(crate) rows: usize,
+    /// The rows that are computed.
+    pub(crate) range: Range<usize>,
     /// Columns of `a`, a multiple of [`BLOCK`].
     pub(crate) inner: usize,
     /// Panels `[lines of inner][rows]`.
@@ -37,12 +41,20 @@ pub(crate) enum End<'a> {
     Bias(Option<Activation>),
     /// The sum is multiplied by the activation's derivative at these outputs, panels `[panels][rows]`.
     Derivative(Activation, &'a [Line]),
+    /// Nothing.
+    Plain,
+    /// These are added, panels `[panels][rows]`.
+    Add(&'a [Line]),
+    /// The second are added, and the result is multiplied by the activation's derivative at the first outputs.
+    AddDerivative(Activation, &'a [Line], &'a [Line]),
 }
 
 /// `gradient += transposed(input) delta`, and the sum of `delta` for the bias.
 pub(crate) struct WeightGradient<'a> {
     /// Samples.
     pub(crate) rows: usize,
+    /// The samples that are summed.
+    pub(crate) range: Range<usize>,
     /// Columns of `input`, a multiple of [`BLOCK`].
     pub(crate) inner: usize,
     /// Panels `[lines of inner][rows]`.
@@ -56,6 +68,7 @@ pub(crate) struct WeightGradient<'a> {
 /// The products, compiled for an instruction set.
 #[derive(Clone, Copy)]
 pub(crate) struct Matrix {
+    simd: Simd,
     pub(crate) product: fn(Product),
     pub(crate) weight_gradient: fn(WeightGradient),
 }
@@ -64,17 +77,47 @@ impl Matrix {
     pub(crate) fn new(simd: Simd) -> Self {
         match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Self::of::<polypod_dynamics::lanes::Avx512>(),
+            Simd::Avx512 => Self::of::<polypod_dynamics::lanes::Avx512>(simd),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Self::of::<polypod_dynamics::lanes::Avx2>(),
+            Simd::Avx2 => Self::of::<polypod_dynamics::lanes::Avx2>(simd),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Self::of::<Pair<polypod_dynamics::lanes::Neon>>(),
-            _ => Self::of::<Pair<Portable>>(),
+            Simd::Neon => Self::of::<Pair<polypod_dynamics::lanes::Neon>>(simd),
+            _ => Self::of::<Pair<Portable>>(simd),
         }
     }
 
-    fn of<L: Blocking>() -> Self {
-        Self { product: |product| L::vectorize(product), weight_gradient: |gradient| L::vectorize(gradient) }
+    fn of<L: Blocking>(simd: Simd) -> Self {
+        Self { simd, product: |product| L::vectorize(product), weight_gradient: |gradient| L::vectorize(gradient) }
+    }
+
+    /// Runs another computation over lines, compiled for the same instruction set.
+    pub(crate) fn run(self, kernel: impl LineKernel) {
+        let kernel = OnLanes(kernel);
+        match self.simd {
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => polypod_dynamics::lanes::Avx512::vectorize(kernel),
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => polypod_dynamics::lanes::Avx2::vectorize(kernel),
+            #[cfg(target_arch = "aarch64")]
+            Simd::Neon => Pair::<polypod_dynamics::lanes::Neon>::vectorize(kernel),
+            _ => Pair::<Portable>::vectorize(kernel),
+        }
+    }
+}
+
+/// A computation over lines: sixteen lanes at a time.
+pub(crate) trait LineKernel {
+    /// Computes it.
+    fn run<L: Real>(self);
+}
+
+struct OnLanes<K>(K);
+
+impl<L: Real, K: LineKernel> Kernel<L> for OnLanes<K> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.run::<L>();
     }
 }
 
@@ -144,59 +187,80 @@ impl Panels for Product<'_> {
 
     #[inline(always)]
     fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize) {
-        let (rows, inner) = (self.rows, self.inner);
+        let inner = self.inner;
         let stride = inner + usize::from(matches!(self.end, End::Bias(_)));
+        let all = self.b;
         let mut b: [&[Line]; W] = [&[]; W];
         let mut start = [L::zero(); W];
         for w in 0..W {
-            b[w] = &self.b[(panel + w) * stride..][..inner];
+            b[w] = &all[(panel + w) * stride..][..inner];
             if let End::Bias(_) = self.end {
-                start[w] = L::load(&self.b[(panel + w) * stride + inner].0);
+                start[w] = L::load(&all[(panel + w) * stride + inner].0);
             }
         }
-        let mut row = 0;
-        while row < rows {
-            let mut sums = [start; R];
-            let mut k = 0;
-            while k < inner {
-                let a = &self.a[k / WIDTH * rows + row..][..R];
-                let n = WIDTH.min(inner - k);
-                for i in 0..n {
-                    let mut line = [L::zero(); W];
-                    for w in 0..W {
-                        line[w] = L::load(&b[w][k + i].0);
-                    }
-                    for r in 0..R {
-                        let x = L::broadcast(a[r].0[i % WIDTH]);
-                        for w in 0..W {
-                            sums[r][w] = x.mul_add(line[w], sums[r][w]);
-                        }
-                    }
-                }
-                k += WIDTH;
-            }
-            // sums that are written before anything else is done with them stay in registers until then
-            for w in 0..W {
-                let out = &mut self.out[(panel + w) * rows + row..][..R];
-                for r in 0..R {
-                    sums[r][w].store(&mut out[r].0);
-                }
-            }
-            for w in 0..W {
-                self.finish::<L, R>((panel + w) * rows + row);
-            }
+        let Range { start: mut row, end } = self.range.clone();
+        while row + R <= end {
+            self.block::<L, R, W>(panel, row, &b, &start);
             row += R;
+        }
+        while row + 2 <= end {
+            self.block::<L, 2, W>(panel, row, &b, &start);
+            row += 2;
+        }
+        if row < end {
+            self.block::<L, 1, W>(panel, row, &b, &start);
         }
     }
 }
 
 impl Product<'_> {
+    /// Computes `R` rows of `W` panels.
+    #[inline(always)]
+    fn block<L: Real, const R: usize, const W: usize>(
+        &mut self,
+        panel: usize,
+        row: usize,
+        b: &[&[Line]; W],
+        start: &[L; W],
+    ) {
+        let (rows, inner) = (self.rows, self.inner);
+        let mut sums = [*start; R];
+        let mut k = 0;
+        while k < inner {
+            let a = &self.a[k / WIDTH * rows + row..][..R];
+            let n = WIDTH.min(inner - k);
+            for i in 0..n {
+                let mut line = [L::zero(); W];
+                for w in 0..W {
+                    line[w] = L::load(&b[w][k + i].0);
+                }
+                for r in 0..R {
+                    let x = L::broadcast(a[r].0[i % WIDTH]);
+                    for w in 0..W {
+                        sums[r][w] = x.mul_add(line[w], sums[r][w]);
+                    }
+                }
+            }
+            k += WIDTH;
+        }
+        // sums that are written before anything else is done with them stay in registers until then
+        for w in 0..W {
+            let out = &mut self.out[(panel + w) * rows + row..][..R];
+            for r in 0..R {
+                sums[r][w].store(&mut out[r].0);
+            }
+        }
+        for w in 0..W {
+            self.finish::<L, R>((panel + w) * rows + row);
+        }
+    }
+
     /// Applies the activation or its derivative to `R` lines.
     #[inline(always)]
     fn finish<L: Real, const R: usize>(&mut self, first: usize) {
         let out = &mut self.out[first..][..R];
         match self.end {
-            End::Bias(None) => {}
+            End::Bias(None) | End::Plain => {}
             End::Bias(Some(activation)) => {
                 for line in out {
                     activation.apply(L::load(&line.0)).store(&mut line.0);
@@ -205,6 +269,17 @@ impl Product<'_> {
             End::Derivative(activation, y) => {
                 for (line, y) in out.iter_mut().zip(&y[first..]) {
                     (L::load(&line.0) * activation.derivative(L::load(&y.0))).store(&mut line.0);
+                }
+            }
+            End::Add(others) => {
+                for (line, other) in out.iter_mut().zip(&others[first..]) {
+                    (L::load(&line.0) + L::load(&other.0)).store(&mut line.0);
+                }
+            }
+            End::AddDerivative(activation, y, others) => {
+                for ((line, other), y) in out.iter_mut().zip(&others[first..]).zip(&y[first..]) {
+                    let sum = L::load(&line.0) + L::load(&other.0);
+                    (sum * activation.derivative(L::load(&y.0))).store(&mut line.0);
                 }
             }
         }
@@ -227,14 +302,14 @@ impl Panels for WeightGradient<'_> {
 
     #[inline(always)]
     fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize) {
-        let (rows, inner) = (self.rows, self.inner);
+        let (rows, inner, range) = (self.rows, self.inner, self.range.clone());
         let mut delta: [&[Line]; W] = [&[]; W];
         for w in 0..W {
-            delta[w] = &self.delta[(panel + w) * rows..][..rows];
+            delta[w] = &self.delta[(panel + w) * rows + range.start..][..range.len()];
         }
         let mut k = 0;
         while k < inner {
-            let input = &self.input[k / WIDTH * rows..][..rows];
+            let input = &self.input[k / WIDTH * rows + range.start..][..range.len()];
             let column = k % WIDTH;
             let mut sums = [[L::zero(); W]; R];
             for w in 0..W {
@@ -243,7 +318,7 @@ impl Panels for WeightGradient<'_> {
                     sums[r][w] = L::load(&gradient[r].0);
                 }
             }
-            for t in 0..rows {
+            for t in 0..range.len() {
                 let mut line = [L::zero(); W];
                 for w in 0..W {
                     line[w] = L::load(&delta[w][t].0);
@@ -313,6 +388,7 @@ mod tests {
                 let mut out = vec![Line::ZERO; lines_of(columns) * rows];
                 (Matrix::new(simd).product)(Product {
                     rows,
+                    range: 0..rows,
                     inner,
                     a: &panels(&a, rows, inner),
                     b: &panels(&b, inner + 1, columns),
@@ -339,6 +415,7 @@ mod tests {
                 let mut gradient = vec![Line([0.5; WIDTH]); lines_of(columns) * (inner + 1)];
                 (Matrix::new(simd).weight_gradient)(WeightGradient {
                     rows,
+                    range: 0..rows,
                     inner,
                     input: &panels(&input, rows, inner),
                     delta: &panels(&delta, rows, columns),

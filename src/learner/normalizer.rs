@@ -51,6 +51,12 @@ impl Normalizer {
         out
     }
 
+    /// A number of an observation, normalised.
+    pub(crate) fn apply_to(&self, index: usize, x: f32) -> f32 {
+        let (line, lane) = (index / WIDTH, index % WIDTH);
+        (x - self.mean_lines[line].0[lane]) * self.inverse_lines[line].0[lane]
+    }
+
     /// Takes in the samples of an iteration, `[num_obs]`; so many in all, of which each number may be missing in some, and in the same
     /// share of them at all times. A number that none has keeps what it has.
     ///

@@ -1,40 +1,10 @@
 //! A multi-layer perceptron: its weights by panels, its way forward and its way back over a tile of samples.
 
 use crate::activation::Activation;
+use crate::joints::JointTile;
+use crate::layer::{Layer, Room, Sort, have_sizes_of, in_order};
 use crate::lines::{Line, WIDTH, lines_of};
-use crate::matrix::{BLOCK, End, Matrix, Product, WeightGradient};
-
-/// Where a layer's weights are.
-#[derive(Clone, Debug)]
-struct Layer {
-    inputs: usize,
-    outputs: usize,
-    /// Inputs, rounded up to a multiple of [`BLOCK`]; the weights of the others are zero, and stay so.
-    inner: usize,
-    /// Its first line among the weights.
-    first: usize,
-    /// Its first line among the transposed weights.
-    first_transposed: usize,
-}
-
-impl Layer {
-    fn panels(&self) -> usize {
-        lines_of(self.outputs)
-    }
-
-    fn lines(&self) -> usize {
-        self.panels() * (self.inner + 1)
-    }
-
-    /// Outputs, rounded up: the inner dimension on the way back.
-    fn inner_transposed(&self) -> usize {
-        self.outputs.next_multiple_of(BLOCK)
-    }
-
-    fn lines_transposed(&self) -> usize {
-        lines_of(self.inputs) * self.inner_transposed()
-    }
-}
+use crate::matrix::{BLOCK, End, Matrix};
 
 /// Weights of a perceptron, and some numbers more that are learnt with them.
 #[derive(Clone, Debug)]
@@ -57,6 +27,8 @@ pub(crate) struct Tile {
     /// Panels `[outputs / 16][rows]`: the loss' derivative with respect to the last layer.
     pub(crate) delta: Vec<Line>,
     next: Vec<Line>,
+    /// What a network of joints computes.
+    pub(crate) joints: JointTile,
 }
 
 impl Tile {
@@ -74,29 +46,25 @@ const LEAST_ROWS: usize = 32;
 impl Perceptron {
     /// All weights zero; `sizes` are those of the input, the hidden layers and the output. `extra` further numbers are learnt.
     pub(crate) fn new(sizes: &[usize], activation: Activation, extra: usize) -> Self {
-        let (mut layers, mut first, mut first_transposed) = (Vec::new(), 0, 0);
-        for pair in sizes.windows(2) {
-            let (inputs, outputs) = (pair[0], pair[1]);
-            let layer = Layer { inputs, outputs, inner: inputs.next_multiple_of(BLOCK), first, first_transposed };
-            first += layer.lines();
-            if !layers.is_empty() {
-                first_transposed += layer.lines_transposed();
-            }
-            layers.push(layer);
-        }
-        let weights = vec![Line::ZERO; first + lines_of(extra)];
-        Self { layers, activation, weights, transposed: vec![Line::ZERO; first_transposed], extra }
+        let mut room = Room::default();
+        let layer = |(l, pair): (usize, &[usize])| {
+            let sort = Sort { has_bias: true, goes_back: l > 0 };
+            Layer::new(in_order(pair[0]), in_order(pair[1]), sort, &mut room)
+        };
+        let layers = sizes.windows(2).enumerate().map(layer).collect();
+        let weights = vec![Line::ZERO; room.weights + lines_of(extra)];
+        Self { layers, activation, weights, transposed: vec![Line::ZERO; room.transposed], extra }
     }
 
     /// Rows of a tile. They depend on the sizes alone, and so do the sums.
     pub(crate) fn rows_of_tile(&self) -> usize {
-        let lines: usize = self.layers.iter().map(|layer| lines_of(layer.inputs) + 2 * layer.panels()).sum();
+        let lines: usize = self.layers.iter().map(|layer| layer.input_panels() + 2 * layer.panels()).sum();
         let rows = TILE_BYTES / (lines * size_of::<Line>()).max(1);
         (rows / BLOCK * BLOCK).clamp(LEAST_ROWS, MOST_ROWS)
     }
 
     pub(crate) fn num_inputs(&self) -> usize {
-        self.layers.first().map_or(0, |layer| layer.inputs)
+        self.layers.first().map_or(0, Layer::num_inputs)
     }
 
     /// All that is learnt.
@@ -127,20 +95,7 @@ impl Perceptron {
 
     /// The transposed weights follow the weights.
     pub(crate) fn transpose(&mut self) {
-        for layer in self.layers.iter().skip(1) {
-            let inner = layer.inner_transposed();
-            let to = &mut self.transposed[layer.first_transposed..][..layer.lines_transposed()];
-            let from = &self.weights[layer.first..][..layer.lines()];
-            for (panel, lines) in to.chunks_exact_mut(inner).enumerate() {
-                let columns = WIDTH.min(layer.inner - panel * WIDTH);
-                for (output, line) in lines.iter_mut().enumerate().take(layer.outputs) {
-                    let from = &from[output / WIDTH * (layer.inner + 1) + panel * WIDTH..][..columns];
-                    for (x, from) in line.0.iter_mut().zip(from) {
-                        *x = from.0[output % WIDTH];
-                    }
-                }
-            }
-        }
+        self.layers.iter().for_each(|layer| layer.transpose(&self.weights, &mut self.transposed));
     }
 
     /// Computes the outputs of `rows` rows, a multiple of [`BLOCK`], from the tile's input.
@@ -149,16 +104,8 @@ impl Perceptron {
         for (l, layer) in self.layers.iter().enumerate() {
             let (before, after) = tile.outputs.split_at_mut(l);
             let (a, out) = (before.last().unwrap_or(&tile.input), &mut after[0]);
-            out.resize(layer.panels() * rows, Line::ZERO);
             let is_hidden = l + 1 < self.layers.len();
-            (matrix.product)(Product {
-                rows,
-                inner: layer.inner,
-                a,
-                b: &self.weights[layer.first..][..layer.lines()],
-                out,
-                end: End::Bias(is_hidden.then_some(self.activation)),
-            });
+            layer.forward(matrix, &self.weights, rows, a, out, is_hidden.then_some(self.activation));
         }
     }
 
@@ -166,25 +113,12 @@ impl Perceptron {
     pub(crate) fn backward(&self, matrix: Matrix, rows: usize, tile: &mut Tile, gradient: &mut [Line]) {
         for (l, layer) in self.layers.iter().enumerate().rev() {
             let input = if l == 0 { &tile.input } else { &tile.outputs[l - 1] };
-            (matrix.weight_gradient)(WeightGradient {
-                rows,
-                inner: layer.inner,
-                input,
-                delta: &tile.delta,
-                gradient: &mut gradient[layer.first..][..layer.lines()],
-            });
+            layer.add_gradient(matrix, rows, input, &tile.delta, gradient);
             if l == 0 {
                 break;
             }
-            tile.next.resize(lines_of(layer.inputs) * rows, Line::ZERO);
-            (matrix.product)(Product {
-                rows,
-                inner: layer.inner_transposed(),
-                a: &tile.delta,
-                b: &self.transposed[layer.first_transposed..][..layer.lines_transposed()],
-                out: &mut tile.next,
-                end: End::Derivative(self.activation, input),
-            });
+            let (panels, end) = (layer.input_panels(), End::Derivative(self.activation, input));
+            layer.back(matrix, &self.transposed, rows, &tile.delta, panels, &mut tile.next, end);
             std::mem::swap(&mut tile.delta, &mut tile.next);
         }
     }
@@ -195,20 +129,13 @@ impl Perceptron {
         if self.extra > 0 {
             all.push(lines[self.first_extra()..].iter().flat_map(|line| line.0).take(self.extra).collect());
         }
-        for layer in &self.layers {
-            let of = &lines[layer.first..][..layer.lines()];
-            let at = |output: usize, row: usize| of[output / WIDTH * (layer.inner + 1) + row].0[output % WIDTH];
-            let weight = (0..layer.outputs).flat_map(|output| (0..layer.inputs).map(move |input| (output, input)));
-            all.push(weight.map(|(output, input)| at(output, input)).collect());
-            all.push((0..layer.outputs).map(|output| at(output, layer.inner)).collect());
-        }
+        self.layers.iter().for_each(|layer| layer.export(lines, &mut all));
         all
     }
 
     /// The reverse of [`Perceptron::export`]; false where the sizes differ.
     pub(crate) fn import(&self, from: &[Vec<f32>], lines: &mut [Line]) -> bool {
-        let sizes = self.export(lines);
-        if from.len() != sizes.len() || from.iter().zip(&sizes).any(|(from, size)| from.len() != size.len()) {
+        if !have_sizes_of(from, &self.export(lines)) {
             return false;
         }
         let mut from = from.iter();
@@ -219,17 +146,6 @@ impl Perceptron {
                 lines[self.first_extra() + i / WIDTH].0[i % WIDTH] = x;
             }
         }
-        for layer in &self.layers {
-            let of = &mut lines[layer.first..][..layer.lines()];
-            let (Some(weight), Some(bias)) = (from.next(), from.next()) else { return false };
-            for output in 0..layer.outputs {
-                let panel = output / WIDTH * (layer.inner + 1);
-                for input in 0..layer.inputs {
-                    of[panel + input].0[output % WIDTH] = weight[output * layer.inputs + input];
-                }
-                of[panel + layer.inner].0[output % WIDTH] = bias[output];
-            }
-        }
-        true
+        self.layers.iter().all(|layer| layer.import(&mut from, lines))
     }
 }

@@ -2,8 +2,10 @@
 
 use std::ops::Range;
 
+use crate::bodies::Bodies;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::moments::Moments;
+use crate::network::{Mirror, Net, Which};
 use crate::settings::{Robot, Settings};
 
 /// Most parts that the envs are divided into.
@@ -58,6 +60,8 @@ pub(crate) struct Part {
     pub(crate) episode_length: Vec<f32>,
     /// Samples in the order in which they are learnt from.
     pub(crate) order: Vec<u32>,
+    /// Bodies of the samples, as the actor and the critic read them.
+    pub(crate) bodies: [Bodies; 2],
 }
 
 /// How an env's episode goes on after a step.
@@ -110,6 +114,7 @@ impl Part {
             episode_reward: vec![0.0; count],
             episode_length: vec![0.0; count],
             order: Vec::new(),
+            bodies: Default::default(),
             rows: envs.start - first_env..envs.end - first_env,
             envs,
             blocks,
@@ -126,6 +131,32 @@ impl Part {
     pub(crate) fn store_observations(&mut self, step: usize, observations: &[f32], num_obs: usize) {
         let first = step * self.len() * lines_of(num_obs);
         rows_to_lines(observations, num_obs, &mut self.observations[first..]);
+    }
+
+    /// Finds the bodies of some samples, and their mirror images, as a network of joints reads them.
+    pub(crate) fn find_bodies(
+        &mut self,
+        which: Which,
+        net: &Net,
+        samples: Range<usize>,
+        mirrors: Option<&[Mirror]>,
+        num_obs: usize,
+    ) {
+        let Some(joints) = net.joints() else { return };
+        let (lines, n, bodies) = (lines_of(num_obs), self.envs.len(), &mut self.bodies[which as usize]);
+        for sample in samples {
+            let (env, observation) = (sample % n, &self.observations[sample * lines..][..lines]);
+            let mirror = mirrors.map(|mirrors| &mirrors[self.robot_of[env]]);
+            let body = bodies.number_of(joints, &net.normalizers, env, observation, mirror);
+            bodies.of_samples.push(body);
+        }
+    }
+
+    /// Bodies of the observations after the last step, `[envs]`; empty for a perceptron.
+    pub(crate) fn last_bodies(&mut self, which: Which, net: &Net, last: &[Line], num_obs: usize) -> Vec<usize> {
+        let Some(joints) = net.joints() else { return Vec::new() };
+        let (bodies, rows) = (&mut self.bodies[which as usize], last.chunks_exact(lines_of(num_obs)).enumerate());
+        rows.map(|(env, of)| bodies.number_of(joints, &net.normalizers, env, of, None)).collect()
     }
 
     /// The samples of a mini-batch.

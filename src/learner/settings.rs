@@ -41,7 +41,7 @@ pub struct Options {
     pub symmetry: Symmetry,
 }
 
-/// A multi-layer perceptron.
+/// A multi-layer perceptron, or a network of joints.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
@@ -51,6 +51,30 @@ pub struct Network {
     pub activation: Activation,
     /// Whether observations are brought to mean 0 and deviation 1 first.
     pub obs_normalization: bool,
+    /// Numbers of a row of all observation groups that a perceptron reads, in order; all of them where empty.
+    #[serde(default)]
+    pub columns: Vec<usize>,
+    /// What a network of joints reads; None: a perceptron.
+    #[serde(default)]
+    pub joints: Option<Joints>,
+}
+
+/// A network of joints, as `polypod.networks.urma.JointNetwork` is one. Columns are those of a row of all observation groups.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Joints {
+    /// Width of a joint's encodings.
+    pub joint_dim: usize,
+    /// Heads of the attention.
+    pub num_heads: usize,
+    /// Columns of what a joint does, `[numbers][slots]`.
+    pub states: Vec<Vec<usize>>,
+    /// Factor of each of these numbers.
+    pub scales: Vec<f32>,
+    /// Columns of what a joint is, `[numbers][slots]`. A joint that a robot lacks has zeros alone.
+    pub descriptions: Vec<Vec<usize>>,
+    /// Columns of what belongs to no joint.
+    pub general: Vec<usize>,
 }
 
 /// Hyperparameters of the update.
@@ -169,6 +193,9 @@ impl Settings {
                 return Err(LearnerError::new("hidden_dims", format!("{size} is not from 1 to {MOST_NUMBERS}")));
             }
         }
+        for (element, network) in [("actor", &self.options.actor), ("critic", &self.options.critic)] {
+            self.check_columns(element, network)?;
+        }
         let mut next = 0;
         for robot in &self.robots {
             let (start, stop) = robot.envs;
@@ -194,5 +221,35 @@ impl Settings {
             return Err(LearnerError::new("robots", format!("they have {next} of {} envs", self.num_envs)));
         }
         Ok(())
+    }
+
+    /// Whether a network reads columns that there are.
+    fn check_columns(&self, element: &'static str, network: &Network) -> Result<(), LearnerError> {
+        let error = |problem: String| Err(LearnerError::new(element, problem));
+        let mut columns: Vec<usize> = network.columns.clone();
+        if let Some(joints) = &network.joints {
+            for size in [joints.joint_dim, joints.num_heads] {
+                if size == 0 || size > MOST_NUMBERS {
+                    return error(format!("joint_dim and num_heads: {size} is not from 1 to {MOST_NUMBERS}"));
+                }
+            }
+            if joints.states.is_empty() || joints.descriptions.is_empty() || network.hidden_dims.is_empty() {
+                return error("a network of joints needs states, descriptions and hidden_dims".into());
+            }
+            if joints.scales.len() != joints.states.len() {
+                return error(format!("{} scales for {} states", joints.scales.len(), joints.states.len()));
+            }
+            for of_number in joints.states.iter().chain(&joints.descriptions) {
+                if of_number.len() != self.num_actions {
+                    return error(format!("{} columns of a number for {} slots", of_number.len(), self.num_actions));
+                }
+                columns.extend(of_number);
+            }
+            columns.extend(&joints.general);
+        }
+        match columns.iter().find(|&&column| column >= self.num_obs) {
+            Some(column) => error(format!("column {column} of a row of {} numbers", self.num_obs)),
+            None => Ok(()),
+        }
     }
 }

@@ -5,12 +5,14 @@ use std::ops::Range;
 use polypod_dynamics::lanes::{Kernel, SimdDispatch};
 
 use crate::adam::{Rates, Step};
+use crate::bodies::Bodies;
 use crate::gaussian::{Distributions, RANGE, Surrogate};
+use crate::joints::JointTile;
 use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
-use crate::network::{Mirror, Net, mirrored};
+use crate::network::{Mirror, Net, Row, Which, mirrored};
 use crate::peers::{Message, lines, term};
 use crate::rollout::{Part, parts_of, share};
 use crate::settings::{LearnerError, Robot, Settings, Symmetry};
@@ -65,6 +67,8 @@ struct MiniBatch<'a> {
     batch: usize,
     /// One over the number of samples, mirror images included.
     weight: f32,
+    /// Number of samples.
+    samples: usize,
     new: &'a Distributions,
     /// Of each distribution.
     divergence_of_deviations: &'a [f32],
@@ -76,36 +80,67 @@ struct MiniBatch<'a> {
 type Sample<'a> = (usize, Option<&'a Mirror>);
 
 impl MiniBatch<'_> {
-    /// Calls `f` with the samples of a part in tiles of at most `size`.
-    fn for_each_tile(&self, part: &Part, size: usize, mut f: impl FnMut(&[Sample])) {
+    /// Calls `f` with the samples of a part in tiles. A network of joints gets the samples of a body one after the other.
+    fn for_each_tile(&self, part: &Part, net: &Net, bodies: &Bodies, mut f: impl FnMut(&[Sample])) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
-        let mut tile = Vec::with_capacity(size);
         for pass in 0..self.settings.options.symmetry.rows_per_sample() {
-            for chunk in samples.chunks(size) {
-                tile.clear();
-                tile.extend(chunk.iter().map(|&sample| {
-                    let sample = sample as usize;
-                    let is_image = match self.settings.options.symmetry {
-                        Symmetry::None => false,
-                        Symmetry::Both => pass == 1,
-                        Symmetry::Alternate => (sample + self.epoch) % 2 == 1,
-                    };
-                    (sample, is_image.then(|| &self.mirrors[part.robot_of[sample % part.len()]]))
-                }));
-                f(&tile);
+            let sample = |&sample: &u32| {
+                let sample = sample as usize;
+                let is_image = match self.settings.options.symmetry {
+                    Symmetry::None => false,
+                    Symmetry::Both => pass == 1,
+                    Symmetry::Alternate => (sample + self.epoch) % 2 == 1,
+                };
+                (sample, is_image.then(|| &self.mirrors[part.robot_of[sample % part.len()]]))
+            };
+            let mut samples: Vec<Sample> = samples.iter().map(sample).collect();
+            if net.joints().is_some() {
+                samples.sort_by_key(|(sample, mirror)| (bodies.of_samples[*sample], mirror.is_some()));
             }
+            samples.chunks(net.rows_of_tile()).for_each(&mut f);
         }
     }
 
-    /// What a part has of the mean entropy of so many samples, where robots have different actions; its derivatives are added to those
+    /// What a network is asked about in a tile.
+    fn rows<'a>(&self, part: &'a Part, bodies: &Bodies, samples: &[Sample<'a>]) -> Vec<Row<'a>> {
+        let lines = lines_of(self.settings.num_obs);
+        let row = |&(sample, mirror): &Sample<'a>| Row {
+            observation: &part.observations[sample * lines..][..lines],
+            mirror,
+            robot: part.robot_of[sample % part.len()],
+            body: bodies.of_samples.get(sample).copied().unwrap_or(0),
+        };
+        samples.iter().map(row).collect()
+    }
+
+    /// What a tile's bodies have of the mean entropy, where each has its own distribution; its derivatives are noted in the tile.
+    fn entropy_of_bodies(&self, samples: &[Sample], joints: &mut JointTile) -> f64 {
+        let mut counts = vec![0usize; joints.bodies().len()];
+        for (row, (_, mirror)) in samples.iter().enumerate() {
+            // images that are learnt from besides the samples have the samples' entropy
+            if mirror.is_none() || self.settings.options.symmetry == Symmetry::Alternate {
+                counts[joints.body_of(row)] += 1;
+            }
+        }
+        let mut entropy = 0.0;
+        for (body, count) in counts.into_iter().enumerate() {
+            let share = count as f64 / self.samples as f64;
+            let (gaussian, deviation) = joints.distribution(body);
+            gaussian.add_entropy(self.settings.options.algorithm.entropy_coef * share as f32, deviation);
+            entropy += share * f64::from(gaussian.entropy());
+        }
+        entropy
+    }
+
+    /// What a part has of the mean entropy, where robots have different actions; its derivatives are added to those
     /// of the deviations.
-    fn entropy_of(&self, part: &Part, samples: usize, deviation: &mut [Line]) -> f64 {
+    fn entropy_of(&self, part: &Part, deviation: &mut [Line]) -> f64 {
         let algorithm = &self.settings.options.algorithm;
         let mut counts = vec![0usize; self.new.gaussians.len()];
         for &sample in part.mini_batch(self.batch, algorithm.num_mini_batches) {
             counts[self.new.index(part.robot_of[sample as usize % part.len()])] += 1;
         }
-        let shares = counts.into_iter().map(|count| count as f64 / samples as f64);
+        let shares = counts.into_iter().map(|count| count as f64 / self.samples as f64);
         self.new.gaussians.iter().zip(shares).fold(0.0, |entropy, (gaussian, share)| {
             gaussian.add_entropy(algorithm.entropy_coef * share as f32, deviation);
             entropy + share * f64::from(gaussian.entropy())
@@ -114,33 +149,48 @@ impl MiniBatch<'_> {
 
     /// The part's gradient of the surrogate loss.
     fn actor_gradient(&self, net: &Net, part: &Part, gradient: &mut Gradient) {
-        let lines = [lines_of(self.settings.num_obs), lines_of(self.settings.num_actions)];
-        let first_extra = net.perceptron.first_extra();
-        let mut images = vec![Line::ZERO; 2 * lines[1]];
-        let mut mean = vec![Line::ZERO; lines[1]];
+        let (lines, bodies, are_of_bodies) =
+            (lines_of(self.settings.num_actions), &part.bodies[0], self.new.are_of_bodies());
+        let first_deviation = net.first_deviation();
+        let mut images = vec![Line::ZERO; 2 * lines];
+        let mut mean = vec![Line::ZERO; lines];
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
-                let observation = |sample: usize| &part.observations[sample * lines[0]..][..lines[0]];
-                let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
-                net.perceptron.forward(self.matrix, rows, tile);
-                tile.delta.resize(rows * lines[1], Line::ZERO);
+            self.for_each_tile(part, net, bodies, |samples| {
+                let rows = net.fill(&self.rows(part, bodies, samples), bodies, tile);
+                net.forward(self.matrix, rows, tile);
+                if are_of_bodies {
+                    tile.joints.compare(&bodies.old);
+                    gradient.entropy += self.entropy_of_bodies(samples, &mut tile.joints);
+                }
+                tile.delta.resize(rows * lines, Line::ZERO);
                 tile.delta.fill(Line::ZERO);
                 for (row, &(sample, mirror)) in samples.iter().enumerate() {
-                    let at = sample * lines[1];
-                    let (mut action, mut old_mean) = (&part.actions[at..][..lines[1]], &part.means[at..][..lines[1]]);
+                    let at = sample * lines;
+                    let (mut action, mut old_mean) = (&part.actions[at..][..lines], &part.means[at..][..lines]);
                     if let Some(mirror) = mirror {
-                        let (first, second) = images.split_at_mut(lines[1]);
+                        let (first, second) = images.split_at_mut(lines);
                         mirrored(action, &mirror.action, first);
                         mirrored(old_mean, &mirror.action, second);
                         (action, old_mean) = (first, second);
                     }
                     for (panel, line) in mean.iter_mut().enumerate() {
-                        *line = tile.output()[panel * rows + row];
+                        *line = net.output(tile)[panel * rows + row];
                     }
                     let robot = part.robot_of[sample % part.len()];
-                    let new = self.new.of(robot);
+                    let (new, deviation, of_deviations) = match are_of_bodies {
+                        true => {
+                            let body = tile.joints.body_of(row);
+                            let of_deviations = tile.joints.divergence(body);
+                            let (new, deviation) = tile.joints.distribution(body);
+                            (new, deviation, of_deviations)
+                        }
+                        false => (
+                            self.new.of(robot),
+                            &mut gradient.lines[first_deviation..],
+                            self.divergence_of_deviations[self.new.index(robot)],
+                        ),
+                    };
                     if mirror.is_none() {
-                        let of_deviations = self.divergence_of_deviations[self.new.index(robot)];
                         gradient.divergence += f64::from(new.divergence(&mean, old_mean, of_deviations));
                         gradient.samples += 1;
                     }
@@ -151,30 +201,27 @@ impl MiniBatch<'_> {
                         old_log_prob: part.log_probs[sample],
                         weight: self.weight,
                     };
-                    let deviation = &mut gradient.lines[first_extra..];
                     gradient.loss += f64::from(new.surrogate(action, &mut mean, deviation, &surrogate));
                     for (panel, line) in mean.iter().enumerate() {
                         tile.delta[panel * rows + row] = *line;
                     }
                 }
-                net.perceptron.backward(self.matrix, rows, tile, &mut gradient.lines);
+                net.backward(self.matrix, rows, tile, &mut gradient.lines);
             });
         });
     }
 
     /// The part's gradient of the value loss.
     fn critic_gradient(&self, net: &Net, part: &Part, gradient: &mut Gradient) {
-        let lines = lines_of(self.settings.num_obs);
-        let algorithm = &self.settings.options.algorithm;
+        let (algorithm, bodies) = (&self.settings.options.algorithm, &part.bodies[1]);
         with_tile(|tile| {
-            self.for_each_tile(part, net.perceptron.rows_of_tile(), |samples| {
-                let observation = |sample: usize| &part.observations[sample * lines..][..lines];
-                let rows = net.fill(samples.iter().map(|&(sample, mirror)| (observation(sample), mirror)), tile);
-                net.perceptron.forward(self.matrix, rows, tile);
+            self.for_each_tile(part, net, bodies, |samples| {
+                let rows = net.fill(&self.rows(part, bodies, samples), bodies, tile);
+                net.forward(self.matrix, rows, tile);
                 tile.delta.resize(rows, Line::ZERO);
                 tile.delta.fill(Line::ZERO);
                 for (row, &(sample, _)) in samples.iter().enumerate() {
-                    let (value, target, old) = (tile.output()[row].0[0], part.returns[sample], part.values[sample]);
+                    let (value, target, old) = (net.output(tile)[row].0[0], part.returns[sample], part.values[sample]);
                     let free = (value - target) * (value - target);
                     let (mut loss, mut slope) = (free, 2.0 * (value - target));
                     if algorithm.use_clipped_value_loss {
@@ -189,7 +236,7 @@ impl MiniBatch<'_> {
                     gradient.loss += f64::from(loss);
                     tile.delta[row].0[0] = algorithm.value_loss_coef * slope * self.weight;
                 }
-                net.perceptron.backward(self.matrix, rows, tile, &mut gradient.lines);
+                net.backward(self.matrix, rows, tile, &mut gradient.lines);
             });
         });
     }
@@ -264,7 +311,7 @@ impl Learner {
         gradients: &mut [[Gradient; 2]],
     ) -> Option<f64> {
         let algorithm = &self.settings.options.algorithm;
-        let new = Distributions::new(self.actor.perceptron.extra(), &self.settings);
+        let new = Distributions::new(self.actor.deviations(), &self.settings);
         let pairs = new.gaussians.iter().zip(&self.old.gaussians);
         let divergence_of_deviations: Vec<f32> = pairs.map(|(new, old)| new.divergence_of_deviations(old)).collect();
         let advantages = match self.mini_batch_scale.get(batch) {
@@ -278,11 +325,11 @@ impl Learner {
             epoch,
             batch,
             weight: 1.0 / rows as f32,
+            samples: rows / self.settings.options.symmetry.rows_per_sample(),
             new: &new,
             divergence_of_deviations: &divergence_of_deviations,
             advantages: &advantages,
         };
-        let samples = rows / self.settings.options.symmetry.rows_per_sample();
         let mut tasks = Vec::with_capacity(2 * self.parts.len());
         for (part, [actor, critic]) in self.parts.iter().zip(gradients) {
             tasks.push((part, &self.actor, actor, true));
@@ -292,18 +339,18 @@ impl Learner {
             gradient.lines.fill(Line::ZERO);
             (gradient.loss, gradient.divergence, gradient.entropy, gradient.samples) = (0.0, 0.0, 0.0, 0);
             if is_actor {
-                let deviation = &mut gradient.lines[net.perceptron.first_extra()..];
-                if new.differ() {
-                    gradient.entropy = shared.entropy_of(part, samples, deviation);
-                } else if part.envs.start == 0 {
-                    new.gaussians[0].add_entropy(algorithm.entropy_coef, deviation);
+                let deviation = &mut gradient.lines[net.first_deviation()..];
+                match new.only() {
+                    None if !new.are_of_bodies() => gradient.entropy = shared.entropy_of(part, deviation),
+                    Some(only) if part.envs.start == 0 => only.add_entropy(algorithm.entropy_coef, deviation),
+                    _ => {}
                 }
                 shared.actor_gradient(net, part, gradient);
             } else {
                 shared.critic_gradient(net, part, gradient);
             }
         });
-        (!new.differ()).then(|| f64::from(new.gaussians[0].entropy()))
+        new.only().map(|only| f64::from(only.entropy()))
     }
 
     /// Sums the parts' gradients of all workers into the networks' own, and what comes with them.
@@ -394,7 +441,7 @@ impl Learner {
             let norm = squares.sqrt();
             net.steps += 1;
             let rates = Rates::new(learning_rate, net.steps, (limit / (norm + EPSILON)).min(1.0));
-            let weights = net.perceptron.weights_mut().chunks_mut(CHUNK);
+            let weights = net.model.weights_mut().chunks_mut(CHUNK);
             let moments = net.first.chunks_mut(CHUNK).zip(net.second.chunks_mut(CHUNK));
             for ((weights, gradient), (first, second)) in weights.zip(net.gradient.chunks(CHUNK)).zip(moments) {
                 tasks.push(Step { weights, first, second, gradient, rates });
@@ -402,15 +449,27 @@ impl Learner {
         }
         team.for_each(tasks, |step| dispatch.vectorize(step));
         // Adam knows no bounds: a small deviation with a large rate would become negative
-        self.actor.perceptron.limit_extra(RANGE);
-        team.for_each(vec![&mut self.actor, &mut self.critic], |net| net.perceptron.transpose());
+        self.actor.model.limit_deviations(RANGE);
+        team.for_each(vec![&mut self.actor, &mut self.critic], |net| net.model.transpose());
     }
 
     /// Takes the observations of the iteration into the networks' statistics.
     fn update_normalizers(&mut self, team: &impl Team) -> Result<(), LearnerError> {
-        let nets = [&mut self.actor, &mut self.critic];
-        let mut normalizers: Vec<_> = nets.into_iter().filter_map(|net| net.normalizer.as_mut()).collect();
-        let Some(about) = normalizers.first().map(|normalizer| normalizer.mean.clone()) else { return Ok(()) };
+        let num_obs = self.settings.num_obs;
+        for which in [Which::Actor, Which::Critic] {
+            let mut moments = vec![None; self.parts.len()];
+            let net = if which == Which::Actor { &mut self.actor } else { &mut self.critic };
+            let shared = &*net;
+            team.for_each(self.parts.iter().zip(&mut moments).collect(), |(part, moments)| {
+                *moments = shared.moments(part, which, num_obs);
+            });
+            let moments: Vec<Vec<Moments>> = moments.into_iter().flatten().collect();
+            if !moments.is_empty() {
+                net.update_normalizers(&self.shares.sum(&*self.peers, &moments)?);
+            }
+        }
+        let about = self.actor.means(num_obs).or_else(|| self.critic.means(num_obs));
+        let Some(about) = about else { return Ok(()) };
         let mut moments = vec![Vec::new(); self.parts.len()];
         let (dispatch, robots) = (self.dispatch, &self.settings.robots);
         let samples = self.settings.num_envs * self.settings.options.num_steps_per_env;
@@ -418,9 +477,10 @@ impl Learner {
             *moments = dispatch.vectorize(OfObservations { part, about: &about, robots });
         });
         let all = self.shares.sum(&*self.peers, &moments)?;
-        let is_padded: Vec<bool> = (0..about.len()).map(|i| robots.iter().any(|robot| !robot.has_number(i))).collect();
-        for normalizer in &mut normalizers {
-            normalizer.update(&all, samples as u64, &is_padded);
+        for net in [&mut self.actor, &mut self.critic] {
+            if net.joints().is_none() {
+                net.update_normalizer(&all, samples as u64, robots);
+            }
         }
         Ok(())
     }

@@ -169,18 +169,23 @@ impl Learner {
     }
 
     #[doc = docstring!("Learner.normalizer")]
+    #[pyo3(signature = (name, index=0))]
     fn normalizer<'py>(
         &self,
         py: Python<'py>,
         name: &str,
+        #[pyo3(from_py_with = whole)] index: i128,
     ) -> PyResult<Option<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, u64)>> {
+        let index: usize = unsigned(py, "index", index)?;
         Ok(self
             .learner
-            .normalizer(which(name)?)
+            .normalizers(which(name)?)
+            .get(index)
             .map(|of| (PyArray1::from_slice(py, &of.mean), PyArray1::from_slice(py, &of.variance), of.count)))
     }
 
     #[doc = docstring!("Learner.set_normalizer")]
+    #[pyo3(signature = (name, mean, variance, count, index=0))]
     fn set_normalizer(
         &mut self,
         py: Python<'_>,
@@ -188,10 +193,11 @@ impl Learner {
         mean: PyReadonlyArray1<f32>,
         variance: PyReadonlyArray1<f32>,
         #[pyo3(from_py_with = whole)] count: i128,
+        #[pyo3(from_py_with = whole)] index: i128,
     ) -> PyResult<()> {
-        let (which, count) = (which(name)?, unsigned(py, "count", count)?);
+        let (which, count, index) = (which(name)?, unsigned(py, "count", count)?, unsigned(py, "index", index)?);
         let normalizer = Normalizer::from_parts(mean.as_slice()?.to_vec(), variance.as_slice()?.to_vec(), count);
-        let done = self.learner.run(py, |learner| learner.set_normalizer(which, normalizer))?;
+        let done = self.learner.run(py, |learner| learner.set_normalizer(which, index, normalizer))?;
         done.map_err(|error| to_python(py, error.into()))
     }
 

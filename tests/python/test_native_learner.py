@@ -38,13 +38,23 @@ def test_a_run_goes_on_with_the_other_learner(first, second, tmp_path):
             assert change <= 0.5 * weights.float().norm() + 0.5 or name.endswith("count"), (network, name)
 
 
-def test_auto_is_native_for_perceptrons():
-    flat, urma = config.load("flat"), config.load("flat_joints")
-    assert flat.with_learner_resolved(None).run.learner == "native"
-    assert flat.with_learner_resolved("rsl_rl").run.learner == "rsl_rl"
-    assert urma.with_learner_resolved(None).run.learner == "rsl_rl"
-    with pytest.raises(polypod.ConfigError, match="perceptrons"):
-        urma.with_learner_resolved("native")
+def test_auto_is_native_where_the_native_learner_knows_the_networks():
+    flat, urma, critic = (config.load(name) for name in ("flat", "flat_joints", "flat_asymmetric"))
+    for known in (flat, urma, critic):
+        assert known.with_learner_resolved(None, "cpu").run.learner == "native"
+        assert known.with_learner_resolved("rsl_rl", "cpu").run.learner == "rsl_rl"
+    assert flat.with_learner_resolved(None, "cuda").run.learner == "native"
+    for of_cpu, said in ((urma, "perceptrons alone on a GPU"), (critic, "group policy alone on a GPU")):
+        assert of_cpu.with_learner_resolved(None, "cuda").run.learner == "rsl_rl"
+        with pytest.raises(polypod.ConfigError, match=said):
+            of_cpu.with_learner_resolved("native", "cuda")
+    recurrent = config.load(
+        "flat",
+        [f"actor.{key}" for key in ("class_name=RNNModel", "rnn_type=gru", "rnn_hidden_dim=8", "rnn_num_layers=1")],
+    )
+    assert recurrent.with_learner_resolved(None).run.learner == "rsl_rl"
+    with pytest.raises(polypod.ConfigError, match="networks of joints, and .actor. is a RNNModel"):
+        recurrent.with_learner_resolved("native")
 
 
 def test_what_a_learner_lacks_is_refused():

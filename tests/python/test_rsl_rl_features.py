@@ -205,7 +205,7 @@ def test_mistakes_are_named(overrides, said, tmp_path):
 
 @pytest.mark.parametrize(
     "override",
-    ['obs_groups.critic=["policy", "critic"]', "rnd={weight=1.0}", 'distillation={teacher="x.pt"}'],
+    ["rnd={weight=1.0}", 'distillation={teacher="x.pt"}'],
 )
 def test_the_native_learner_says_what_it_does_not_do(override):
     loaded = config.load("flat", [override])

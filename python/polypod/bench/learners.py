@@ -78,7 +78,7 @@ def training(
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
     kind = torch.device(device).type
-    train_config = train_config.with_learner_resolved(learner).with_mixed_precision_resolved(kind)
+    train_config = train_config.with_learner_resolved(learner, kind).with_mixed_precision_resolved(kind)
     run = train_config.run
     if options.threads is not None:
         torch.set_num_threads(options.threads)

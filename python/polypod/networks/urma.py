@@ -195,7 +195,7 @@ class JointNetwork(torch.nn.Module):
         description = self.describe(joints.descriptions)
         state = self.activation(self.state(joints.states) + self.state_by_description(description))
         # of deviation 1
-        code = math.sqrt(2.0) * torch.sin(self.code(joints.relative).float())
+        code = math.sqrt(2.0) * torch.sin(_at_least_single(self.code(joints.relative)))
         attention = joints.at_places(self.attention(description) + self.focus(code))
         shares = attention.masked_fill(~joints.present.unsqueeze(-1), OUTSIDE).softmax(dim=1)
         values = joints.at_places(self.value(state))
@@ -205,7 +205,7 @@ class JointNetwork(torch.nn.Module):
             return self.decoder(body)
         keys = torch.cat([code.to(description.dtype), description], dim=1) * (KEY_SCALE / code.shape[1])
         read = (joints.of_rows(self.request(body)) * keys).sum(dim=1) + REFLEX_SCALE * self.reflex(state).squeeze(-1)
-        means = joints.at_slots(read.float(), self.num_joints)
+        means = joints.at_slots(_at_least_single(read), self.num_joints)
         deviations = joints.at_slots(self.deviations(joints.descriptions), self.num_joints)
         mask = self.mask(observations).to(means.dtype)
         return torch.stack([means, deviations + (1.0 - mask), mask], dim=1)
@@ -229,6 +229,11 @@ class JointNetwork(torch.nn.Module):
         self._moments("numbers").update(numbers)
         self._moments("logarithms").update(_logarithms(numbers))
         self._moments("general").update(self._block(observations, "general"))
+
+    @property
+    def statistics(self) -> list[torch.nn.Module]:
+        """Normalisers of states, of a description's numbers, of their logarithms, and of what belongs to no joint."""
+        return list(self.moments.children())
 
     def _moments(self, name: str) -> EmpiricalNormalization:
         moments = self.moments[name]
@@ -302,6 +307,11 @@ def _where_true(mask: torch.Tensor, count: int) -> torch.Tensor:
     numbers = torch.arange(mask.shape[0], device=mask.device)
     ranks = torch.where(mask, mask.cumsum(dim=0) - 1, count)
     return numbers.new_zeros(count + 1).scatter(0, ranks, numbers)[:count]
+
+
+def _at_least_single(numbers: torch.Tensor) -> torch.Tensor:
+    """The numbers in single precision, or in double where they have it."""
+    return numbers if numbers.dtype == torch.float64 else numbers.float()
 
 
 def _logarithms(numbers: torch.Tensor) -> torch.Tensor:

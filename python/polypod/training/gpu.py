@@ -69,7 +69,7 @@ class GpuRunner(NativeRunner):
             sizes = [parameter.numel() for parameter in parameters]
             weights = [part.numpy() for part in torch.split(flat, sizes)]
             self._learner.set_network(name, weights, self._no_moments[name], self._no_moments[name], 0)
-            self._give_normalizer(name)
+            self._give_normalizers(name)
 
     def _take_networks(self) -> None:
         """Networks and statistics of the observations are rsl_rl's own; Adam's moments are the update's."""

@@ -13,6 +13,7 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.networks import UrmaModel
 from polypod.training.runner import Runner
 
 NETWORKS = ("actor", "critic")
@@ -29,7 +30,7 @@ class NativeRunner(Runner):
         sim, workers = self.env.unwrapped.sim, self.workers
         self.cfg = self.logger.cfg = self.config.rsl_rl_cfg(sim)
         peers = workers if workers.count > 1 else None
-        options = json.dumps(self.config.native_options())
+        options = json.dumps(self.config.native_options(sim))
         self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
         self._give()
 
@@ -77,17 +78,17 @@ class NativeRunner(Runner):
             )
             steps = int(states[0].get("step", 0))
             self._learner.set_network(name, [array_of(parameter) for parameter in parameters], first, second, steps)
-            self._give_normalizer(name)
+            self._give_normalizers(name)
         if self.reward_scale is not None:
             state = self.reward_scale.state()
             self._learner.set_reward_scale(*(array_of(state[key]) for key in ("returns", "count", "mean", "variance")))
         self._learner.set_episodes(array_of(self.logger.cur_reward_sum), array_of(self.logger.cur_episode_length))
 
-    def _give_normalizer(self, name: str) -> None:
-        if (normalizer := self._normalizer(name)) is not None:
+    def _give_normalizers(self, name: str) -> None:
+        for index, normalizer in enumerate(self._normalizers(name)):
             mean, variance = normalizer.get_buffer("_mean"), normalizer.get_buffer("_var")
             count = int(normalizer.get_buffer("count"))
-            self._learner.set_normalizer(name, array_of(mean), array_of(variance), count)
+            self._learner.set_normalizer(name, array_of(mean), array_of(variance), count, index)
 
     @torch.no_grad()
     def _take(self) -> None:
@@ -117,19 +118,22 @@ class NativeRunner(Runner):
                     "exp_avg": values[1],
                     "exp_avg_sq": values[2],
                 }
-            if (normalizer := self._normalizer(name)) is not None and (of := self._learner.normalizer(name)):
+            for index, normalizer in enumerate(self._normalizers(name)):
+                if (of := self._learner.normalizer(name, index)) is None:
+                    continue
                 mean, variance, count = of
-                normalizer.get_buffer("_mean").copy_(torch.from_numpy(mean))
-                normalizer.get_buffer("_var").copy_(torch.from_numpy(variance))
-                normalizer.get_buffer("_std").copy_(torch.from_numpy(np.sqrt(variance)))
+                for buffer, array in (("_mean", mean), ("_var", variance), ("_std", np.sqrt(variance))):
+                    normalizer.get_buffer(buffer).view(-1).copy_(torch.from_numpy(array))
                 normalizer.get_buffer("count").fill_(count)
 
     def _parameters(self, name: str) -> list[torch.nn.Parameter]:
         return list(getattr(self.alg, name).parameters())
 
-    def _normalizer(self, name: str) -> torch.nn.Module | None:
-        normalizer: torch.nn.Module = getattr(self.alg, name).obs_normalizer
-        return None if isinstance(normalizer, torch.nn.Identity) else normalizer
+    def _normalizers(self, name: str) -> list[torch.nn.Module]:
+        """The statistics of a network, in the native learner's order."""
+        model = getattr(self.alg, name)
+        of_model = model.mlp.statistics if isinstance(model, UrmaModel) else [model.obs_normalizer]
+        return [normalizer for normalizer in of_model if not isinstance(normalizer, torch.nn.Identity)]
 
 
 def array_of(tensor: torch.Tensor) -> np.ndarray:

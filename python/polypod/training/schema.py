@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from polypod import _core, bundled
 from polypod.files import real_path
 from polypod.observation import layout_of, terms_of
@@ -239,17 +241,18 @@ class TrainConfig:
         mode = "on" if is_faster else "off"
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
 
-    def with_learner_resolved(self, learner: str | None) -> "TrainConfig":
-        """The config with "auto" decided: the native learner for perceptrons, else rsl_rl.
+    def with_learner_resolved(self, learner: str | None, device_type: str = "cpu") -> "TrainConfig":
+        """The config with "auto" decided: the native learner where it knows the networks, else rsl_rl.
 
         Args:
             learner: what is to learn instead of what the config says; None: that.
+            device_type: where it learns, in torch's words.
 
         Raises:
             ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
         """
         config = self.with_run(learner=learner)
-        why_not = config._why_not_native()
+        why_not = config._why_not_native(device_type)
         if config.run.learner == "auto":
             config = config.with_run(learner="rsl_rl" if why_not else "native")
         if config.run.learner == "native" and why_not:
@@ -266,34 +269,43 @@ class TrainConfig:
         networks = (self.actor, self.critic)
         return self.rnd is None and self.distillation is None and all(of.class_name != RNN for of in networks)
 
-    def _why_not_native(self) -> str | None:
+    def _why_not_native(self, device_type: str) -> str | None:
         """Reason why the native learner cannot train this config."""
+        is_on_cpu = device_type == "cpu"
         if self.rnd is not None:
             return "has no random network distillation, and the train config has [rnd]"
         if self.distillation is not None:
             return "does not distil, and the train config has [distillation]"
         for name in ("actor", "critic"):
-            if (groups := getattr(self.obs_groups, name)) != [OBSERVATION_GROUP]:
-                return f"sees the observation group {OBSERVATION_GROUP}, and {name} sees {', '.join(groups)}"
+            if (groups := getattr(self.obs_groups, name)) != [OBSERVATION_GROUP] and not is_on_cpu:
+                return f"sees the group {OBSERVATION_GROUP} alone on a GPU, and {name} sees {', '.join(groups)}"
         for section, network in (("actor", self.actor), ("critic", self.critic)):
-            if network.class_name != MLP:
-                return f"learns perceptrons, and [{section}] is a {network.class_name}"
+            if network.class_name == RNN:
+                return f"learns perceptrons and networks of joints, and [{section}] is a {network.class_name}"
+            if network.class_name != MLP and not is_on_cpu:
+                return f"learns perceptrons alone on a GPU, and [{section}] is a {network.class_name}"
             if network.activation not in NATIVE_ACTIVATIONS:
                 return f"knows {', '.join(NATIVE_ACTIVATIONS)}, and [{section}] has activation {network.activation}"
         return None
 
-    def native_options(self) -> dict[str, Any]:
-        """Options of `polypod._core.Learner`."""
+    def native_options(self, sim: _core.VecSim | None = None) -> dict[str, Any]:
+        """Options of `polypod._core.Learner`.
+
+        Args:
+            sim: whose observations the networks read; without it, perceptrons read the only observation group.
+
+        Raises:
+            ConfigError: for a network of joints without `sim`.
+        """
         run, algorithm = self.run, dataclasses.asdict(self.algorithm)
         for key in ("learning_rate", "mixed_precision"):
             del algorithm[key]
         if algorithm.pop("schedule") == "fixed":
             algorithm["desired_kl"] = None
-        of_network = ("hidden_dims", "activation", "obs_normalization")
         return {
             "num_steps_per_env": run.num_steps_per_env,
-            "actor": {key: getattr(self.actor, key) for key in of_network},
-            "critic": {key: getattr(self.critic, key) for key in of_network},
+            "actor": _native_network(self.actor, sim, self.obs_groups.actor),
+            "critic": _native_network(self.critic, sim, self.obs_groups.critic),
             "algorithm": algorithm,
             "normalize_reward_per_robot": run.normalize_reward_per_robot,
             "normalize_advantage_per_robot": run.normalize_advantage_per_robot,
@@ -351,6 +363,36 @@ class TrainConfig:
             "teacher": teacher,
             "check_for_nan": True,
         }
+
+
+def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
+    """The network as the native learner has it, which sees these observation groups side by side."""
+    native = {key: getattr(network, key) for key in ("hidden_dims", "activation", "obs_normalization")}
+    if sim is None or (network.class_name == MLP and len(sim.observation_groups) == 1):
+        network.model_cfg(sim, groups)
+        return native
+    seen = [column for group in groups for column in range(*sim.observation_groups[group])]
+    if network.class_name == MLP:
+        return {**native, "columns": seen}
+    from polypod.networks.joints import joint_columns  # whose package imports torch
+
+    layout = layout_of([term for group in groups for term in terms_of(sim, group)])
+    columns = joint_columns(layout, sim.num_actions)
+    # torch divides in float32 too
+    scales = (np.float32(1.0) / columns.magnitudes).tolist()
+
+    def of_rows(places: Any) -> Any:
+        return np.asarray(seen, np.int64)[places].tolist()
+
+    joints = {
+        "joint_dim": network.joint_dim,
+        "num_heads": network.num_heads,
+        "states": of_rows(columns.states),
+        "scales": scales,
+        "descriptions": of_rows(columns.descriptions),
+        "general": of_rows(columns.general),
+    }
+    return {**native, "joints": joints}
 
 
 def _masked(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:

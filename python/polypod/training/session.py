@@ -258,7 +258,8 @@ def new_plan(options: Options) -> Plan:
     ).with_teacher_located()
     terms = None if options.terms is None else python_terms.load(options.terms)
     kind = torch.device(device).type
-    train_config = train_config.with_learner_resolved(_learner_of(options)).with_mixed_precision_resolved(kind)
+    train_config = train_config.with_learner_resolved(_learner_of(options), kind)
+    train_config = train_config.with_mixed_precision_resolved(kind)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
@@ -299,7 +300,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
     terms = _terms_again(options, manifest)
-    train_config = train_config.with_learner_resolved(_learner_of(options))
+    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
     robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
     return Plan(train_config, robots, seed, overrides, checkpoint, device, terms)
 
