@@ -220,7 +220,7 @@ fn trained_by(count: usize, options: &Options, envs: &SimOptions) -> Vec<u64> {
     let worker = |index: usize| {
         let worker = Worker { index, count };
         let peers = Threads { index, barrier: barrier.clone(), sent: sent.clone() };
-        let share = Some(worker.envs(ENVS_OF_WORKERS).unwrap());
+        let share = Some(worker.envs(envs.num_envs).unwrap());
         let sim = Sim::new(&SimOptions { share, ..envs.clone() }).unwrap();
         let learner = sim.learner_of_worker(options.clone(), worker, Box::new(peers)).unwrap();
         learnt(sim, learner, 0)

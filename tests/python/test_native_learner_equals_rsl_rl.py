@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import polypod
+from polypod.networks import UrmaModel
 from polypod.rsl_rl import VecEnv
 from polypod.training import config
 from polypod.training.advantages import normalize_per_robot
@@ -111,6 +112,14 @@ def assert_near(found, expected, what):
     assert error <= TOLERANCE * np.linalg.norm(expected) + 1e-7, f"{what}: {error} of {np.linalg.norm(expected)}"
 
 
+def of_signals(gradients):
+    """Where gradients are more than roundings, which Adam brings to the size of the others.
+
+    Numbers that a robot's joints share differ by roundings from their mean, and so do the weights of such differences.
+    """
+    return gradients > 1e-3 * gradients.max()
+
+
 def store(reference, samples, last_observations):
     """Puts the samples of the native learner into rsl_rl's storage as its own loop would, and estimates advantages."""
     alg = reference.alg
@@ -175,10 +184,11 @@ def test_updates_are_equal(variant, tmp_path, monkeypatch):
             mine, theirs = (getattr(runner.alg, network) for runner in (native, reference))
             for (name, parameter), other in zip(mine.named_parameters(), theirs.parameters(), strict=True):
                 place = f"{network} {name} after update {update}"
-                if name == "mlp.attention.bias":
-                    continue  # it changes nothing, and its derivatives are roundings
-                assert_near(parameter.detach(), other.detach(), place)
                 state, expected_state = native.alg.optimizer.state[parameter], reference.alg.optimizer.state[other]
+                is_known = of_signals(expected_state["exp_avg_sq"].sqrt()) if isinstance(mine, UrmaModel) else ...
+                if name == "mlp.attention.bias":
+                    continue  # a shift of all joints' attention changes no share: its derivatives are roundings
+                assert_near(parameter.detach()[is_known], other.detach()[is_known], place)
                 assert_near(state["exp_avg"], expected_state["exp_avg"], f"gradients of {place}")
                 assert_near(state["exp_avg_sq"], expected_state["exp_avg_sq"], f"squared gradients of {place}")
                 assert state["step"] == expected_state["step"]

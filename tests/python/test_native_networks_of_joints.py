@@ -28,17 +28,18 @@ ALONE = [
     *("train.algorithm.max_grad_norm=1000000.0", "train.run.symmetry=false"),
 ]
 """One step of the optimiser, with gradients as they are."""
+ITERATIONS = 16
 RELATIVE_ERROR = 1e-5
 """Of a gradient's norm. Sums of 576 samples and up to 18 joints in single precision: a chain of n terms of either sign is
 wrong by about sqrt(n) * 2^-24 of their root mean square, 6e-6 for all of them; a wrong term is wrong by far more."""
 
 
-def runner_of(folder, name="any_legged", overrides=(), **options):
-    """A native learner with new networks, which have seen samples once where they normalise."""
+def runner_of(folder, overrides=(), envs=48, robots=ROBOTS):
+    """A native learner of `any_legged` with new small networks."""
     _, of_training = config.split_overrides([*SMALL, *overrides])
-    train_config = config.load(name, of_training).with_run(num_envs=48).with_learner_resolved("native")
+    train_config = config.load("any_legged", of_training).with_run(num_envs=envs).with_learner_resolved("native")
     torch.manual_seed(3)
-    env = polypod.make(train_config.run.task, 48, seed=11, threads=1, robots=ROBOTS, **options)
+    env = polypod.make(train_config.run.task, envs, seed=11, threads=1, robots=robots)
     folder.mkdir(exist_ok=True)
     return NativeRunner(VecEnv(env, log_extras=False), train_config, folder, "cpu", Reporter())
 
@@ -78,7 +79,7 @@ def loss_of(runner, actor, critic, samples):
 
 @pytest.mark.parametrize("critic", ["MLPModel", "polypod.networks:UrmaModel"])
 def test_gradients_are_those_of_autograd_in_double_precision(critic, tmp_path):
-    of_critic = [f"train.critic.class_name={critic}", "train.critic.joint_dim=8", "train.critic.num_heads=5"]
+    of_critic = [f'train.critic.class_name="{critic}"', "train.critic.joint_dim=8", "train.critic.num_heads=5"]
     joints = of_critic if critic != "MLPModel" else of_critic[:1]
     runner = runner_of(tmp_path / "run", overrides=[*ALONE, *joints])
     iterate(runner, 0)  # statistics and deviations that differ from the first ones
@@ -105,6 +106,19 @@ def test_gradients_are_those_of_autograd_in_double_precision(critic, tmp_path):
             found = (state["exp_avg"].double() - 0.9 * first) / 0.1
             error = float((found - parameter.grad).norm()) / (float(parameter.grad.norm()) + 1e-3 * whole)
             assert error <= RELATIVE_ERROR, (name, place, error)
+
+
+def test_a_short_training_learns(tmp_path):
+    runner = runner_of(tmp_path / "run", ["train.run.num_steps_per_env=24"], envs=256, robots=["unitree_go2"])
+    rewards = []
+    for iteration in range(ITERATIONS):
+        runner.current_learning_iteration = iteration
+        runner._collect(runner.env.get_observations())
+        rewards.append(float(runner._learner.rollout(runner.env.unwrapped.sim)["rewards"].mean()))
+        runner._update(runner.env.get_observations())
+    first, last = (np.array(rewards[part]) for part in (slice(0, 5), slice(-5, None)))
+    print(rewards)
+    assert last.mean() - first.mean() > 0.03, rewards
 
 
 def test_a_checkpoint_acts_in_torch_as_in_the_learner(tmp_path):
