@@ -53,7 +53,7 @@ def test_auto_is_native_where_the_native_learner_knows_the_networks():
         [f"actor.{key}" for key in ("class_name=RNNModel", "rnn_type=gru", "rnn_hidden_dim=8", "rnn_num_layers=1")],
     )
     assert recurrent.with_learner_resolved(None).run.learner == "rsl_rl"
-    with pytest.raises(polypod.ConfigError, match="networks of joints, and .actor. is a RNNModel"):
+    with pytest.raises(polypod.ConfigError, match=r"networks of joints, and \[actor\] is a RNNModel"):
         recurrent.with_learner_resolved("native")
 
 

@@ -230,11 +230,6 @@ class JointNetwork(torch.nn.Module):
         self._moments("logarithms").update(_logarithms(numbers))
         self._moments("general").update(self._block(observations, "general"))
 
-    @property
-    def statistics(self) -> list[torch.nn.Module]:
-        """Normalisers of states, of a description's numbers, of their logarithms, and of what belongs to no joint."""
-        return list(self.moments.children())
-
     def _moments(self, name: str) -> EmpiricalNormalization:
         moments = self.moments[name]
         assert isinstance(moments, EmpiricalNormalization)

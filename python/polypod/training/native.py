@@ -5,6 +5,7 @@ learner and go on with the other.
 """
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +133,8 @@ class NativeRunner(Runner):
     def _normalizers(self, name: str) -> list[torch.nn.Module]:
         """The statistics of a network, in the native learner's order."""
         model = getattr(self.alg, name)
-        of_model = model.mlp.statistics if isinstance(model, UrmaModel) else [model.obs_normalizer]
+        is_of_joints = isinstance(model, UrmaModel)
+        of_model: Iterable[torch.nn.Module] = model.mlp.moments.values() if is_of_joints else [model.obs_normalizer]
         return [normalizer for normalizer in of_model if not isinstance(normalizer, torch.nn.Identity)]
 
 

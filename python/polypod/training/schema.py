@@ -367,7 +367,7 @@ class TrainConfig:
 
 def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
     """The network as the native learner has it, which sees these observation groups side by side."""
-    native = {key: getattr(network, key) for key in ("hidden_dims", "activation", "obs_normalization")}
+    native: dict[str, Any] = {key: getattr(network, key) for key in ("hidden_dims", "activation", "obs_normalization")}
     if sim is None or (network.class_name == MLP and len(sim.observation_groups) == 1):
         network.model_cfg(sim, groups)
         return native
