@@ -12,6 +12,7 @@ import tyro
 
 from polypod import _core, interrupts
 from polypod.commands.accuracy import Accuracy
+from polypod.commands.add import Add
 from polypod.commands.bench import Bench
 from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
@@ -39,6 +40,7 @@ Command = (
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[FilmOf, tyro.conf.subcommand("film")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Add, tyro.conf.subcommand("add")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]
     | Annotated[Bodies, tyro.conf.subcommand("bodies")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]

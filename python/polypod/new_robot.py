@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +84,8 @@ def new_robot(
     *,
     joint_roles: Mapping[str, str] | None = None,
     locked_joints: Mapping[str, float] | None = None,
+    urdf_key: str | None = None,
+    refine: Callable[[str], str] | None = None,
 ) -> NewRobot:
     """Drafts a config for the robot of a URDF file and lets it stand; stiffer where it gives way.
 
@@ -97,6 +99,8 @@ def new_robot(
         force: write over a file that is there.
         joint_roles: slot -> joint of the URDF, where geometry alone does not tell.
         locked_joints: joint of the URDF -> position at which it is held, rad or m.
+        urdf_key: what the config says under `urdf`; None: the file, relative to the config.
+        refine: makes the text that is written of a draft's.
 
     Raises:
         RobotError: where the URDF cannot be read or is no legged robot's.
@@ -108,12 +112,13 @@ def new_robot(
         _core.draft_robot,
         urdf,
         name=name,
-        urdf=_relative(urdf, (urdf if out is None else out).parent),
+        urdf=urdf_key or _relative(urdf, (urdf if out is None else out).parent),
         package_dirs={package: real_path(folder) for package, folder in (package_dirs or {}).items()},
         feet=feet or {},
         joint_roles=joint_roles or {},
         locked_joints=locked_joints or {},
     )
+    text = ""
     for attempt in range(TRIES):
         factor = STIFFER**attempt
         draft = drafted(gain_factor=factor)
@@ -121,7 +126,12 @@ def new_robot(
         if attempt == 0:
             _check_place(path, draft["name"], force)
         try:
-            write_text(path, draft["toml"])
+            before, text = text, draft["toml"] if refine is None else refine(draft["toml"])
+            if text == before:
+                # the gains are not the draft's
+                factor = 1.0
+                break
+            write_text(path, text)
         except OSError as error:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --out") from error
         standing = stand(path)
@@ -138,8 +148,8 @@ def new_robot(
         # softer gains move the better: stiffer ones did not help
         factor = 1.0
         draft = drafted(gain_factor=1.0)
-        write_text(path, draft["toml"])
-    return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["kind"], _task_of(path) == TASK, needs)
+        write_text(path, draft["toml"] if refine is None else refine(draft["toml"]))
+    return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["kind"], task_of(path) == TASK, needs)
 
 
 def _check_place(path: Path, name: str, force: bool) -> None:
@@ -151,7 +161,7 @@ def _check_place(path: Path, name: str, force: bool) -> None:
 
 def stand(robot: Path) -> Standing:
     """Lets the robot of a config hold its default pose on flat ground for `SECONDS`."""
-    env = make(_task_of(robot), NUM_ENVS, robots=[str(robot)], seed=0, autoreset="disabled")
+    env = make(task_of(robot), NUM_ENVS, robots=[str(robot)], seed=0, autoreset="disabled")
     try:
         env.reset()
         actions = np.zeros((NUM_ENVS, env.sim.num_actions), dtype=np.float32)
@@ -175,7 +185,7 @@ def stand(robot: Path) -> Standing:
         env.close()
 
 
-def _task_of(robot: Path) -> str:
+def task_of(robot: Path) -> str:
     """The task on flat ground, in its Play variant, that has the reward sets of a robot's class."""
     joints = tomllib.loads(robot.read_text(encoding="utf-8"))["default_pose"]
     is_quadruped = len(joints) == 12 and all(joint.endswith(("_HAA", "_HFE", "_KFE")) for joint in joints)

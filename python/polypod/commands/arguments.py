@@ -21,6 +21,8 @@ RobotNames = Annotated[str | None, arg(aliases=("--robot",), metavar="A,B,C")]
 Velocity = Annotated[tuple[float, float, float] | None, arg(metavar="VX VY WZ")]
 Overrides = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")]
 PackageDirs = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME=DIR")]
+Feet = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="LEG=LINK")]
+Roles = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="SLOT=JOINT")]
 Locks = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="JOINT=POSITION")]
 
 

@@ -1,0 +1,285 @@
+"""`polypod add`: any description of a legged robot becomes a robot of a library.
+
+`sources` finds the file, `mjcf` has MuJoCo compile an MJCF file and writes it down as a `description`, `urdf` copies a
+URDF, `toml` puts what the file says of actuators into the draft, and `judge` compares the robot with MuJoCo's model.
+"""
+
+import contextlib
+import dataclasses
+import json
+import re
+import time
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from polypod import _core, new_robot
+from polypod.add import description, judge, mjcf, sources, urdf
+from polypod.add.description import Description
+from polypod.add.toml import Slots, refined
+from polypod.add.xacro import expand
+from polypod.compat import tomllib
+from polypod.files import new_folder, real_path, write_bytes, write_text
+from polypod.vector_env import make
+
+_NO_EFFORT = re.compile(r"\[actuators\]: the URDF has no effort limit for ([^;]+);")
+_CHECK = re.compile(r"; `polypod check [^`]*` lists them")
+
+
+@dataclasses.dataclass(frozen=True)
+class Added:
+    """A robot that was added."""
+
+    new: new_robot.NewRobot
+    """Its config, and how it stands."""
+    origin: str
+    notes: list[str]
+    """What polypod cannot hold and what was done about it, and what was assumed."""
+    errors: dict[str, judge.Errors]
+    """Differences from MuJoCo's model of the file, by precision; empty where MuJoCo has none."""
+    has_license: bool
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """A robot that is read and not written yet."""
+
+    name: str
+    urdf: str
+    meshes: dict[str, bytes]
+    notes: list[str]
+    described: Description | None
+    compiled: mjcf.Compiled | None
+    original: str
+    """Text of a URDF as it was."""
+
+
+def add(
+    source: str,
+    out: Path,
+    *,
+    file: str | None = None,
+    root: str | None = None,
+    name: str | None = None,
+    package_dirs: Mapping[str, str] | None = None,
+    arguments: Mapping[str, str] | None = None,
+    feet: Mapping[str, str] | None = None,
+    joint_roles: Mapping[str, str] | None = None,
+    locked_joints: Mapping[str, float] | None = None,
+    force: bool = False,
+) -> Added:
+    """Adds a robot to a library of the user's.
+
+    Args:
+        source: a URDF, xacro, MJCF or zip file, a folder, `robot_descriptions:NAME` or `mujoco_menagerie:NAME`.
+        out: the library's folder, with `configs/robots/` and `assets/robots/` in it; it is made if it is not there.
+        file: the file within a folder or zip file, where several could be the robot.
+        root: the body of an MJCF scene that is the robot's base, where several could be.
+        name: the robot's name; None: the file's.
+        package_dirs: ROS package -> folder, for `package://` names and xacro's `$(find)`.
+        arguments: `<xacro:arg>` by name.
+        feet: leg -> the link that is its foot, where geometry alone does not tell.
+        joint_roles: slot -> joint, where geometry alone does not tell.
+        locked_joints: joint -> position at which it is held, rad or m.
+        force: write over a robot of this name that is there.
+
+    Raises:
+        ConfigError: for a source that cannot be read, and where the robot is there already.
+        RobotError: where it is no legged robot's, or holds what polypod cannot simulate.
+    """
+    began = time.perf_counter()
+    folders = {package: real_path(folder) for package, folder in (package_dirs or {}).items()}
+    with sources.opened(source, file) as found:
+        read = _read(found, root, folders, arguments or {})
+        given = identifier(name or read.name)
+        config = out / "configs" / "robots" / f"{given}.toml"
+        _check_name(given, config, force)
+        held = {**(read.described.held if read.described else {}), **(locked_joints or {})}
+        try:
+            with new_folder(out) as staged:
+                made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {})
+        except OSError as error:
+            raise _core.ConfigError(f"cannot write {out}: {error.strerror or error}; choose another --out") from error
+        made = dataclasses.replace(made, path=config, notes=[])
+        return Added(made, source, notes, errors, found.license is not None, time.perf_counter() - began)
+
+
+def identifier(name: str) -> str:
+    """Small letters, digits and underscores, as robots are named. Raises ConfigError where none is left."""
+    words = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name.lower()).split()
+    if not words:
+        raise _core.ConfigError(f"{name[:80]!r} has no letter or digit; pass a --name such as my_robot")
+    return "_".join(words)[:100]
+
+
+def _check_name(name: str, config: Path, force: bool) -> None:
+    if config.exists() and not force:
+        raise _core.ConfigError(f"{config} is there already; pass --force to write over it, or another --name or --out")
+    with contextlib.suppress(_core.UnknownNameError):
+        if _core.robot_urdf(name) and not config.exists():
+            raise _core.ConfigError(f"there is a robot `{name}` already; pass another --name")
+
+
+def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
+    if found.kind == "mjcf":
+        made, described = mjcf.read(found.file, root)
+        meshes = {f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes}
+        meshes.pop(".obj", None)
+        return _Found(made.name, description.urdf(described), meshes, list(described.notes), described, made, "")
+    if root is not None:
+        raise _core.ConfigError(f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out")
+    dirs = {**found.package_dirs, **folders}
+    if found.kind == "xacro":
+        text = expand(found.file, dirs, {**found.arguments, **arguments})
+    else:
+        text = urdf.read(found.file)
+    copy = urdf.copied(text, found.file, dirs)
+    stem = found.file.name.partition(".")[0]
+    return _Found(copy.name.strip() or stem, copy.text, copy.meshes, copy.notes, None, None, text)
+
+
+def _write(
+    folder: Path,
+    name: str,
+    read: _Found,
+    found: sources.Source,
+    held: Mapping[str, float],
+    feet: Mapping[str, str],
+    roles: Mapping[str, str],
+) -> tuple[new_robot.NewRobot, list[str], dict[str, judge.Errors]]:
+    """Writes a library of one robot, lets it stand and compares it."""
+    assets = folder / "assets" / "robots" / name
+    for mesh, data in read.meshes.items():
+        write_bytes(assets / "meshes" / mesh, data)
+    write_text(assets / "robot.urdf", read.urdf)
+    config = folder / "configs" / "robots" / f"{name}.toml"
+
+    def stood(refine: Callable[[str], str] | None) -> new_robot.NewRobot:
+        return new_robot.new_robot(
+            assets / "robot.urdf",
+            config,
+            name,
+            feet=feet,
+            joint_roles=roles,
+            locked_joints=held,
+            force=True,
+            urdf_key=f"assets/robots/{name}/robot.urdf",
+            refine=refine,
+        )
+
+    described = read.described
+    notes = list(read.notes)
+    made = stood(None if described is None else _refinement(config, described, found.origin, posed=True))
+    if described is not None and described.pose is not None and not made.standing.holds:
+        drafted = stood(_refinement(config, described, found.origin, posed=False))
+        if drafted.standing.holds:
+            made = drafted
+            notes.append(f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in")
+        else:
+            made = stood(_refinement(config, described, found.origin, posed=True))
+    errors, reason = _judged(config, read)
+    if reason is not None:
+        notes.append(reason)
+    _check(errors, found.file)
+    if found.license is not None:
+        write_text(assets / "LICENSE", found.license)
+    write_text(assets / "SOURCE.md", _source(name, read, found, notes, errors))
+    return made, [*notes, *_summed_up(made.notes)], errors
+
+
+def _summed_up(notes: list[str]) -> list[str]:
+    """Notes of a draft, with one for all joints without an effort limit, and without paths that do not stay."""
+    bare = [found[1] for note in notes if (found := _NO_EFFORT.match(note))]
+    kept = [_CHECK.sub("", note) for note in notes if not _NO_EFFORT.match(note)]
+    if bare:
+        names = mjcf.listed(bare)
+        kept.append(f"joint {names}: the file has no effort limit: it follows from weight and leg length; write the motor's")
+    return kept
+
+
+def _refinement(config: Path, described: Description, origin: str, *, posed: bool) -> Callable[[str], str]:
+    """Returns the function that puts what the file says into a draft."""
+
+    def refine(draft: str) -> str:
+        write_text(config, draft)
+        env = make(new_robot.task_of(config), 1, robots=[str(config)], seed=0)
+        try:
+            (info,) = json.loads(env.sim.robot_info()).values()
+        finally:
+            env.close()
+        return refined(draft, described, Slots.of(info), origin, posed=posed and described.pose is not None)
+
+    return refine
+
+
+def _judged(config: Path, read: _Found) -> tuple[dict[str, judge.Errors], str | None]:
+    """The comparison with MuJoCo in both precisions, or why there is none."""
+    try:
+        if read.described is not None and read.compiled is not None:
+            model, base, described = read.compiled.model, read.compiled.base, read.described
+        else:
+            model, base, described = urdf.reference(read.original, judge.base_link(config), {})
+    except _core.ConfigError as error:
+        return {}, f"not compared with MuJoCo: {error}"
+    held = _held(config)
+    described = dataclasses.replace(described, held={**described.held, **held})
+    return {dtype: judge.compare(config, described, model, base, dtype=dtype) for dtype in judge.BOUNDS}, None
+
+
+def _held(config: Path) -> dict[str, float]:
+    held: dict[str, float] = tomllib.loads(config.read_text(encoding="utf-8")).get("locked_joints", {})
+    return held
+
+
+def _check(errors: Mapping[str, judge.Errors], file: Path) -> None:
+    """Raises ConfigError where a robot does not move as MuJoCo's model."""
+    for dtype, each in errors.items():
+        if not each.worst() <= judge.BOUNDS[dtype]:
+            name, worst = max(dataclasses.asdict(each).items(), key=lambda item: item[1])
+            raise _core.ConfigError(
+                f"{file}: {name}: what is read of it differs from MuJoCo's model by {worst:.1e} in {dtype}, more than "
+                f"{judge.BOUNDS[dtype]:g}; nothing is written. Please report the file"
+            )
+
+
+def _source(
+    name: str, read: _Found, found: sources.Source, notes: list[str], errors: Mapping[str, judge.Errors]
+) -> str:
+    """The text of SOURCE.md."""
+    licence = "see `LICENSE`" if found.license is not None else "no file with it was found next to the source"
+    if found.license_name:
+        licence = f"{found.license_name}, {licence}"
+    reader = "polypod's URDF reader" if found.kind != "mjcf" else f"MuJoCo {metadata.version('mujoco')}"
+    lines = [f"# {name}", "", "## Origin", "", f"- Source: `{found.origin}`, `{found.file.name}`"]
+    lines += [f"- Licence: {licence}", f"- Read by {reader} and written by polypod {_core.__version__}", ""]
+    lines += ["## Deviations", "", *[f"- {_escaped(note)}" for note in notes or ["none"]], ""]
+    if read.described is not None:
+        lines += _table(read.described)
+    if errors:
+        lines += ["## How it was checked", "", "Largest relative difference from MuJoCo's model of the file:", ""]
+        lines += ["| | " + " | ".join(errors) + " |", "|---|" + "---|" * len(errors)]
+        for field in dataclasses.fields(judge.Errors):
+            figures = (f"{getattr(each, field.name):.0e}" for each in errors.values())
+            lines.append(f"| {field.name} | " + " | ".join(figures) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _escaped(text: str) -> str:
+    return " ".join(text.split()).replace("<", "&lt;").replace("|", "\\|")
+
+
+def _table(described: Description) -> list[str]:
+    """The joints as the file has them."""
+    lines = ["## Joints of the file", ""]
+    lines += ["| joint | range | kp | kd | effort | armature | damping | friction |", "|---|---|---|---|---|---|---|---|"]
+    for joint in described.joints:
+        drive = joint.drive
+        cells: list[Any] = [f"{joint.lower:.4g} to {joint.upper:.4g}"]
+        cells += [None, None, None] if drive is None else [drive.stiffness, drive.damping, drive.effort]
+        cells += [joint.armature, joint.damping, joint.friction]
+        shown = ("" if cell is None else cell if isinstance(cell, str) else f"{cell:.6g}" for cell in cells)
+        lines.append(f"| {_escaped(joint.name)} | " + " | ".join(shown) + " |")
+    return [*lines, ""]

@@ -1,0 +1,191 @@
+"""A robot as a tree of links, between the file that it comes from and the URDF that is written."""
+
+import dataclasses
+from typing import Literal
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """What a link touches the ground with."""
+
+    kind: Literal["sphere", "capsule", "cylinder", "box", "mesh"]
+    size: tuple[float, ...]
+    """Radius; radius and length between the caps; radius and length; edges; nothing; m."""
+    at: Array
+    """[3], in the link's frame, m."""
+    turn: Array
+    """[3, 3], axes of the shape in those of the link."""
+    mesh: str = ""
+    """Name of the mesh file without its ending."""
+    vertices: Array | None = None
+    """[n, 3], of a mesh, in the shape's axes, m."""
+    faces: npt.NDArray[np.intp] | None = None
+    """[n, 3], indices into the vertices."""
+
+
+@dataclasses.dataclass
+class Drive:
+    """What the file's actuators do at one joint, all of them together."""
+
+    stiffness: float | None = None
+    """N m/rad; None where none of them is a position servo."""
+    damping: float = 0.0
+    """N m s/rad, of the actuators alone."""
+    effort: float | None = None
+    """Largest effort, N m; None where the file states none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Joint:
+    """A joint that turns or slides; positions are those of the file."""
+
+    name: str
+    kind: Literal["revolute", "continuous", "prismatic"]
+    axis: Array
+    """[3], in the link's frame."""
+    lower: float
+    upper: float
+    """rad or m; infinite where there is no limit."""
+    damping: float
+    friction: float
+    """Viscous and dry friction of the joint itself."""
+    armature: float
+    """kg m^2 or kg."""
+    drive: Drive | None
+    """None where no actuator of the file acts on it."""
+    home: float
+    """Position in the pose that the file states, or else where its frames are written down."""
+    q: int
+    """Its place in MuJoCo's positions."""
+    v: int
+    """Its place in MuJoCo's velocities."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Link:
+    """A rigid part; `parent` is an index into the links, -1 for the base."""
+
+    name: str
+    parent: int
+    at: Array
+    """[3], of its frame in that of its parent with the joint at zero, m."""
+    turn: Array
+    """[3, 3]."""
+    joint: Joint | None
+    """What it hangs on; None: it is fixed."""
+    mass: float = 0.0
+    com: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
+    inertia: Array = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
+    """About the centre of mass, axes of the link, kg m^2."""
+    shapes: tuple[Shape, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Description:
+    """A robot on a floating base; links follow their parents."""
+
+    name: str
+    links: list[Link]
+    pose: str | None
+    """Name of the keyframe that the home positions come from."""
+    held: dict[str, float]
+    """Joints that do not move in polypod, and where, rad or m."""
+    notes: list[str]
+    """What polypod cannot hold and what was done about it, one line each."""
+
+    @property
+    def joints(self) -> list[Joint]:
+        """Joints that move in the file, parents before children."""
+        return [link.joint for link in self.links if link.joint is not None]
+
+
+def rpy(turn: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a rotation matrix, rad; yaw is 0 where pitch is a right angle."""
+    level = float(np.hypot(turn[0, 0], turn[1, 0]))
+    pitch = float(np.arctan2(-turn[2, 0], level))
+    if level < 1e-9:
+        # only the sum or the difference of roll and yaw counts
+        return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0
+    return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
+
+
+def _numbers(values: "Array | tuple[float, ...]") -> str:
+    # adding zero takes the sign of a negative zero away
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def _origin(parent: ElementTree.Element, at: Array, turn: Array) -> None:
+    ElementTree.SubElement(parent, "origin", xyz=_numbers(at), rpy=_numbers(rpy(turn)))
+
+
+def urdf(robot: Description, meshes: str = "meshes") -> str:
+    """The text of the robot's URDF; its meshes are `<meshes>/<name>.obj`, relative to it."""
+    root = ElementTree.Element("robot", name=robot.name, version="1.2")
+    for link in robot.links:
+        element = ElementTree.SubElement(root, "link", name=link.name)
+        if link.mass > 0.0:
+            inertial = ElementTree.SubElement(element, "inertial")
+            _origin(inertial, link.com, np.eye(3))
+            ElementTree.SubElement(inertial, "mass", value=repr(link.mass))
+            tensor = link.inertia
+            entries = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+            ElementTree.SubElement(
+                inertial, "inertia", {key: repr(float(tensor[at]) + 0.0) for key, at in entries.items()}
+            )
+        for shape in link.shapes:
+            collision = ElementTree.SubElement(element, "collision")
+            _origin(collision, shape.at, shape.turn)
+            geometry = ElementTree.SubElement(collision, "geometry")
+            ElementTree.SubElement(geometry, shape.kind, _attributes(shape, meshes))
+    for link in robot.links:
+        if link.parent >= 0:
+            _joint(root, robot.links[link.parent].name, link)
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _joint(root: ElementTree.Element, parent: str, link: Link) -> None:
+    joint = link.joint
+    name = f"{link.name}_fixed" if joint is None else joint.name
+    element = ElementTree.SubElement(root, "joint", name=name, type="fixed" if joint is None else joint.kind)
+    _origin(element, link.at, link.turn)
+    ElementTree.SubElement(element, "parent", link=parent)
+    ElementTree.SubElement(element, "child", link=link.name)
+    if joint is None:
+        return
+    ElementTree.SubElement(element, "axis", xyz=_numbers(joint.axis))
+    limit = {}
+    if joint.kind != "continuous":
+        limit |= {
+            key: repr(bound) for key, bound in (("lower", joint.lower), ("upper", joint.upper)) if np.isfinite(bound)
+        }
+    if joint.drive is not None and joint.drive.effort is not None:
+        limit["effort"] = repr(joint.drive.effort)
+    if limit:
+        ElementTree.SubElement(element, "limit", limit)
+    ElementTree.SubElement(element, "dynamics", damping=repr(joint.damping), friction=repr(joint.friction))
+
+
+def _attributes(shape: Shape, meshes: str) -> dict[str, str]:
+    if shape.kind == "mesh":
+        return {"filename": f"{meshes}/{shape.mesh}.obj"}
+    if shape.kind == "box":
+        return {"size": _numbers(shape.size)}
+    if shape.kind == "sphere":
+        return {"radius": repr(shape.size[0])}
+    return {"radius": repr(shape.size[0]), "length": repr(shape.size[1])}
+
+
+def obj(shape: Shape) -> str:
+    """The text of a mesh file."""
+    if shape.vertices is None or shape.faces is None:
+        return ""
+    lines = [f"v {_numbers(vertex)}" for vertex in shape.vertices]
+    lines += ["f " + " ".join(str(corner + 1) for corner in face) for face in shape.faces]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,227 @@
+"""Where a robot comes from: a file, a folder, a zip file, or the name of a robot in another package."""
+
+import contextlib
+import dataclasses
+import importlib
+import importlib.util
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from polypod import _core
+from polypod.add import archive
+from polypod.extras import package
+from polypod.files import read_bytes
+
+SNIFFED = 1 << 16
+"""Bytes in which the root element of a file stands."""
+MOST_BYTES = 64 << 20
+"""Of a URDF."""
+MOST_LICENSE = 1 << 20
+DEEP = 6
+"""Folders below the one that is searched."""
+ABOVE = 4
+"""Folders above a file in which its licence is looked for."""
+Kind = Literal["urdf", "xacro", "mjcf"]
+_LICENSES = ("LICENSE*", "LICENCE*", "COPYING*", "License*", "license*")
+_PACKAGES = ("robot_descriptions", "mujoco_menagerie")
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A file that describes a robot."""
+
+    kind: Kind
+    file: Path
+    origin: str
+    """What the user has named."""
+    license: str | None
+    """The text of the licence next to it."""
+    license_name: str | None = None
+    """What its package says that the licence is."""
+    arguments: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """Of a xacro file."""
+    package_dirs: Mapping[str, Path] = dataclasses.field(default_factory=dict)
+    """ROS package -> folder."""
+
+
+@contextlib.contextmanager
+def opened(source: str, inner: str | None = None) -> Iterator[Source]:
+    """Finds the robot's file; what is unpacked for that is removed at the end of the block.
+
+    Args:
+        source: a file, a folder, a zip file, `robot_descriptions:NAME` or `mujoco_menagerie:NAME`.
+        inner: the file within a folder or zip file, where several could be the robot.
+
+    Raises:
+        ConfigError: where there is no such file, or several could be meant.
+    """
+    origin, _, name = source.partition(":")
+    if origin in _PACKAGES:
+        if not re.fullmatch(r"[\w+.-]{1,100}", name, re.ASCII):
+            raise _core.ConfigError(f"{source[:80]!r} names no robot; write {origin}:NAME")
+        yield (_of_robot_descriptions if origin == "robot_descriptions" else _of_menagerie)(name, source)
+        return
+    if not source.strip() or "\0" in source:
+        raise _core.ConfigError(f"{source!r} is no file; name a URDF, xacro or MJCF file, a zip file or a folder")
+    path = Path(source)
+    if path.is_dir():
+        yield _in_folder(path, source, inner)
+    elif path.suffix.lower() == ".zip":
+        _check_is_there(path)
+        with tempfile.TemporaryDirectory(prefix="polypod-add-") as folder:
+            archive.unpack(path, Path(folder))
+            yield _in_folder(Path(folder), source, inner)
+    else:
+        _check_is_there(path)
+        if inner is not None:
+            raise _core.ConfigError(f"--file {inner}: {path} is a file already; name a folder or a zip file")
+        kind = _kind(path)
+        if kind is None:
+            raise _core.ConfigError(
+                f"{path}: it is neither a URDF nor a xacro, MJCF or zip file: its root element is not <robot> or <mujoco>; "
+                "name the robot's file"
+            )
+        yield Source(kind, path, source, _license(path, None))
+
+
+def _check_is_there(path: Path) -> None:
+    try:
+        if path.is_file():
+            return
+    except OSError as error:
+        raise _core.ConfigError(f"{str(path)[:200]}: {error.strerror}; name a robot's file") from error
+    raise _core.ConfigError(
+        f"{path}: there is no such file; name a URDF, xacro, MJCF or zip file, a folder, robot_descriptions:NAME or "
+        "mujoco_menagerie:NAME"
+    )
+
+
+def _kind(path: Path) -> Kind | None:
+    """What a file is, by its root element."""
+    name = path.name.lower()
+    if name.endswith(".xacro"):
+        return "xacro"
+    if not name.endswith((".urdf", ".xml", ".mjcf")):
+        return None
+    with path.open("rb") as file:
+        head = file.read(SNIFFED).decode("utf-8", errors="replace")
+    head = re.sub(r"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", "", head, flags=re.DOTALL).lstrip("\ufeff \t\r\n")
+    root = re.match(r"<\s*([\w:.-]+)", head)
+    kinds: dict[str, Kind] = {"robot": "urdf", "mujoco": "mjcf"}
+    found = kinds.get(root[1]) if root else None
+    if found is None and name.endswith(".urdf"):
+        # the reader says what is wrong with it
+        return "urdf"
+    return found
+
+
+def _in_folder(folder: Path, origin: str, inner: str | None) -> Source:
+    """The robot's file in a folder. Raises ConfigError."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and len(path.relative_to(folder).parts) <= DEEP]
+    files = files[: archive.MOST_FILES]
+    if inner is not None:
+        chosen = [path for path in files if path.relative_to(folder).as_posix() == inner]
+        kind = _kind(chosen[0]) if chosen else None
+        if kind is None:
+            raise _core.ConfigError(f"{origin}: --file {inner}: there is no URDF, xacro or MJCF file of this name in it")
+        return Source(kind, chosen[0], origin, _license(chosen[0], folder))
+    found = [(path, kind) for path in files if (kind := _kind(path)) is not None]
+    for kinds in (("mjcf",), ("urdf",), ("xacro",)):
+        own = [(path, kind) for path, kind in found if kind in kinds]
+        parts = _included([path for path, _ in own])
+        own = [(path, kind) for path, kind in own if path.name not in parts] or own
+        robots = [(path, kind) for path, kind in own if "scene" not in path.stem.lower()] or own
+        if len(robots) == 1:
+            path, kind = robots[0]
+            return Source(kind, path, origin, _license(path, folder))
+        if robots:
+            names = ", ".join(path.relative_to(folder).as_posix() for path, _ in robots[:8])
+            more = f" and {len(robots) - 8} more" if len(robots) > 8 else ""
+            raise _core.ConfigError(f"{origin}: {len(robots)} files could be the robot: {names}{more}; name one with --file")
+    raise _core.ConfigError(f"{origin}: no URDF, xacro or MJCF file is in it; name the folder that holds one")
+
+
+def _included(files: list[Path]) -> set[str]:
+    """Names of the files that others of them include, but for scenes that include a robot."""
+    names = set()
+    for path in files:
+        if "scene" not in path.stem.lower():
+            with contextlib.suppress(OSError, _core.ConfigError):
+                text = read_bytes(path, MOST_BYTES).decode("utf-8", errors="replace")
+                names |= {Path(name).name for name in re.findall(r"include[^>]*\bfile(?:name)?=[\"']([^\"']+)", text)}
+    return names
+
+
+def _license(file: Path, folder: Path | None) -> str | None:
+    """Text of the licence next to a file or above it, within `folder` if there is one."""
+    above = file.absolute().parent
+    for _ in range(ABOVE):
+        for pattern in _LICENSES:
+            for path in sorted(above.glob(pattern)):
+                if path.is_file():
+                    with contextlib.suppress(OSError, UnicodeDecodeError, _core.ConfigError):
+                        return read_bytes(path, MOST_LICENSE).decode("utf-8")
+        is_end = above.name in ("site-packages", "dist-packages") or (above / ".git").exists()
+        if is_end or above == above.parent or (folder is not None and above == folder.absolute()):
+            break
+        above = above.parent
+    return None
+
+
+# Other packages
+
+
+def _of_robot_descriptions(name: str, origin: str) -> Source:
+    top = package("robot_descriptions", f"{origin}", "add")
+    spellings = [name, f"{name}_description", f"{name}_mj_description"]
+    module = next((each for each in spellings if importlib.util.find_spec(f"robot_descriptions.{each}")), None)
+    if module is None or not module.endswith("_description"):
+        raise _core.ConfigError(f"{origin}: robot_descriptions {_version(top)} has no robot of this name; see its README")
+    try:
+        description = importlib.import_module(f"robot_descriptions.{module}")
+    except Exception as error:
+        raise _unreachable(origin, error) from error
+    place: tuple[Kind, str] | None = None
+    for attribute, kind in (("MJCF_PATH", "mjcf"), ("URDF_PATH", "urdf"), ("XACRO_PATH", "xacro")):
+        if place is None and hasattr(description, attribute):
+            place = (kind, getattr(description, attribute))  # type: ignore[assignment]
+    if place is None:
+        raise _core.ConfigError(f"{origin}: it has neither a URDF nor an MJCF file; name another robot")
+    package_path = Path(getattr(description, "PACKAGE_PATH", "."))
+    folders = {package_path.name: package_path}
+    folders |= {key: Path(folder) for key, folder in getattr(description, "XACRO_PACKAGE_PATHS", {}).items()}
+    entries = importlib.import_module("robot_descriptions._descriptions").DESCRIPTIONS
+    stated = getattr(entries.get(module), "license_spdx", None)
+    arguments = {key: str(value) for key, value in getattr(description, "XACRO_ARGS", {}).items()}
+    file = Path(place[1])
+    return Source(place[0], file, origin, _license(file, None), stated, arguments, folders)
+
+
+def _of_menagerie(name: str, origin: str) -> Source:
+    menagerie = package("mujoco_menagerie", f"{origin}", "add")
+    try:
+        robot = menagerie.get(name)
+    except Exception as error:
+        raise _core.ConfigError(f"{origin}: {' '.join(str(error).split())}; see `mujoco-menagerie names`") from error
+    try:
+        folder = Path(robot.path(progress=None))
+    except Exception as error:
+        raise _unreachable(origin, error) from error
+    entry: Any = robot.entry(robot.default_scene or robot.default_model)
+    file = folder / entry.file
+    return Source("mjcf", file, origin, _license(file, folder), robot.license)
+
+
+def _unreachable(origin: str, error: Exception) -> _core.ConfigError:
+    text = " ".join(str(error).split())[:300]
+    return _core.ConfigError(
+        f"{origin}: its package downloads it on first use, and that fails: {text or type(error).__name__}; connect to the "
+        "network, or name a file or folder"
+    )
+
+
+def _version(module: Any) -> str:
+    return str(getattr(module, "__version__", ""))
