@@ -9,7 +9,7 @@ import dataclasses
 import json
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -98,12 +98,27 @@ def add(
         _check_name(given, config, force)
         held = {**(read.described.held if read.described else {}), **(locked_joints or {})}
         try:
-            with new_folder(out) as staged:
+            with new_folder(out) as staged, _named_after(found.file, staged, given):
                 made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {})
         except OSError as error:
             raise _core.ConfigError(f"cannot write {out}: {error.strerror or error}; choose another --out") from error
         made = dataclasses.replace(made, path=config, notes=[])
         return Added(made, source, notes, errors, found.license is not None, time.perf_counter() - began)
+
+
+@contextlib.contextmanager
+def _named_after(file: Path, staged: Path, name: str) -> Iterator[None]:
+    """Lets errors name the file that the user knows in the place of the one that is being written."""
+    try:
+        yield
+    except _core.PolypodError as error:
+        text = str(error.args[0] if error.args else error)
+        for written in (
+            staged / "assets" / "robots" / name / "robot.urdf",
+            staged / "configs" / "robots" / f"{name}.toml",
+        ):
+            text = text.replace(str(written), str(file))
+        raise type(error)(text.replace("of robot new", "of polypod add")) from error
 
 
 def identifier(name: str) -> str:
@@ -125,11 +140,15 @@ def _check_name(name: str, config: Path, force: bool) -> None:
 def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
     if found.kind == "mjcf":
         made, described = mjcf.read(found.file, root)
-        meshes = {f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes}
+        meshes = {
+            f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes
+        }
         meshes.pop(".obj", None)
         return _Found(made.name, description.urdf(described), meshes, list(described.notes), described, made, "")
     if root is not None:
-        raise _core.ConfigError(f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out")
+        raise _core.ConfigError(
+            f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out"
+        )
     dirs = {**found.package_dirs, **folders}
     if found.kind == "xacro":
         text = expand(found.file, dirs, {**found.arguments, **arguments})
@@ -176,7 +195,9 @@ def _write(
         drafted = stood(_refinement(config, described, found.origin, posed=False))
         if drafted.standing.holds:
             made = drafted
-            notes.append(f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in")
+            notes.append(
+                f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in"
+            )
         else:
             made = stood(_refinement(config, described, found.origin, posed=True))
     errors, reason = _judged(config, read)
@@ -195,7 +216,9 @@ def _summed_up(notes: list[str]) -> list[str]:
     kept = [_CHECK.sub("", note) for note in notes if not _NO_EFFORT.match(note)]
     if bare:
         names = mjcf.listed(bare)
-        kept.append(f"joint {names}: the file has no effort limit: it follows from weight and leg length; write the motor's")
+        kept.append(
+            f"joint {names}: the file has no effort limit: it follows from weight and leg length; write the motor's"
+        )
     return kept
 
 
@@ -274,7 +297,10 @@ def _escaped(text: str) -> str:
 def _table(described: Description) -> list[str]:
     """The joints as the file has them."""
     lines = ["## Joints of the file", ""]
-    lines += ["| joint | range | kp | kd | effort | armature | damping | friction |", "|---|---|---|---|---|---|---|---|"]
+    lines += [
+        "| joint | range | kp | kd | effort | armature | damping | friction |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     for joint in described.joints:
         drive = joint.drive
         cells: list[Any] = [f"{joint.lower:.4g} to {joint.upper:.4g}"]

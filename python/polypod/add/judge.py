@@ -16,18 +16,21 @@ import numpy as np
 import polypod
 from polypod import _core
 from polypod.add.description import Array, Description
-from polypod.add.mjcf import mujoco
+from polypod.add.mjcf import matrix, mujoco
+from polypod.compat import tomllib
 
 BOUNDS = {"float64": 1e-6, "float32": 1e-4}
 """Largest relative error of each precision."""
 HEAVY = 1e12
 """Armature of a joint that is held, kg m^2."""
-DT = 0.001
-"""Physics step of the comparison, s."""
+DT = 1e-5
+"""Physics step of the comparison, s: so short that no joint turns round or reaches a limit in it."""
+FASTEST = 5.0
+"""Largest speed of a joint, rad/s or m/s."""
 MARGIN = 0.05
 """Distance of the drawn positions from the joints' limits, as a share of the range."""
 PUSH = 200.0
-"""Acceleration of a joint alone under the largest torque that is drawn, rad/s^2: no joint turns round within a step."""
+"""Acceleration of a joint alone under the largest torque that is drawn, rad/s^2 or m/s^2."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Errors:
     bias_force: float
     forward_dynamics: float
     physics_step: float
-    """Of the acceleration over one step with damping and dry friction."""
+    """Of what one step with damping and dry friction adds to the velocity; in single precision, over the velocity."""
 
     def worst(self) -> float:
         """The largest of the errors."""
@@ -84,7 +87,8 @@ def compare(
     qpos = np.hstack(
         [rng.uniform(-1.0, 1.0, (states, 3)), quaternion, rng.uniform(lower + inset, upper - inset, (states, joints))]
     )
-    speeds = rng.uniform(2.0, 5.0, (states, joints)) * rng.choice([-1.0, 1.0], (states, joints))
+    fastest = min([FASTEST, *(0.9 * limit for limit in _speed_limits(robot))])
+    speeds = rng.uniform(0.4 * fastest, fastest, (states, joints)) * rng.choice([-1.0, 1.0], (states, joints))
     qvel = np.hstack([rng.uniform(-1.0, 1.0, (states, 3)), rng.uniform(-3.0, 3.0, (states, 3)), speeds])
     sim.set_state(qpos, qvel)
     alone = np.diagonal(sim.mass_matrix(), axis1=1, axis2=2)[:, 6:]
@@ -97,17 +101,25 @@ def compare(
     }
     before = sim.qvel
     sim.step(torque=torque)
-    ours["physics_step"] = (sim.qvel - before) / DT
+    ours["physics_step"] = sim.qvel - before
     errors = dict.fromkeys(ours, 0.0)
     for state in range(states):
         for name, value in theirs.at(qpos[state], qvel[state], torque[state]).items():
-            scale = theirs.size if name == "center_of_mass" else float(np.abs(value).max())
+            scale = float(np.abs(value).max())
+            if name == "center_of_mass":
+                scale = theirs.size
+            elif name == "physics_step" and dtype == "float32":
+                scale = float(np.abs(qvel[state]).max())
             error = float(np.abs(ours[name][state] - value).max()) / scale
             errors[name] = max(errors[name], error)
     mass = float(model.body_subtreemass[base])
-    return Errors(
-        total_mass=abs(sim.total_mass - mass) / mass, joint_limits=theirs.limits(sim.joint_range), **errors
-    )
+    return Errors(total_mass=abs(sim.total_mass - mass) / mass, joint_limits=theirs.limits(sim.joint_range), **errors)
+
+
+def _speed_limits(robot: Path) -> list[float]:
+    """Speed limits of the actuators of a robot's TOML, rad/s or m/s."""
+    groups = tomllib.loads(robot.read_text(encoding="utf-8"))["actuators"].values()
+    return [float(group["velocity_limit"]) for group in groups if group.get("velocity_limit", 0.0) > 0.0]
 
 
 def base_link(robot: Path) -> str:
@@ -183,7 +195,7 @@ class _Reference:
         """What MuJoCo computes in a state of polypod's."""
         mj, model, data = self.mj, self.model, self.data
         mj.mj_resetData(model, data)
-        turn = _matrix(mj, qpos[3:7]) @ self.turn_base.T
+        turn = matrix(qpos[3:7]) @ self.turn_base.T
         lever = turn @ self.at_base
         to_root = np.eye(len(self.v))
         # the base's velocity is that of a point of the root, and its angular velocity is in axes of the base
@@ -202,7 +214,7 @@ class _Reference:
         full = np.zeros((model.nv, model.nv))
         for column, unit in zip(full, np.eye(model.nv), strict=True):
             mj.mj_mulM(model, data, column, unit)
-        matrix = to_root.T @ full[np.ix_(self.v, self.v)] @ to_root
+        inertia = to_root.T @ full[np.ix_(self.v, self.v)] @ to_root
         mine = np.array(data.qfrc_bias[self.v])
         # the map itself turns with the base
         drift = np.zeros(len(self.v))
@@ -216,10 +228,10 @@ class _Reference:
         after = np.linalg.solve(to_root, data.qvel[self.v] - DT * drift)
         return {
             "center_of_mass": com,
-            "mass_matrix": matrix,
+            "mass_matrix": inertia,
             "bias_force": bias,
-            "forward_dynamics": np.linalg.solve(matrix, force - bias),
-            "physics_step": (after - qvel) / DT,
+            "forward_dynamics": np.linalg.solve(inertia, force - bias),
+            "physics_step": after - qvel,
         }
 
 
@@ -233,12 +245,6 @@ def _place(description: Description, link: str) -> tuple[Array, Array]:
         at, turn = own.at + own.turn @ at, own.turn @ turn
         index = own.parent
     return at, turn
-
-
-def _matrix(mj: Any, quaternion: Array) -> Array:
-    out = np.zeros(9)
-    mj.mju_quat2Mat(out, np.array(quaternion))
-    return out.reshape(3, 3)
 
 
 def _cross(vector: Array) -> Array:

@@ -3,8 +3,8 @@
 MuJoCo itself reads the file. Nobody else knows defaults, classes, frames, replicas, includes and attachments, and the
 compiled model has them all resolved. What is taken from it, and how:
 
-- A body is a link. A body with several joints is a chain of links, all but the last of which weigh `TOKEN`, which is
-  taken off the body. A joint away from its body's origin moves the link's frame to the joint.
+- A body is a link. A body with several joints is a chain of links, all but the last of which weigh `TOKEN`. This mass
+  is taken off the body where it lies, in the anchor of the joint, so that anchors in one point change nothing. A joint away from its body's origin moves the link's frame to the joint.
 - A joint's zero is MuJoCo's: where `ref` puts the written frames elsewhere, the link's frame is turned back by it.
 - Geoms that a floor can touch become collision shapes: the file's own floor if it has one, or else one with `contype`
   and `conaffinity` 1, and what `<pair>` names together with something of the scene.
@@ -26,8 +26,8 @@ from polypod import _core
 from polypod.add.description import Array, Description, Drive, Joint, Link, Shape
 from polypod.extras import package
 
-TOKEN = 2e-6
-"""Mass of a link between two joints of one body, kg: twice the least that the loader takes."""
+TOKEN = 1e-6
+"""Mass of a link between two joints of one body, kg: the least that the loader takes."""
 TOKEN_INERTIA = 1e-11
 """Its principal moments, kg m^2."""
 POSES = ("home", "stand", "standing", "default", "init", "initial")
@@ -239,9 +239,7 @@ class Reader:
         self.key, self.home = self._home()
         self.data.qpos[:] = self.home
         mj.mj_kinematics(self.model, self.data)
-        self.joints = [
-            joint for joint in range(self.model.njnt) if int(self.model.jnt_bodyid[joint]) in self.inside
-        ]
+        self.joints = [joint for joint in range(self.model.njnt) if int(self.model.jnt_bodyid[joint]) in self.inside]
         self.names = {joint: self._unique(self._named("JOINT", joint), "joint", joint) for joint in self.joints}
 
     def description(self) -> Description:
@@ -305,7 +303,9 @@ class Reader:
             self.notes.append(f"actuator {listed(unique)}: {what}")
         for joint, drive in drives.items():
             limit = self._joint_effort(joint)
-            drive.effort = limit if drive.effort is None else drive.effort if limit is None else min(drive.effort, limit)
+            drive.effort = (
+                limit if drive.effort is None else drive.effort if limit is None else min(drive.effort, limit)
+            )
         return drives
 
     def _add_drive(self, index: int, name: str, drive: Drive, odd: dict[str, list[str]]) -> None:
@@ -313,10 +313,15 @@ class Reader:
         gear = float(model.actuator_gear[index][0])
         gain, bias = float(model.actuator_gainprm[index][0]), model.actuator_biasprm[index]
         fixed = int(model.actuator_gaintype[index]) == int(mj.mjtGain.mjGAIN_FIXED)
-        kinds = {int(mj.mjtBias.mjBIAS_NONE): (0.0, 0.0), int(mj.mjtBias.mjBIAS_AFFINE): (float(bias[1]), float(bias[2]))}
+        kinds = {
+            int(mj.mjtBias.mjBIAS_NONE): (0.0, 0.0),
+            int(mj.mjtBias.mjBIAS_AFFINE): (float(bias[1]), float(bias[2])),
+        }
         terms = kinds.get(int(model.actuator_biastype[index]))
         if not fixed or terms is None:
-            odd.setdefault("is no position, velocity or motor actuator: replaced by a position actuator", []).append(name)
+            odd.setdefault("is no position, velocity or motor actuator: replaced by a position actuator", []).append(
+                name
+            )
             terms = (0.0, 0.0)
         if int(model.actuator_dyntype[index]) != int(mj.mjtDyn.mjDYN_NONE):
             odd.setdefault("has an activation state: left out, it acts at once", []).append(name)
@@ -421,7 +426,7 @@ class Reader:
         floor = self._floor()
         balls = []
         for body in self.bodies:
-            at, turn = np.array(model.body_pos[body]), self._matrix(model.body_quat[body])
+            at, turn = np.array(model.body_pos[body]), matrix(model.body_quat[body])
             if body == self.made.base:
                 parent, at, turn = -1, np.zeros(3), np.eye(3)
             else:
@@ -433,20 +438,22 @@ class Reader:
             moving = [joint for joint in own if self._moves(joint)]
             name = self._unique(self._named("BODY", body), "body", body)
             anchor = np.zeros(3)
+            tokens = []
             for number, joint in enumerate(moving):
-                at, turn, anchor = self._before(joint, at, turn, anchor, number)
+                at, turn, anchor = self._before(joint, at, turn, anchor)
                 is_last = number + 1 == len(moving)
                 link_name = name if is_last else self._unique(f"{name}_{self.names[joint]}_link", "body", body)
                 link = Link(link_name, parent, at, turn, self._joint(joint, drives))
                 if not is_last:
                     moments = np.eye(3) * TOKEN_INERTIA
                     link = dataclasses.replace(link, mass=TOKEN, inertia=moments)
+                    tokens.append(anchor)
                 links.append(link)
                 parent, at, turn = len(links) - 1, np.zeros(3), np.eye(3)
             if not moving:
                 links.append(Link(name, parent, at, turn, None))
             place[body] = (len(links) - 1, anchor)
-            links[-1] = self._with_mass(links[-1], body, anchor, tokens=max(len(moving) - 1, 0))
+            links[-1] = self._with_mass(links[-1], body, anchor, tokens)
             self._touch(links, body, anchor, floor)
         if balls:
             names = listed([self.names[joint] for joint in balls])
@@ -454,14 +461,7 @@ class Reader:
         self._sites(links, place)
         return links
 
-    def _matrix(self, quaternion: Any) -> Array:
-        out = np.zeros(9)
-        self.mj.mju_quat2Mat(out, np.array(quaternion, dtype=np.float64))
-        return out.reshape(3, 3)
-
-    def _before(
-        self, joint: int, at: Array, turn: Array, anchor: Array, number: int
-    ) -> tuple[Array, Array, Array]:
+    def _before(self, joint: int, at: Array, turn: Array, anchor: Array) -> tuple[Array, Array, Array]:
         """Frame of a joint's link in that of the link before, at zero, and the joint's anchor in its body's frame."""
         model = self.model
         axis, rest = np.array(model.jnt_axis[joint]), float(model.qpos0[model.jnt_qposadr[joint]])
@@ -470,7 +470,7 @@ class Reader:
         here = np.array(model.jnt_pos[joint])
         quaternion = np.zeros(4)
         self.mj.mju_axisAngle2Quat(quaternion, axis, -rest)
-        return at + turn @ (here - anchor), turn @ self._matrix(quaternion), here
+        return at + turn @ (here - anchor), turn @ matrix(quaternion), here
 
     def _joint(self, joint: int, drives: dict[int, Drive]) -> Joint:
         model = self.model
@@ -511,14 +511,18 @@ class Reader:
         numbers = getattr(self.model, key, None)
         return 0.0 if numbers is None else float(numbers[index]) * float(self.model.actuator_gear[index][0]) ** 2
 
-    def _with_mass(self, link: Link, body: int, anchor: Array, tokens: int) -> Link:
+    def _with_mass(self, link: Link, body: int, anchor: Array, tokens: list[Array]) -> Link:
+        """The link with the mass of its body, less point masses `TOKEN` at these points of the body."""
         model = self.model
-        turn = self._matrix(model.body_iquat[body])
+        turn = matrix(model.body_iquat[body])
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
-        mass = float(model.body_mass[body]) - tokens * TOKEN
-        return dataclasses.replace(
-            link, mass=max(mass, 0.0), com=np.array(model.body_ipos[body]) - anchor, inertia=0.5 * (inertia + inertia.T)
-        )
+        mass, com = float(model.body_mass[body]), np.array(model.body_ipos[body])
+        if tokens:
+            left = mass - len(tokens) * TOKEN
+            middle = (mass * com - TOKEN * np.sum(tokens, axis=0)) / left
+            inertia = inertia + mass * _of_point(com - middle) - TOKEN * sum(_of_point(at - middle) for at in tokens)
+            mass, com = left, middle
+        return dataclasses.replace(link, mass=mass, com=com - anchor, inertia=0.5 * (inertia + inertia.T))
 
     # Shapes
 
@@ -548,11 +552,15 @@ class Reader:
         model = self.model
         first = int(model.body_geomadr[body])
         geoms = [
-            geom for geom in range(first, first + int(model.body_geomnum[body])) if first >= 0 and self._touches(geom, floor)
+            geom
+            for geom in range(first, first + int(model.body_geomnum[body]))
+            if first >= 0 and self._touches(geom, floor)
         ]
         shapes = [(geom, shape) for geom in geoms if (shape := self._shape(geom, anchor)) is not None]
         standing = self._standing([geom for geom, _ in shapes], body)
-        links[-1] = dataclasses.replace(links[-1], shapes=tuple(shape for geom, shape in shapes if geom not in standing))
+        links[-1] = dataclasses.replace(
+            links[-1], shapes=tuple(shape for geom, shape in shapes if geom not in standing)
+        )
         if standing:
             foot = self._unique(f"{links[-1].name}_foot", "body", body)
             own = tuple(shape for geom, shape in shapes if geom in standing)
@@ -584,8 +592,8 @@ class Reader:
         """Lowest point of a geom in the home pose, m."""
         model = self.model
         body = int(model.geom_bodyid[geom])
-        turn = self._matrix(self.data.xquat[body]) @ self._matrix(model.geom_quat[geom])
-        middle = self.data.xpos[body] + self._matrix(self.data.xquat[body]) @ model.geom_pos[geom]
+        turn = matrix(self.data.xquat[body]) @ matrix(model.geom_quat[geom])
+        middle = self.data.xpos[body] + matrix(self.data.xquat[body]) @ model.geom_pos[geom]
         down = turn.T @ np.array([0.0, 0.0, -1.0])
         kind, size = int(model.geom_type[geom]), model.geom_size[geom]
         types = self.mj.mjtGeom
@@ -601,7 +609,7 @@ class Reader:
 
     def _shape(self, geom: int, anchor: Array) -> Shape | None:
         model, types = self.model, self.mj.mjtGeom
-        at, turn = np.array(model.geom_pos[geom]) - anchor, self._matrix(model.geom_quat[geom])
+        at, turn = np.array(model.geom_pos[geom]) - anchor, matrix(model.geom_quat[geom])
         kind, size = int(model.geom_type[geom]), [float(edge) for edge in model.geom_size[geom]]
         name = self._named("GEOM", geom) or f"geom_{geom}"
         if kind == int(types.mjGEOM_SPHERE):
@@ -660,7 +668,7 @@ class Reader:
             if body not in self.inside or not (site in wanted or re.search("imu|foot", name, re.IGNORECASE)):
                 continue
             parent, anchor = place[body]
-            at, turn = np.array(model.site_pos[site]) - anchor, self._matrix(model.site_quat[site])
+            at, turn = np.array(model.site_pos[site]) - anchor, matrix(model.site_quat[site])
             links.append(Link(self._unique(name, "site", site), parent, at, turn, None))
 
     # What else the file says
@@ -675,7 +683,9 @@ class Reader:
         if model.dof_armature[free].any() or model.dof_damping[free].any() or model.dof_frictionloss[free].any():
             self.notes.append("armature, damping and friction of the free joint: left out")
         dofs = [int(model.jnt_dofadr[joint]) for joint in self.joints if self._moves(joint)]
-        springs = [self.names[joint] for joint in self.joints if self._moves(joint) and model.jnt_stiffness[joint] > 0.0]
+        springs = [
+            self.names[joint] for joint in self.joints if self._moves(joint) and model.jnt_stiffness[joint] > 0.0
+        ]
         if springs:
             self.notes.append(f"joint {listed(springs)}: a spring pulls it: left out")
         curved = getattr(model, "dof_dampingpoly", None)
@@ -699,6 +709,19 @@ class Reader:
             self.notes.append(f"body {listed(others)}: moves beside the robot: left out")
         if not np.allclose(model.opt.gravity, [0.0, 0.0, -_core.EARTH_GRAVITY]):
             self.notes.append("gravity is not the Earth's along -z: left out: the task has it")
+
+
+def matrix(quaternion: Any) -> Array:
+    """Rotation matrix of a unit quaternion (w, x, y, z)."""
+    out = np.zeros(9)
+    mujoco().mju_quat2Mat(out, np.array(quaternion, dtype=np.float64))
+    return out.reshape(3, 3)
+
+
+def _of_point(at: Array) -> Array:
+    """Inertia of a unit point mass about the origin, m^2."""
+    turned: Array = (at @ at) * np.eye(3) - np.outer(at, at)
+    return turned
 
 
 def _file_name(name: str) -> str:

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import importlib
 import importlib.util
+import io
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -12,7 +13,6 @@ from typing import Any, Literal
 
 from polypod import _core
 from polypod.add import archive
-from polypod.extras import package
 from polypod.files import read_bytes
 
 SNIFFED = 1 << 16
@@ -120,13 +120,17 @@ def _kind(path: Path) -> Kind | None:
 
 def _in_folder(folder: Path, origin: str, inner: str | None) -> Source:
     """The robot's file in a folder. Raises ConfigError."""
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and len(path.relative_to(folder).parts) <= DEEP]
+    files = [
+        path for path in sorted(folder.rglob("*")) if path.is_file() and len(path.relative_to(folder).parts) <= DEEP
+    ]
     files = files[: archive.MOST_FILES]
     if inner is not None:
         chosen = [path for path in files if path.relative_to(folder).as_posix() == inner]
         kind = _kind(chosen[0]) if chosen else None
         if kind is None:
-            raise _core.ConfigError(f"{origin}: --file {inner}: there is no URDF, xacro or MJCF file of this name in it")
+            raise _core.ConfigError(
+                f"{origin}: --file {inner}: there is no URDF, xacro or MJCF file of this name in it"
+            )
         return Source(kind, chosen[0], origin, _license(chosen[0], folder))
     found = [(path, kind) for path in files if (kind := _kind(path)) is not None]
     for kinds in (("mjcf",), ("urdf",), ("xacro",)):
@@ -140,7 +144,9 @@ def _in_folder(folder: Path, origin: str, inner: str | None) -> Source:
         if robots:
             names = ", ".join(path.relative_to(folder).as_posix() for path, _ in robots[:8])
             more = f" and {len(robots) - 8} more" if len(robots) > 8 else ""
-            raise _core.ConfigError(f"{origin}: {len(robots)} files could be the robot: {names}{more}; name one with --file")
+            raise _core.ConfigError(
+                f"{origin}: {len(robots)} files could be the robot: {names}{more}; name one with --file"
+            )
     raise _core.ConfigError(f"{origin}: no URDF, xacro or MJCF file is in it; name the folder that holds one")
 
 
@@ -174,14 +180,25 @@ def _license(file: Path, folder: Path | None) -> str | None:
 # Other packages
 
 
+def _package(name: str, origin: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise _core.ConfigError(f"{origin} needs the package {name.replace('_', '-')}: pip install {name}") from error
+
+
 def _of_robot_descriptions(name: str, origin: str) -> Source:
-    top = package("robot_descriptions", f"{origin}", "add")
+    top = _package("robot_descriptions", origin)
     spellings = [name, f"{name}_description", f"{name}_mj_description"]
     module = next((each for each in spellings if importlib.util.find_spec(f"robot_descriptions.{each}")), None)
     if module is None or not module.endswith("_description"):
-        raise _core.ConfigError(f"{origin}: robot_descriptions {_version(top)} has no robot of this name; see its README")
+        raise _core.ConfigError(
+            f"{origin}: robot_descriptions {_version(top)} has no robot of this name; see its README"
+        )
     try:
-        description = importlib.import_module(f"robot_descriptions.{module}")
+        # a clone of the robot's repository, whose progress is no line of this command
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            description = importlib.import_module(f"robot_descriptions.{module}")
     except Exception as error:
         raise _unreachable(origin, error) from error
     place: tuple[Kind, str] | None = None
@@ -201,7 +218,7 @@ def _of_robot_descriptions(name: str, origin: str) -> Source:
 
 
 def _of_menagerie(name: str, origin: str) -> Source:
-    menagerie = package("mujoco_menagerie", f"{origin}", "add")
+    menagerie = _package("mujoco_menagerie", origin)
     try:
         robot = menagerie.get(name)
     except Exception as error:

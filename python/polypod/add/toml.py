@@ -51,9 +51,12 @@ def refined(draft: str, robot: Description, slots: Slots, origin: str, *, posed:
     text = _actuators(config["actuators"], own)
     if text:
         pieces = _replaced(pieces, [f"actuators.{group}" for group in config["actuators"]], text)
-    return "\n\n".join("\n".join(lines) for _, lines in pieces).replace(
-        _HEAD + " from the URDF alone", f"# Added by `polypod add` from {json.dumps(origin)}"
-    ) + "\n"
+    return (
+        "\n\n".join("\n".join(lines) for _, lines in pieces).replace(
+            _HEAD + " from the URDF alone", f"# Added by `polypod add` from {json.dumps(origin)}"
+        )
+        + "\n"
+    )
 
 
 def _is_near_limit(joint: Joint, factor: float) -> bool:
@@ -86,9 +89,7 @@ def _sections(text: str) -> list[tuple[str, list[str]]]:
     return sections
 
 
-def _replaced(
-    sections: list[tuple[str, list[str]]], names: list[str], lines: list[str]
-) -> list[tuple[str, list[str]]]:
+def _replaced(sections: list[tuple[str, list[str]]], names: list[str], lines: list[str]) -> list[tuple[str, list[str]]]:
     """Sections with `lines` in the place of those of `names`."""
     out: list[tuple[str, list[str]]] = []
     is_done = False
@@ -120,7 +121,9 @@ def _actuators(groups: Mapping[str, Any], own: Mapping[str, Joint]) -> list[str]
         # armatures are kept to the last digit: accelerations follow from them
         exact = {key: value if key == "armature" else float(f"{value:.9g}") for key, value in figures.items()}
         tables.setdefault(tuple(exact.items()), []).append(slot)
-    lines = ["# Gains, limits of effort and rotors of the file's actuators; where it has none, by weight and leg length."]
+    lines = [
+        "# Gains, limits of effort and rotors of the file's actuators; where it has none, by weight and leg length."
+    ]
     names: list[str] = []
     for figures_of, members in tables.items():
         name = _group_name(members, names)

@@ -81,7 +81,12 @@ def copied(text: str, file: Path, package_dirs: Mapping[str, Path]) -> Copy:
     if missing:
         notes.append(f"{missing} collision meshes are not found: see the warnings; --package-dir names their package")
     ElementTree.indent(root)
-    return Copy('<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n", meshes, root.get("name", ""), notes)
+    return Copy(
+        '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n",
+        meshes,
+        root.get("name", ""),
+        notes,
+    )
 
 
 def _parsed(text: str, file: Path) -> ElementTree.Element:

@@ -31,7 +31,10 @@ def expand(file: Path, package_dirs: Mapping[str, Path], arguments: Mapping[str,
     package("xacro", "expanding a xacro file", "add")
     package("yaml", "expanding a xacro file", "add")
     place = real_path(file)
-    own = next((above for above in place.parents if (above / "package.xml").is_file()), place.parents[min(1, len(place.parents) - 1)])
+    own = next(
+        (above for above in place.parents if (above / "package.xml").is_file()),
+        place.parents[min(1, len(place.parents) - 1)],
+    )
     roots = [own, *(real_path(folder) for folder in package_dirs.values())]
     request = {
         "file": str(place),
@@ -51,9 +54,13 @@ def expand(file: Path, package_dirs: Mapping[str, Path], arguments: Mapping[str,
             cwd=place.parent,
         )
     except subprocess.TimeoutExpired:
-        raise _core.ConfigError(f"{file}: xacro takes more than {SECONDS} s; expand it yourself, and add the URDF") from None
+        raise _core.ConfigError(
+            f"{file}: xacro takes more than {SECONDS} s; expand it yourself, and add the URDF"
+        ) from None
     try:
-        answer = json.loads(done.stdout) if len(done.stdout) <= MOST_BYTES else {"error": "the expanded file is too large"}
+        answer = (
+            json.loads(done.stdout) if len(done.stdout) <= MOST_BYTES else {"error": "the expanded file is too large"}
+        )
     except ValueError:
         answer = {"error": f"its process ended with {done.returncode}: memory and time are bounded"}
     if "text" not in answer:

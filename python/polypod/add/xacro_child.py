@@ -107,7 +107,11 @@ class _Interpreter:
             raise NameError(f"name '{node.id}' is not defined") from None
 
     def _attribute(self, node: ast.Attribute) -> Any:
-        if isinstance(node.value, ast.Name) and node.value.id == "math" and node.attr in ("pi", "e", "tau", "inf", "nan"):
+        if (
+            isinstance(node.value, ast.Name)
+            and node.value.id == "math"
+            and node.attr in ("pi", "e", "tau", "inf", "nan")
+        ):
             return getattr(math, node.attr)
         value = self.of(node.value)
         if not isinstance(value, dict) or node.attr.startswith("_"):
@@ -119,7 +123,9 @@ class _Interpreter:
         if not isinstance(value, dict | list | tuple | str):
             raise RefusedError(f"{ast.unparse(node)!r} is not evaluated: an index into what is no table, list or text")
         if isinstance(node.slice, ast.Slice):
-            ends = (None if end is None else self.of(end) for end in (node.slice.lower, node.slice.upper, node.slice.step))
+            ends = (
+                None if end is None else self.of(end) for end in (node.slice.lower, node.slice.upper, node.slice.step)
+            )
             return value[slice(*ends)]  # type: ignore[index]
         return value[self.of(node.slice)]
 
@@ -205,7 +211,9 @@ def _opening(roots: list[Path]) -> Callable[..., io.TextIOWrapper]:
     def guarded(name: Any, mode: str = "r", *_: Any, **__: Any) -> io.TextIOWrapper:
         place = Path(os.path.realpath(name))
         if mode not in ("r", "rt") or not any(place.is_relative_to(root) for root in roots):
-            raise RefusedError(f"{name}: files outside the robot's folder are not read; copy it there, or name its package")
+            raise RefusedError(
+                f"{name}: files outside the robot's folder are not read; copy it there, or name its package"
+            )
         return builtins.open(place, encoding="utf-8")
 
     return guarded
