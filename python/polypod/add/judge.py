@@ -2,7 +2,8 @@
 
 Compared at random states: masses, joint limits, mass matrix, bias forces, accelerations under random torques, and one
 physics step with the joints' damping and dry friction. What polypod leaves out is switched off in MuJoCo's model:
-contacts, equality constraints, springs, tendons, the medium, and what resists the free joint. Joints that polypod holds carry an infinite rotor there.
+contacts, equality constraints, springs, tendons, the medium, and what resists the free joint. Joints that polypod holds
+carry an infinite rotor there.
 """
 
 import copy

@@ -4,7 +4,8 @@ MuJoCo itself reads the file. Nobody else knows defaults, classes, frames, repli
 compiled model has them all resolved. What is taken from it, and how:
 
 - A body is a link. A body with several joints is a chain of links, all but the last of which weigh `TOKEN`. This mass
-  is taken off the body where it lies, in the anchor of the joint, so that anchors in one point change nothing. A joint away from its body's origin moves the link's frame to the joint.
+  is taken off the body where it lies, in the anchor of the joint, so that anchors in one point change nothing.
+- A joint away from its body's origin moves the link's frame to the joint.
 - A joint's zero is MuJoCo's: where `ref` puts the written frames elsewhere, the link's frame is turned back by it.
 - Geoms that a floor can touch become collision shapes: the file's own floor if it has one, or else one with `contype`
   and `conaffinity` 1, and what `<pair>` names together with something of the scene.
@@ -125,7 +126,7 @@ def _without_pictures(spec: Any) -> None:
 
 
 def _without_ground(mj: Any, spec: Any, notes: list[str]) -> None:
-    """Lets planes stand for the height fields of the scene, whose files may be large or missing; they touch the same."""
+    """Lets planes stand for the height fields of the scene, whose files may be missing; they touch the same."""
     for geom in spec.geoms:
         if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
             geom.type, geom.hfieldname = mj.mjtGeom.mjGEOM_PLANE, ""
@@ -159,8 +160,8 @@ def _check_meshes(spec: Any, file: Path) -> None:
             name = mesh.name or Path(mesh.file).stem
             bodies = [geom.parent.name or "(without a name)" for geom in spec.geoms if geom.meshname == name]
             raise _core.ConfigError(
-                f"{file}: mesh {name}: {folder / mesh.file} is not there, and body {listed(bodies)} touches the ground with "
-                "it or has its mass from it; put the file there"
+                f"{file}: mesh {name}: {folder / mesh.file} is not there, and body {listed(bodies)} touches the ground "
+                "with it or has its mass from it; put the file there"
             )
 
 
@@ -210,8 +211,8 @@ def _float(mj: Any, base: Any, file: Path, notes: list[str]) -> None:
     if joints:
         rails = listed([joint.name or "(without a name)" for joint in joints])
         raise _core.ConfigError(
-            f"{file}: body {name}: its base moves on the joints {rails}, and a robot's base floats; write <freejoint/> in "
-            "their place if the body can stand without them"
+            f"{file}: body {name}: its base moves on the joints {rails}, and a robot's base floats; write <freejoint/> "
+            "in their place if the body can stand without them"
         )
     base.add_freejoint()
     notes.append(f"the base {name} has no free joint: replaced: it floats")
@@ -433,7 +434,7 @@ class Reader:
                 parent, offset = place[int(model.body_parentid[body])]
                 at = at - offset
             first = int(model.body_jntadr[body])
-            own = [joint for joint in range(first, first + int(model.body_jntnum[body]))]
+            own = range(first, first + int(model.body_jntnum[body]))
             balls += [joint for joint in own if int(model.jnt_type[joint]) == int(self.mj.mjtJoint.mjJNT_BALL)]
             moving = [joint for joint in own if self._moves(joint)]
             name = self._unique(self._named("BODY", body), "body", body)
@@ -640,8 +641,8 @@ class Reader:
         vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
         graph = int(model.mesh_graphadr[mesh])
         if graph < 0:
-            corners = np.arange(len(vertices))
-            return vertices, np.stack([corners] * 3, axis=1)
+            every = np.arange(len(vertices))
+            return vertices, np.stack([every] * 3, axis=1)
         points, sides = int(model.mesh_graph[graph]), int(model.mesh_graph[graph + 1])
         ids = np.array(model.mesh_graph[graph + 2 + points : graph + 2 + 2 * points])
         end = graph + 2 + 3 * points + 3 * sides
@@ -675,7 +676,7 @@ class Reader:
 
     def _left_out(self) -> None:
         """Notes what has no place in a robot of polypod's."""
-        mj, model = self.mj, self.model
+        model = self.model
         if self._ellipsoids:
             self.notes.append(f"geom {listed(self._ellipsoids)}: an ellipsoid: replaced by a convex hull")
         first = int(model.jnt_dofadr[model.body_jntadr[self.made.base]])

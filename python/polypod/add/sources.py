@@ -81,8 +81,8 @@ def opened(source: str, inner: str | None = None) -> Iterator[Source]:
         kind = _kind(path)
         if kind is None:
             raise _core.ConfigError(
-                f"{path}: it is neither a URDF nor a xacro, MJCF or zip file: its root element is not <robot> or <mujoco>; "
-                "name the robot's file"
+                f"{path}: it is neither a URDF nor a xacro, MJCF or zip file: its root element is not <robot> or "
+                "<mujoco>; name the robot's file"
             )
         yield Source(kind, path, source, _license(path, None))
 
@@ -235,8 +235,8 @@ def _of_menagerie(name: str, origin: str) -> Source:
 def _unreachable(origin: str, error: Exception) -> _core.ConfigError:
     text = " ".join(str(error).split())[:300]
     return _core.ConfigError(
-        f"{origin}: its package downloads it on first use, and that fails: {text or type(error).__name__}; connect to the "
-        "network, or name a file or folder"
+        f"{origin}: its package downloads it on first use, and that fails: {text or type(error).__name__}; connect to "
+        "the network, or name a file or folder"
     )
 
 

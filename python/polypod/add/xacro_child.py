@@ -9,7 +9,6 @@ Nothing of polypod is imported: the file is run by its path.
 """
 
 import ast
-import builtins
 import io
 import json
 import math
@@ -34,9 +33,14 @@ _BUILTINS: dict[str, Callable[..., Any]] = {
     for function in (abs, all, any, bool, dict, divmod, enumerate, float, int, len, list, max, min, reversed, round)
 }
 _BUILTINS |= {function.__name__: function for function in (set, sorted, str, sum, tuple, zip)}
-_MATH = """acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh degrees dist erf erfc exp exp2 expm1 fabs
-floor fmod fsum hypot isclose isfinite isinf isnan log log10 log1p log2 modf radians remainder sin sinh sqrt tan tanh
-trunc""".split()
+# fmt: off
+_MATH = (
+    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos", "cosh", "degrees",
+    "dist", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmod", "fsum", "hypot", "isclose", "isfinite",
+    "isinf", "isnan", "log", "log10", "log1p", "log2", "modf", "radians", "remainder", "sin", "sinh", "sqrt", "tan",
+    "tanh", "trunc",
+)
+# fmt: on
 _XACRO = ("load_yaml", "abs_filename", "dotify", "tokenize", "arg", "message", "warning", "error", "fatal")
 _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -126,7 +130,7 @@ class _Interpreter:
             ends = (
                 None if end is None else self.of(end) for end in (node.slice.lower, node.slice.upper, node.slice.step)
             )
-            return value[slice(*ends)]  # type: ignore[index]
+            return value[slice(*ends)]
         return value[self.of(node.slice)]
 
     def _binop(self, node: ast.BinOp) -> Any:
@@ -214,7 +218,7 @@ def _opening(roots: list[Path]) -> Callable[..., io.TextIOWrapper]:
             raise RefusedError(
                 f"{name}: files outside the robot's folder are not read; copy it there, or name its package"
             )
-        return builtins.open(place, encoding="utf-8")
+        return place.open(encoding="utf-8")
 
     return guarded
 
@@ -258,7 +262,11 @@ def main() -> None:
         def argument(name: str) -> Any:
             return substitution_args.convert_value(arguments[name], "auto")
 
-        more = {"arg": argument, "dirname": lambda: os.path.dirname(context["filename"]), "find": find}
+        more: dict[str, Callable[..., Any]] = {
+            "arg": argument,
+            "dirname": lambda: str(Path(context["filename"]).parent),
+            "find": find,
+        }
         return str(evaluate(text, argument, functions | more))
 
     xacro.safe_eval = of_expression
