@@ -39,6 +39,8 @@ SOLE = 0.01
 """Shapes of a limb's end whose lowest points are this close to the lowest one stand on the ground, m."""
 ROUND = 1e-3
 """Relative difference up to which an ellipsoid is a sphere."""
+PLAIN = (1.0, 0.005, 0.0001)
+"""MuJoCo's default friction of a geom."""
 LISTED = 4
 """Names that a note lists; of more it states the number."""
 IMU = ("GYRO", "ACCELEROMETER", "FRAMEQUAT", "VELOCIMETER", "FRAMEANGVEL", "FRAMELINVEL", "MAGNETOMETER")
@@ -689,6 +691,9 @@ class Reader:
         ]
         if springs:
             self.notes.append(f"joint {listed(springs)}: a spring pulls it: left out")
+        touching = np.isin(model.geom_bodyid, self.bodies) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+        if not np.allclose(model.geom_friction[touching], PLAIN) or (model.geom_condim[touching] != 3).any():
+            self.notes.append("friction and condim of geoms: left out: the task has those of the ground")
         curved = getattr(model, "dof_dampingpoly", None)
         if curved is not None and np.any(np.asarray(curved)[dofs]):
             self.notes.append("damping that is no multiple of the speed: left out but for its linear part")
