@@ -124,20 +124,34 @@ def _origin(parent: ElementTree.Element, at: Array, turn: Array) -> None:
     ElementTree.SubElement(parent, "origin", xyz=_numbers(at), rpy=_numbers(rpy(turn)))
 
 
+def turned(roll: float, pitch: float, yaw: float) -> Array:
+    """The rotation matrix of roll, pitch and yaw, rad."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def inertial_of(link: ElementTree.Element, mass: float, com: Array, inertia: Array) -> None:
+    """Adds an `<inertial>` to a link: centre of mass, m, and the inertia about it in axes of the link, kg m^2."""
+    inertial = ElementTree.SubElement(link, "inertial")
+    _origin(inertial, com, np.eye(3))
+    ElementTree.SubElement(inertial, "mass", value=repr(float(mass)))
+    entries = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+    ElementTree.SubElement(inertial, "inertia", {key: repr(float(inertia[at]) + 0.0) for key, at in entries.items()})
+
+
 def urdf(robot: Description, meshes: str = "meshes") -> str:
     """The text of the robot's URDF; its meshes are `<meshes>/<name>.obj`, relative to it."""
     root = ElementTree.Element("robot", name=robot.name, version="1.2")
     for link in robot.links:
         element = ElementTree.SubElement(root, "link", name=link.name)
         if link.mass > 0.0:
-            inertial = ElementTree.SubElement(element, "inertial")
-            _origin(inertial, link.com, np.eye(3))
-            ElementTree.SubElement(inertial, "mass", value=repr(link.mass))
-            tensor = link.inertia
-            entries = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
-            ElementTree.SubElement(
-                inertial, "inertia", {key: repr(float(tensor[at]) + 0.0) for key, at in entries.items()}
-            )
+            inertial_of(element, link.mass, link.com, link.inertia)
         for shape in link.shapes:
             collision = ElementTree.SubElement(element, "collision")
             _origin(collision, shape.at, shape.turn)

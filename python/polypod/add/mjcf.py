@@ -523,7 +523,7 @@ class Reader:
         if tokens:
             left = mass - len(tokens) * TOKEN
             middle = (mass * com - TOKEN * np.sum(tokens, axis=0)) / left
-            inertia = inertia + mass * _of_point(com - middle) - TOKEN * sum(_of_point(at - middle) for at in tokens)
+            inertia = inertia + mass * of_point(com - middle) - TOKEN * sum(of_point(at - middle) for at in tokens)
             mass, com = left, middle
         return dataclasses.replace(link, mass=mass, com=com - anchor, inertia=0.5 * (inertia + inertia.T))
 
@@ -724,7 +724,7 @@ def matrix(quaternion: Any) -> Array:
     return out.reshape(3, 3)
 
 
-def _of_point(at: Array) -> Array:
+def of_point(at: Array) -> Array:
     """Inertia of a unit point mass about the origin, m^2."""
     turned: Array = (at @ at) * np.eye(3) - np.outer(at, at)
     return turned

@@ -11,8 +11,8 @@ import numpy as np
 
 from polypod import _core
 from polypod.accuracy.robot import rooted
-from polypod.add.description import Description, Joint, Link
-from polypod.add.mjcf import mujoco
+from polypod.add.description import Array, Description, Joint, Link, inertial_of, turned
+from polypod.add.mjcf import mujoco, of_point
 from polypod.add.sources import MOST_BYTES
 from polypod.files import read_bytes, real_path
 
@@ -129,7 +129,8 @@ def _new_name(place: Path, taken: Mapping[str, bytes]) -> str:
 def reference(text: str, base: str, held: Mapping[str, float]) -> tuple[Any, int, Description]:
     """MuJoCo's model of a URDF, the base's body in it, and what to compare.
 
-    Only what moves is compiled: shapes have no mass in a URDF whose links have one.
+    Only what moves is compiled: shapes have no mass in a URDF whose links have one. Where MuJoCo refuses the inertia of
+    a link, links on fixed joints are merged into those that move them first: as in polypod, only the sum counts.
 
     Args:
         text: the URDF's, unchanged.
@@ -152,18 +153,89 @@ def reference(text: str, base: str, held: Mapping[str, float]) -> tuple[Any, int
         for element in joint.findall("mimic"):
             joint.remove(element)
     try:
-        spec = mj.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
-        spec.compiler.fusestatic = False
-        spec.worldbody.first_body().add_freejoint()
-        model = spec.compile()
-    except (ValueError, mj.FatalError) as error:
-        raise _core.ConfigError(f"MuJoCo does not compile it: {' '.join(str(error).split())}") from error
+        model = _compiled(mj, root)
+    except (ValueError, mj.FatalError):
+        _merge(root)
+        try:
+            model = _compiled(mj, root)
+        except (ValueError, mj.FatalError) as error:
+            raise _core.ConfigError(f"MuJoCo does not compile it: {' '.join(str(error).split())}") from error
     links = [Link(base, -1, np.zeros(3), np.eye(3), None)]
     moving = (int(mj.mjtJoint.mjJNT_HINGE), int(mj.mjtJoint.mjJNT_SLIDE))
     for index in range(model.njnt):
         if int(model.jnt_type[index]) in moving:
             links.append(Link(f"link_{index}", 0, np.zeros(3), np.eye(3), _joint(model, index)))
     return model, int(model.body(base).id), Description("", links, None, dict(held), [])
+
+
+def _compiled(mj: Any, root: ElementTree.Element) -> Any:
+    spec = mj.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec.compiler.fusestatic = False
+    spec.worldbody.first_body().add_freejoint()
+    return spec.compile()
+
+
+def _merge(root: ElementTree.Element) -> None:
+    """Adds the inertias of links on fixed joints to those of the links that move them, from the leaves to the base."""
+    links = {link.get("name"): link for link in root.findall("link")}
+    above = {_end(joint, "child"): joint for joint in root.findall("joint")}
+
+    def depth(name: str | None) -> int:
+        return 0 if name not in above else 1 + depth(_end(above[name], "parent"))
+
+    for name in sorted(above, key=depth, reverse=True):
+        joint = above[name]
+        if joint.get("type") != "fixed":
+            continue
+        mass, com, inertia = _inertial(links[name])
+        at, turn = _pose(joint.find("origin"))
+        moved = mass, at + turn @ com, turn @ inertia @ turn.T
+        parent = links[_end(joint, "parent")]
+        _set_inertial(parent, *_sum(_inertial(parent), moved))
+        for element in links[name].findall("inertial"):
+            links[name].remove(element)
+
+
+Inertial = tuple[float, Array, Array]
+"""Mass, centre of mass and inertia about it, in one frame."""
+
+
+def _sum(one: Inertial, other: Inertial) -> Inertial:
+    mass = one[0] + other[0]
+    com = (one[0] * one[1] + other[0] * other[1]) / mass if mass > 0.0 else np.zeros(3)
+    return mass, com, sum(part[2] + part[0] * of_point(part[1] - com) for part in (one, other))
+
+
+def _inertial(link: ElementTree.Element) -> Inertial:
+    inertial = link.find("inertial")
+    if inertial is None:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    at, turn = _pose(inertial.find("origin"))
+    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    own = {} if tensor is None else {key: float(value) for key, value in tensor.attrib.items()}
+    xx, yy, zz, xy, xz, yz = (own.get(key, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return 0.0 if mass is None else float(mass.get("value", "0")), at, turn @ matrix @ turn.T
+
+
+def _set_inertial(link: ElementTree.Element, mass: float, com: Array, inertia: Array) -> None:
+    for element in link.findall("inertial"):
+        link.remove(element)
+    if mass > 0.0:
+        inertial_of(link, mass, com, inertia)
+
+
+def _pose(origin: ElementTree.Element | None) -> tuple[Array, Array]:
+    """Position and axes of an `<origin>`."""
+    attributes = {} if origin is None else origin.attrib
+    at = np.array([float(number) for number in attributes.get("xyz", "0 0 0").split()])
+    roll, pitch, yaw = (float(number) for number in attributes.get("rpy", "0 0 0").split())
+    return at, turned(roll, pitch, yaw)
+
+
+def _end(joint: ElementTree.Element, tag: str) -> str | None:
+    end = joint.find(tag)
+    return None if end is None else end.get("link")
 
 
 def _joint(model: Any, index: int) -> Joint:
