@@ -95,13 +95,16 @@ def add(
         read = _read(found, root, folders, arguments or {})
         given = identifier(name or read.name)
         config = out / "configs" / "robots" / f"{given}.toml"
-        _check_name(given, config, force)
+        try:
+            _check_name(given, config, force)
+        except OSError as error:
+            raise _unwritable(out, error) from error
         held = {**(read.described.held if read.described else {}), **(locked_joints or {})}
         try:
             with new_folder(out) as staged, _named_after(found.file, staged, given):
                 made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {})
         except OSError as error:
-            raise _core.ConfigError(f"cannot write {out}: {error.strerror or error}; choose another --out") from error
+            raise _unwritable(out, error) from error
         made = dataclasses.replace(made, path=config, notes=[])
         return Added(made, source, notes, errors, found.license is not None, time.perf_counter() - began)
 
@@ -119,6 +122,10 @@ def _named_after(file: Path, staged: Path, name: str) -> Iterator[None]:
         ):
             text = text.replace(str(written), str(file))
         raise type(error)(text.replace("of robot new", "of polypod add")) from error
+
+
+def _unwritable(out: Path, error: OSError) -> _core.ConfigError:
+    return _core.ConfigError(f"cannot write {str(out)[:200]}: {error.strerror or error}; choose another --out")
 
 
 def identifier(name: str) -> str:

@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 import importlib.util
 import io
+import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -22,10 +23,13 @@ MOST_BYTES = 64 << 20
 MOST_LICENSE = 1 << 20
 DEEP = 6
 """Folders below the one that is searched."""
+MOST_SEEN = 20_000
+"""Files and folders that are looked through."""
 ABOVE = 4
 """Folders above a file in which its licence is looked for."""
 Kind = Literal["urdf", "xacro", "mjcf"]
 _LICENSES = ("LICENSE*", "LICENCE*", "COPYING*", "License*", "license*")
+_ENDINGS = (".urdf", ".xml", ".mjcf", ".xacro")
 _PACKAGES = ("robot_descriptions", "mujoco_menagerie")
 
 
@@ -67,7 +71,7 @@ def opened(source: str, inner: str | None = None) -> Iterator[Source]:
     if not source.strip() or "\0" in source:
         raise _core.ConfigError(f"{source!r} is no file; name a URDF, xacro or MJCF file, a zip file or a folder")
     path = Path(source)
-    if path.is_dir():
+    if _is_folder(path):
         yield _in_folder(path, source, inner)
     elif path.suffix.lower() == ".zip":
         _check_is_there(path)
@@ -87,6 +91,13 @@ def opened(source: str, inner: str | None = None) -> Iterator[Source]:
         yield Source(kind, path, source, _license(path, None))
 
 
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def _check_is_there(path: Path) -> None:
     try:
         if path.is_file():
@@ -104,7 +115,7 @@ def _kind(path: Path) -> Kind | None:
     name = path.name.lower()
     if name.endswith(".xacro"):
         return "xacro"
-    if not name.endswith((".urdf", ".xml", ".mjcf")):
+    if not name.endswith(_ENDINGS):
         return None
     with path.open("rb") as file:
         head = file.read(SNIFFED).decode("utf-8", errors="replace")
@@ -118,12 +129,25 @@ def _kind(path: Path) -> Kind | None:
     return found
 
 
+def _files(folder: Path, origin: str) -> list[Path]:
+    """Files of a folder and `DEEP` folders below, links to folders not followed. Raises ConfigError for too many."""
+    found: list[Path] = []
+    seen = 0
+    for above, folders, names in os.walk(folder):
+        seen += len(folders) + len(names)
+        if seen > MOST_SEEN:
+            raise _core.ConfigError(
+                f"{origin}: it holds more than {MOST_SEEN} files; name the robot's file or its folder"
+            )
+        if len(Path(above).relative_to(folder).parts) >= DEEP:
+            folders.clear()
+        found += [Path(above) / name for name in names if name.lower().endswith(_ENDINGS)]
+    return sorted(path for path in found if path.is_file())
+
+
 def _in_folder(folder: Path, origin: str, inner: str | None) -> Source:
     """The robot's file in a folder. Raises ConfigError."""
-    files = [
-        path for path in sorted(folder.rglob("*")) if path.is_file() and len(path.relative_to(folder).parts) <= DEEP
-    ]
-    files = files[: archive.MOST_FILES]
+    files = _files(folder, origin)
     if inner is not None:
         chosen = [path for path in files if path.relative_to(folder).as_posix() == inner]
         kind = _kind(chosen[0]) if chosen else None

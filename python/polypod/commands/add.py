@@ -41,7 +41,7 @@ class Add:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         from polypod.add import add, judge
-        from polypod.commands.drafted import print_standing, training_of
+        from polypod.new_robot import print_standing, training_of
         from polypod.registration import PATH
 
         library = [folder for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]

@@ -35,7 +35,6 @@ class Robot:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         from polypod import new_robot
-        from polypod.commands.drafted import print_standing, training_of
 
         feet = pairs(self.foot, "--foot", "LEG=LINK")
         new = new_robot.new_robot(
@@ -51,6 +50,6 @@ class Robot:
         print(new.path)
         for note in new.notes:
             print(f"  {note}")
-        print_standing(new)
-        print(f"train it:  {training_of(new, str(new.path))}")
+        new_robot.print_standing(new)
+        print(f"train it:  {new_robot.training_of(new, str(new.path))}")
         return 0
