@@ -164,6 +164,8 @@ class Reference:
         spec.option.timestep = dt
         spec.option.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
         spec.option.gravity = gravity
+        self.spec = spec
+        """`mujoco.MjSpec` of the model."""
         self.model = spec.compile()
         self.data = mj.MjData(self.model)
         self.root = root.name

@@ -26,7 +26,8 @@ from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
-from polypod.sim2sim.twin import FoldedPolicy, Physics, Twin
+from polypod.sim2sim.driven import FoldedPolicy
+from polypod.sim2sim.twin import Physics, Twin
 
 MAX_STEPS = 50_000_000
 """Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
@@ -223,6 +224,18 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
     return shlex.join(words)
 
 
+@dataclasses.dataclass(frozen=True)
+class Ends:
+    """What ends an episode of a robot in its task."""
+
+    groups: frozenset[str]
+    """Groups of bodies that must not touch the ground."""
+    least_height: float
+    """Of the base, m."""
+    most_tilt: float
+    """Of the base, rad."""
+
+
 class Episode:
     """What both simulators are given."""
 
@@ -298,6 +311,17 @@ class Episode:
             walking=found,
         )
 
+    def ends(self, name: str, interface: RobotInterface) -> "Ends":
+        """What ends an episode of one robot."""
+        ends = self.terminations
+        groups = {"base", "torso", *ends.get("illegal_contact", {}).get("bodies", ())}
+        lowest = ends.get("root_height_below_minimum")
+        least_height = -np.inf
+        if lowest is not None:
+            share = lowest.get("minimum_share", _MINIMUM_SHARE)
+            least_height = lowest.get("minimum_height", _least_height(share, interface.info))
+        return Ends(frozenset(groups), least_height, ends.get("bad_orientation", {}).get("limit_angle", np.pi))
+
     def delays(self, robot: accuracy_robot.Robot) -> Array:
         """Delays [envs, joints] in physics steps, one draw per env and group of actuators."""
         random = np.random.default_rng((self.seed, 1))
@@ -372,14 +396,8 @@ def twin_of(
 ) -> Twin:
     """One robot of an episode in MuJoCo, before its first reset; `late` physics steps are added to its delays."""
     robot = accuracy_robot.of(episode.sim, name, source)
-    ends = episode.terminations
-    groups = {"base", "torso", *ends.get("illegal_contact", {}).get("bodies", ())}
-    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in groups]
-    lowest = ends.get("root_height_below_minimum")
-    least_height = -np.inf
-    if lowest is not None:
-        share = lowest.get("minimum_share", _MINIMUM_SHARE)
-        least_height = lowest.get("minimum_height", _least_height(share, interface.info))
+    ends = episode.ends(name, interface)
+    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]
     return Twin(
         robot,
         interface,
@@ -393,8 +411,8 @@ def twin_of(
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
         gravity=episode.sim.gravity,
-        least_height=least_height,
-        most_tilt=ends.get("bad_orientation", {}).get("limit_angle", np.pi),
+        least_height=ends.least_height,
+        most_tilt=ends.most_tilt,
     )
 
 

@@ -1,0 +1,158 @@
+"""Reading a MuJoCo file (MJCF, or a URDF as MuJoCo reads it), which only MuJoCo itself understands in full.
+
+MuJoCo may end or hang on a file that was made to do so. `check` therefore lets another process compile the file first,
+within limits of time and memory; that process runs this file alone, so it imports nothing of polypod.
+"""
+
+import dataclasses
+import importlib
+import json
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+MAX_BYTES = 64 << 20
+"""Of the file."""
+MAX_SECONDS = 60
+"""Time that MuJoCo may take to compile the file."""
+MAX_MEMORY = 8 << 30
+"""Bytes of address space that it may take for it."""
+
+
+@dataclasses.dataclass
+class Reading:
+    """A file as MuJoCo read it, not compiled yet."""
+
+    spec: Any
+    """`mujoco.MjSpec`."""
+    left_out: list[str]
+    """What is left out since its file is missing, one line each."""
+
+
+def read(path: str) -> Reading:
+    """Reads a file, without the meshes and textures whose files are missing.
+
+    Raises:
+        ValueError: for a file that MuJoCo does not read, and for a missing mesh that a link's mass comes from.
+    """
+    mj = importlib.import_module("mujoco")
+    spec = mj.MjSpec.from_file(path)
+    left_out: list[str] = []
+    _leave_out_meshes(mj, spec, left_out)
+    _leave_out_textures(spec, left_out)
+    return Reading(spec, left_out)
+
+
+def check(path: Path) -> None:
+    """Lets MuJoCo compile the file in another process.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise ValueError(error.strerror or str(error)) from error
+    except ValueError as error:
+        raise ValueError(f"its name is no name of a file ({error})") from error
+    if not stat.S_ISREG(state.st_mode):
+        raise ValueError("it is not a regular file")
+    if state.st_size > MAX_BYTES:
+        raise ValueError(f"it has more than {MAX_BYTES >> 20} MiB")
+    command = [sys.executable, "-I", __file__, os.fspath(path.resolve())]
+    # MuJoCo writes a log into the folder that it runs in
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=MAX_SECONDS, cwd=folder, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"MuJoCo takes more than {MAX_SECONDS} s to compile it") from error
+    try:
+        problem = json.loads(done.stdout.splitlines()[-1])
+    except (IndexError, ValueError):
+        raise ValueError(f"MuJoCo ends at it (exit code {done.returncode})") from None
+    if problem is not None:
+        raise ValueError(str(problem))
+
+
+def one_line(error: BaseException) -> str:
+    """An error of MuJoCo in one line."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 300 else text[:297] + "..."
+
+
+def _leave_out_meshes(mj: Any, spec: Any, left_out: list[str]) -> None:
+    missing = {mesh.name: mesh for mesh in spec.meshes if mesh.file and not _is_there(spec, spec.meshdir, mesh.file)}
+    if not missing:
+        return
+    seen = touching = 0
+    bodies = []
+    for geom in list(spec.geoms):
+        if geom.meshname not in missing:
+            continue
+        body = geom.parent
+        always = spec.compiler.inertiafromgeom == mj.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        has_mass = geom.mass != 0.0 and geom.density != 0.0
+        if has_mass and body.name != "world" and (always or not body.explicitinertial):
+            raise ValueError(
+                f"body '{body.name}' takes its mass from mesh '{geom.meshname}', and {missing[geom.meshname].file} is "
+                "missing; put the meshes where the file says, or give the body an <inertial>"
+            )
+        if geom.contype or geom.conaffinity:
+            touching += 1
+            bodies.append(body.name)
+        else:
+            seen += 1
+        spec.delete(geom)
+    for mesh in missing.values():
+        spec.delete(mesh)
+    left_out.append(f"files of {len(missing)} meshes are missing: {seen} shapes that are only seen are left out")
+    if touching:
+        names = ", ".join(dict.fromkeys(bodies))
+        left_out.append(f"{touching} shapes that touch are left out, their meshes are missing: {names}")
+
+
+def _leave_out_textures(spec: Any, left_out: list[str]) -> None:
+    missing = {
+        texture.name: texture
+        for texture in spec.textures
+        if texture.file and not _is_there(spec, spec.texturedir or spec.meshdir, texture.file)
+    }
+    for material in spec.materials if missing else ():
+        material.textures = ["" if name in missing else name for name in material.textures]
+    for texture in missing.values():
+        spec.delete(texture)
+    if missing:
+        left_out.append(f"files of {len(missing)} textures are missing: left out")
+
+
+def _is_there(spec: Any, folder: str, file: str) -> bool:
+    name = os.path.basename(file) if spec.strippath else file
+    return os.path.isfile(os.path.join(spec.modelfiledir, folder, name))
+
+
+def _main(path: str) -> None:
+    """Prints what is wrong with a file as JSON; null if nothing is."""
+    try:
+        import resource
+    except ImportError:  # of a system without it
+        pass
+    else:
+        resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    problem = None
+    try:
+        mj = importlib.import_module("mujoco")
+        model = read(path).spec.compile()
+        data = mj.MjData(model)
+        mj.mj_forward(model, data)
+    except Exception as error:
+        problem = one_line(error)
+    print(json.dumps(problem), flush=True)
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1])
