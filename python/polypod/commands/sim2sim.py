@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
+from polypod import _core
 from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, check_names, names, write_json
 
 
@@ -18,46 +19,97 @@ class Sim2sim:
     """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
     policy: flat, rough, legged or quadruped."""
     robots: RobotNames = None
-    """Names of the robots, with commas between. Default: the run's."""
+    """Names of the robots, with commas between. Default: the run's; with --model, the one whose joints it has."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
-    num_envs: int = 32
-    """Envs per robot."""
+    num_envs: Count = None
+    """Envs per robot. Default: 32, with --model 20."""
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
-    commands: Literal["walking", "task"] = "walking"
-    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; or commands as
-    the task draws them."""
+    commands: Literal["walking", "task", "phases"] | None = None
+    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; commands as the
+    task draws them; or --phases. Default: walking, with --model phases."""
     command: Velocity = None
     """Instead, one forward and left velocity (m/s) and yaw rate (rad/s) for all envs."""
     dt: Annotated[float | None, arg(metavar="S")] = None
-    """MuJoCo's physics step, s. Default: the task's, on terrain 0.002."""
-    integrator: Literal["implicitfast", "RK4"] = "implicitfast"
-    """Integrator of MuJoCo."""
+    """MuJoCo's physics step, s. Default: the task's, on terrain 0.002; with --model the file's."""
+    integrator: Literal["implicitfast", "RK4"] | None = None
+    """Integrator of MuJoCo. Default: implicitfast; with --model the file's."""
     friction: Annotated[float | None, arg(metavar="MU")] = None
-    """Friction coefficient of the ground in MuJoCo. Default: the task's static friction."""
+    """Friction coefficient of the ground in MuJoCo, with --model of all contacts. Default: the task's static friction,
+    with --model the file's."""
     soft_contact: bool = False
     """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
     seed: int = 0
     """Seed of initial states, commands and delays."""
+    model: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Instead of polypod's robot, somebody else's MuJoCo model of it: an MJCF file of the robot or of a scene, with its
+    own masses, contacts, damping and actuators."""
+    map: Annotated[Path | None, arg(metavar="FILE")] = None
+    """With --model, a TOML file that says which joint is which where names and geometry do not."""
+    actuators: Literal["model", "policy", "motors"] = "model"
+    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors' inertia."""
+    contact: Literal["asis", "stiff", "condim3"] = "asis"
+    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling friction."""
+    phases: Annotated[str | None, arg(metavar="A,B")] = None
+    """With --model, commands one after the other: forward, back, left, right (m/s), turn (rad/s), stop. Default:
+    forward=0.8,turn=0.6,left=0.5,stop."""
+    phase_s: Annotated[float, arg(metavar="S")] = 5.0
+    """Length of a phase, s."""
+    rounds: int = 1
+    """How often the phases come in an episode."""
+    differences: bool = True
+    """With --model, rank what sets it apart from polypod's robot by the effect on one step response."""
+    video: Annotated[Path | None, arg(metavar="FILE")] = None
+    """With --model, also film polypod above and the model below (.gif, .webp, .mp4); needs the extra play."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(None, names(self.robots))
+        self._check()
+        return self._in_mujoco() if self.model is None else self._on_model(self.model)
+
+    def _check(self) -> None:
+        """Raises ConfigError for flags that do not go together."""
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
+        if self.model is None:
+            for key in ("map", "actuators", "contact", "phases", "phase_s", "rounds", "differences", "video"):
+                if getattr(self, key) != usual[key]:
+                    raise _core.ConfigError(f"--{key.replace('_', '-')} needs --model FILE, a MuJoCo model")
+            if self.commands == "phases":
+                raise _core.ConfigError("--commands phases needs --model FILE, a MuJoCo model")
+            return
+        for key, instead in (
+            ("steps", "choose --phase-s and --rounds"),
+            ("command", "choose --phases, such as forward=0.5"),
+            ("soft_contact", "choose --contact"),
+        ):
+            if getattr(self, key) != usual[key]:
+                raise _core.ConfigError(f"--{key.replace('_', '-')} does not go with --model; {instead}")
+        if self.commands == "task":
+            raise _core.ConfigError("--commands task does not go with --model; choose phases or walking")
+        if self.commands == "walking" and self.phases is not None:
+            raise _core.ConfigError("--phases does not go with --commands walking; leave one out")
+        robots = names(self.robots)
+        if robots is not None and len(robots) != 1:
+            raise _core.ConfigError(f"--robots {self.robots}: --model is a model of one robot; name one")
+
+    def _in_mujoco(self) -> int:
         from polypod import bundled, sim2sim
         from polypod.progress import Progress
         from polypod.sim2sim.report import show
 
+        usual = sim2sim.Options()
         options = sim2sim.Options(
-            envs_per_robot=self.num_envs,
+            envs_per_robot=usual.envs_per_robot if self.num_envs is None else self.num_envs,
             steps=self.steps,
             seed=self.seed,
             command=self.command,
-            commands=self.commands,
+            commands="task" if self.commands == "task" else "walking",
             dt=self.dt,
-            integrator=self.integrator,
+            integrator=self.integrator or usual.integrator,
             friction=self.friction,
             soft_contact=self.soft_contact,
             overrides=self.set,
@@ -70,4 +122,49 @@ class Sim2sim:
             comparison = sim2sim.compare(bundled.resolve(self.checkpoint), names(self.robots), options, progress)
         show(comparison)
         write_json(self.json, comparison.as_dict())
+        return 0 if comparison.transfers else 3
+
+    def _on_model(self, model: Path) -> int:
+        from polypod import bundled
+        from polypod.progress import Progress
+        from polypod.sim2sim import model_report, on_model
+
+        usual = on_model.Options()
+        options = on_model.Options(
+            episodes=usual.episodes if self.num_envs is None else self.num_envs,
+            commands="walking" if self.commands == "walking" else "phases",
+            phases=usual.phases if self.phases is None else self.phases,
+            phase_s=self.phase_s,
+            rounds=self.rounds,
+            seed=self.seed,
+            actuators=self.actuators,
+            contact=self.contact,
+            dt=self.dt,
+            integrator=self.integrator,
+            friction=self.friction,
+            map=self.map,
+            differences=self.differences,
+            overrides=self.set,
+        )
+        options.check()
+        film = None
+        if self.video is not None:
+            from polypod.sim2sim.side_by_side import SideBySide
+
+            film = SideBySide(self.video)
+        robots = names(self.robots)
+        with Progress(14) as bars:
+            comparison = on_model.play(
+                model,
+                bundled.resolve(self.checkpoint),
+                None if robots is None else robots[0],
+                options,
+                bars,
+                None if film is None else film.watch,
+            )
+        model_report.show(comparison)
+        write_json(self.json, comparison.as_dict())
+        if film is not None:
+            phases = [phase.phase for phase in comparison.on_model.phases]
+            film.close(comparison.task, comparison.source, model.name, phases, self.phase_s)
         return 0 if comparison.transfers else 3

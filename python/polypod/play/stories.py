@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from polypod.play.film import Film
 from polypod.play.mesh import Array
 from polypod.play.player import Player, aligned_starts
 from polypod.play.raster import follow, picture, render, titled
-from polypod.play.scene import Frame, RobotFrame
+from polypod.play.scene import Frame, RobotFrame, Scene
 from polypod.policy import load
 
 if TYPE_CHECKING:
@@ -173,7 +173,9 @@ def _beside_mujoco(options: Options) -> Iterator["Image"]:
     )
     steps = min(len(rows) for rows in states.values())
     frames = {
-        simulator: _replay(player, {robot: states[simulator, robot][:steps] for robot in player.sim.robots})
+        simulator: replay(
+            player, player.sources, {robot: states[simulator, robot][:steps] for robot in player.sim.robots}
+        )
         for simulator in ("polypod", "mujoco")
     }
     titles = {"polypod": "polypod", "mujoco": f"MuJoCo {comparison.mujoco_version}"}
@@ -191,15 +193,15 @@ def _beside_mujoco(options: Options) -> Iterator["Image"]:
         yield whole
 
 
-def _replay(player: Player, states: dict[str, list[Array]]) -> list[Frame]:
-    """Frames of positions [7 + joints] of one env per robot."""
+def replay(scene: Scene, sources: Sequence[str], states: Mapping[str, Sequence[Array]]) -> list[Frame]:
+    """Frames of positions [7 + joints] of one env per robot, which were made from `sources`."""
     poses = {}
-    for source, robot in zip(player.sources, player.sim.robots, strict=True):
+    for source, robot in zip(sources, scene.sim.robots, strict=True):
         rows = np.stack(states[robot])
         sim = _core.Simulation(source, num_envs=len(rows), ground=None, threads=1)
         sim.set_state(qpos=rows)
         poses[robot] = sim.link_pose()
-    now = {robot.name: robot for robot in player.frame().robots}
+    now = {robot.name: robot for robot in scene.frame().robots}
     frames = []
     for step in range(len(next(iter(states.values())))):
         robots: list[RobotFrame] = []
@@ -210,7 +212,7 @@ def _replay(player: Player, states: dict[str, list[Array]]) -> list[Frame]:
                     still, position=position[step] + still.place, quaternion=quaternion[step], contacts=[]
                 )
             )
-        frames.append(Frame(step * player.step_dt, robots))
+        frames.append(Frame(step * scene.step_dt, robots))
     return frames
 
 

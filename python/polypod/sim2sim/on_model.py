@@ -103,6 +103,8 @@ class ModelComparison:
     """The same of the policy."""
     task: str
     robot: str
+    source: str
+    """Name of the robot in the library, or the path of its config."""
     episodes: int
     duration_s: float
     seed: int
@@ -201,13 +203,21 @@ def play(
     theirs = stage.on(model, progress, watch)
     ranked = []
     if options.differences:
-        ranked = differences.ranked(stage.twin_of, stage.robot, model, stage.name, progress)
+        alone = Stage(checkpoint, robot, dataclasses.replace(options, episodes=1))
+        policy = alone.policy()
+        ranked = differences.ranked(
+            functools.partial(alone.twin_of, policy),
+            alone.episode.start[alone.name],
+            (alone.maker_of(model, policy), alone.start(model)),
+            progress,
+        )
     return ModelComparison(
         command=_command(model_file, checkpoint, robot, options),
         model={"file": str(model_file), "sha256": _digest(model_file)},
         checkpoint={"file": str(checkpoint), "sha256": stage.sha256},
         task=stage.episode.sim.task_name,
         robot=stage.name,
+        source=robot,
         episodes=options.episodes,
         duration_s=stage.schedule.steps * stage.episode.step_dt,
         seed=options.seed,
@@ -312,9 +322,9 @@ class Stage:
         """The exported policy, which remembers nothing yet."""
         return OnnxPolicy(onnx_graph.robot_model(self._network, self.interface, {}).SerializeToString())
 
-    def twin_of(self, episode: Episode | None = None) -> run.Twin:
+    def twin_of(self, policy: FoldedPolicy | None = None) -> run.Twin:
         """polypod's robot in MuJoCo, before its first reset."""
-        return run.twin_of(episode or self.episode, self.name, self.source, self.interface, self.policy())
+        return run.twin_of(self.episode, self.name, self.source, self.interface, policy or self.policy())
 
     def _record(self) -> PhaseRecord | None:
         if self.plan is None:

@@ -1,0 +1,69 @@
+"""A film of polypod's robot above and the robot of a maker's model below, under the same commands.
+
+Both are drawn with the shapes of polypod's robot, at the angles that the map gives.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from polypod import _core
+from polypod.extras import package
+from polypod.play.film import Film
+from polypod.play.player import SPACING
+from polypod.play.raster import follow, render, titled
+from polypod.play.scene import Scene
+from polypod.play.stories import replay
+from polypod.sim2sim.commands import Array
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FPS = 12
+SIZE = (640, 480)
+"""Pixels."""
+
+
+class SideBySide:
+    """Collects the states of the first env of each simulator."""
+
+    def __init__(self, path: Path) -> None:
+        """Nothing is written before `close`. Raises ConfigError for another kind of file than a film."""
+        self._film = Film(path, FPS, SIZE)
+        self._states: dict[str, list[Array]] = {"polypod": [], "model": []}
+
+    def watch(self, simulator: str, qpos: Array) -> None:
+        """Takes positions [envs, 7 + joints] after a control step."""
+        self._states[simulator].append(qpos[0].copy())
+
+    def close(self, task: str, robot: str, model: str, names: Sequence[str], seconds: float) -> None:
+        """Draws and writes the film.
+
+        Args:
+            task: name of the task.
+            robot: name or path of the config.
+            model: name of the model's file.
+            names: of the phases, in order; empty without.
+            seconds: length of a phase, s.
+        """
+        sim = _core.VecSim(task, 1, robots=[robot], threads=1)
+        scene = Scene(sim, SPACING)
+        (name,) = sim.robots
+        steps = min(len(states) for states in self._states.values())
+        frames = {
+            simulator: replay(scene, [robot], {name: states[:steps]}) for simulator, states in self._states.items()
+        }
+        half, shot = (SIZE[0], SIZE[1] // 2), 0
+        image = package("PIL.Image", "drawing pictures", "play")
+        for step in range(steps):
+            if step * scene.step_dt * FPS < shot - 1e-6:
+                continue
+            shot += 1
+            phase = names[int(step * scene.step_dt / seconds + 1e-6) % len(names)] if names else ""
+            whole: Image = image.new("RGB", SIZE)
+            for row, (simulator, title) in enumerate((("polypod", f"polypod  {phase}"), ("model", model))):
+                frame = frames[simulator][step]
+                shown = render(scene, frame, follow(scene, frame, half), half)
+                whole.paste(titled(shown, title), (0, row * half[1]))
+            self._film.add(whole)
+        self._film.close()
