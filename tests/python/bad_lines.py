@@ -118,6 +118,13 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES}
         | {"--commands": NAMES},
     ),
+    "sim2sim model": (
+        (*_CHECKPOINT, "--num-envs", "1", "--robots", "spot", "--model", "nothing.xml"),
+        _COMMON
+        | {"--model": FILES, "--map": FILES, "--num-envs": COUNTS, "--dt": FLOATS, "--friction": FLOATS}
+        | {"--actuators": NAMES, "--contact": NAMES, "--phases": [*NAMES, "hop=1", "turn=nan", "stop=1", "turn=1e30"]}
+        | {"--phase-s": FLOATS, "--rounds": COUNTS, "--video": [*OUTPUTS, *FILMS], "--commands": [*NAMES, "task"]},
+    ),
     "robustness": (
         (*_ONE_CONDITION, "--num-envs", "1", "--mujoco-envs", "1", "--steps", "1", "--threads", "1"),
         _COMMON
@@ -202,8 +209,8 @@ _POLYPOD_SWITCHES = {
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised"),
     "export": ("--fold", "--no-fold"),
     "play": ("--headless", "--no-headless", "--meshes", "--no-meshes"),
-    "sim2sim": ("--soft-contact", "--no-soft-contact"),
     "add": ("--force", "--no-force"),
+    "sim2sim": ("--soft-contact", "--no-soft-contact", "--differences", "--no-differences"),
     "robot": ("--force", "--no-force"),
     "bodies": ("--force", "--no-force"),
     "bench": ("--quick", "--no-quick", "--learner", "--no-learner", "--walk", "--no-walk"),

@@ -1,5 +1,6 @@
 """A policy plays on somebody else's MuJoCo model of its robot, and what was mapped and added is said."""
 
+import functools
 import json
 from pathlib import Path
 from xml.etree import ElementTree
@@ -10,9 +11,10 @@ import pytest
 import polypod
 import polypod.cli
 from common import FLAT_POLICY
-from polypod import _core
+from polypod import _core, policy, robustness
 from polypod.accuracy import robot as accuracy_robot
 from polypod.accuracy.reference import Ground, Reference
+from polypod.robustness import in_mujoco, in_polypod
 from polypod.sim2sim import Physics, mapping, mjcf, on_model, skeleton
 from polypod.sim2sim.maker import Choices, Model
 
@@ -23,6 +25,7 @@ FLIPPED = ("FL_thigh_joint", "FR_calf_joint", "RR_hip_joint")
 SHORT = on_model.Options(episodes=2, phases="forward=0.5,stop", phase_s=0.2, actuators="policy", differences=False)
 
 
+@functools.cache
 def robot_of(name):
     return accuracy_robot.of(_core.VecSim(accuracy_robot.TASK, 1, robots=[name], threads=1), name, name)
 
@@ -218,7 +221,7 @@ def test_a_base_frame_that_is_turned_is_found(tmp_path, a1):
     plain = sensed(written(tmp_path, a1, "plain.xml"))
     given = mapping.Given(
         joints=names,
-        signs={name: -1.0 for name in FLIPPED},
+        signs=dict.fromkeys(FLIPPED, -1.0),
         offsets={name: OFFSETS.get(name, 0.0) for name in names},
         quaternion=tuple(mapping.quaternion_of(QUARTER.T)),
     )
@@ -231,10 +234,286 @@ def test_a_base_frame_that_is_turned_is_found(tmp_path, a1):
 
 
 def test_a_map_with_two_answers_is_refused(tmp_path):
-    """From the side, nobody sees which end of an ANYmal is its front; a map file says it."""
-    text, names = altered(twin_as_mjcf("anymal_c"), turn=QUARTER)
+    """From the side, nobody sees which end of this robot is its front; a map file says it."""
+    text, names = altered(twin_as_mjcf("box_quadruped"), turn=QUARTER)
     file = written(tmp_path, text)
     with pytest.raises(polypod.ConfigError, match=r"may be q\d+ or q\d+, both fit; say which in a --map FILE"):
-        model_of(file, "anymal_c")
-    given = mapping.Given(joints={"LF_HAA": names["LF_HAA"]})
-    assert all(pair.theirs == names[pair.ours] for pair in model_of(file, "anymal_c", given).map.pairs)
+        model_of(file, "box_quadruped")
+    given = mapping.Given(joints={"FL_HFE": names["FL_HFE"]})
+    assert all(pair.theirs == names[pair.ours] for pair in model_of(file, "box_quadruped", given).map.pairs)
+
+
+# What is added, left out and refused
+
+
+BARE = """<mujoco model="bare">
+  <worldbody>
+    {ground}
+    <body name="torso" pos="0 0 1">
+      {free}
+      <geom type="box" size="0.1 0.1 0.1" mass="1"/>
+      {more}
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def edited(text, *, drop=(), add=""):
+    """The model without elements of these tags, and with more in its world's base."""
+    tree = ElementTree.fromstring(text)
+    for parent in list(tree.iter()):
+        for child in list(parent):
+            if child.tag in drop or (child.tag == "geom" and child.get("type") == "plane" and "ground" in drop):
+                parent.remove(child)
+    if add:
+        tree.find("worldbody/body").append(ElementTree.fromstring(add))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def test_ground_free_joint_and_actuators_are_added_and_said(tmp_path, a1):
+    text = edited(a1, drop=("ground", "freejoint", "actuator"))
+    assert "freejoint" not in text
+    model = model_of(written(tmp_path, text.replace('type="free"', 'type="free" group="5"')), contact="stiff")
+    joined = "\n".join(model.notes)
+    assert "a plane with friction 1 is added" in joined
+    assert "12 joints have no actuator: the policy's gains and limits drive them" in joined
+    assert int(model.model.jnt_type[model.model.body_jntadr[model.model.body(model.root).id]]) == 0
+    stage = on_model.Stage(FLAT_POLICY, "unitree_a1", SHORT)
+    robots = stage.maker_of(model)
+    robots.reset(*stage.start(model))
+    for _ in range(20):
+        seen = robots.step(np.zeros((2, 3), dtype=np.float32), np.ones(2, dtype=np.bool_))
+    assert not seen.fell.any()
+    assert (robots.qpos[:, 2] > 0.2).all()
+
+
+def test_a_joint_that_the_policy_does_not_drive_is_held(tmp_path, a1):
+    arm = (
+        '<body name="arm" pos="0.1 0 0.1"><joint name="arm_joint" axis="0 1 0"/><geom size="0.02 0.1" type="capsule"/>'
+    )
+    arm += '<inertial mass="0.1" pos="0 0 0.1" diaginertia="1e-3 1e-3 1e-3"/></body>'
+    model = model_of(written(tmp_path, edited(a1, add=arm)), actuators="policy")
+    assert "the policy does not drive 1 joints: held arm_joint at 0" in model.notes
+    stage = on_model.Stage(FLAT_POLICY, "unitree_a1", SHORT)
+    robots = stage.maker_of(model)
+    robots.reset(*stage.start(model))
+    for _ in range(10):
+        robots.step(np.zeros((2, 3), dtype=np.float32), np.ones(2, dtype=np.bool_))
+    address = model.model.joint("arm_joint").qposadr[0]
+    assert abs(robots._data[0].qpos[address]) < 0.02
+
+
+def test_missing_meshes_are_left_out_unless_mass_is_theirs(tmp_path, a1):
+    seen = '<geom type="mesh" mesh="gone" contype="0" conaffinity="0"/>'
+    asset = '<asset><mesh name="gone" file="nowhere/gone.stl"/></asset>'
+    text = edited(a1, add=seen).replace("<worldbody>", f"{asset}<worldbody>")
+    assert "1 shapes that are only seen are left out" in model_of(written(tmp_path, text)).notes[0]
+    heavy = f'<body name="heavy">{seen.replace("/>", " />")}</body>'
+    text = edited(a1, add=heavy).replace("<worldbody>", f"{asset}<worldbody>")
+    with pytest.raises(
+        ValueError, match=r"body 'heavy' takes its mass from mesh 'gone', and nowhere/gone.stl is missing"
+    ):
+        mjcf.read(str(written(tmp_path, text)))
+
+
+@pytest.mark.parametrize(
+    ("actuator", "effort", "target"),
+    [
+        ('<position name="{joint}_a" joint="{joint}" kp="60" kv="1" forcerange="-20 20"/>', 20.0, 1.0),
+        ('<motor name="{joint}_a" joint="{joint}" gear="2" ctrlrange="-7 7"/>', 7.0, 2.0),
+    ],
+)
+def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, effort, target):
+    """A position actuator keeps its gains; a motor gets the policy's torque, within its own limits."""
+    robot = robot_of("unitree_a1")
+    lines = "".join(actuator.format(joint=name) for name in robot.joint_names)
+    text = edited(a1, drop=("actuator",)).replace("</mujoco>", f"<actuator>{lines}</actuator></mujoco>")
+    model = model_of(written(tmp_path, text))
+    assert not model.is_policys.any()
+    np.testing.assert_allclose(np.abs(model.effort_ranges()), effort)
+    stage = on_model.Stage(FLAT_POLICY, "unitree_a1", SHORT)
+    robots = stage.maker_of(model)
+    robots.reset(*stage.start(model))
+    near = robot.default_position + 0.05
+    robots._drive(robots._data[0], near, np.zeros((12, 2)))
+    np.testing.assert_allclose(robots._data[0].ctrl, target * near)
+    mujoco.mj_forward(model.model, robots._data[0])
+    angles, rates = robots.qpos[0, 7:], robots.qvel[0, 6:]
+    stiffness = 60.0 if target == 1.0 else robot.actuators.stiffness
+    damping = 1.0 if target == 1.0 else robot.actuators.damping
+    torque = np.clip(stiffness * (near - angles) - damping * rates, -effort * target, effort * target)
+    np.testing.assert_allclose(robots._data[0].qfrc_actuator[model.v[6:]], torque, atol=1e-9)
+    robots._drive(robots._data[0], near + 100.0, np.zeros((12, 2)))
+    mujoco.mj_forward(model.model, robots._data[0])
+    robots._watch(0, np.zeros((12, 2)))
+    assert (robots.saturated[0] == 1.0).all()
+
+
+def test_contacts_and_motors_are_as_asked(tmp_path, a1):
+    text = a1.replace('type="plane"', 'type="plane" condim="6"')
+    assert (model_of(written(tmp_path, text)).model.geom_condim == 6).any()
+    plain = model_of(written(tmp_path, text), contact="condim3", actuators="motors", friction=0.3, dt=0.002)
+    assert (plain.model.geom_condim == 3).all()
+    assert (plain.model.geom_friction[:, 0] == 0.3).all()
+    assert plain.dt == 0.002
+    stiff = model_of(written(tmp_path, text), contact="stiff").model
+    assert stiff.opt.impratio == 100.0
+    assert (stiff.geom_solref[:, 0] == 2.0 * stiff.opt.timestep).all()
+
+
+HOSTILE = {
+    "no_xml": ("\x00\x01", "XML parse error"),
+    "empty": ("", "empty"),
+    "nothing": ("<mujoco/>", "no body of the model has more than 0"),
+    "other": (BARE.format(ground="", free="<freejoint/>", more=""), "no body of the model has more than 0"),
+    "nan": ('<mujoco><worldbody><geom size="nan"/></worldbody></mujoco>', "nan size"),
+    "plugin": ('<mujoco><extension><plugin plugin="x.y"/></extension></mujoco>', "plugin x.y not found"),
+    "itself": ('<mujoco><include file="itself.xml"/></mujoco>', "already included"),
+    "memory": ('<mujoco><size memory="900G"/><worldbody><geom size="1"/></worldbody></mujoco>', "memory"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused_in_one_line(tmp_path, name):
+    text, message = HOSTILE[name]
+    with pytest.raises(polypod.ConfigError, match=message) as refused:
+        on_model.load_model(written(tmp_path, text, f"{name}.xml"), robot_of("unitree_a1"), None, Choices())
+    assert "\n" not in str(refused.value)
+
+
+def test_files_that_take_too_long_or_end_mujoco_are_refused(tmp_path, monkeypatch):
+    """A few bytes may ask for a billion bodies."""
+    bomb = '<replicate count="100000"><body><freejoint/><geom size="1"/></body></replicate>'
+    file = written(tmp_path, f"<mujoco><worldbody>{bomb}</worldbody></mujoco>")
+    monkeypatch.setattr(mjcf, "MAX_SECONDS", 2)
+    with pytest.raises(ValueError, match="MuJoCo takes more than 2 s to compile it"):
+        mjcf.check(file)
+    for place, message in ((Path("/dev/zero"), "not a regular file"), (tmp_path / "none.xml", "No such file")):
+        with pytest.raises(ValueError, match=message):
+            mjcf.check(place)
+    with pytest.raises(ValueError, match="no name of a file"):
+        mjcf.check(Path("a\0b"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("joints = 3", "joints must be a table"),
+        ("[joints]\nFR_hip_joint = 3", "must name a joint of the model"),
+        ('[joints]\nFR_hip = "FR_hip_joint"', "the robot has no joint 'FR_hip'; did you mean"),
+        ('[joints]\nFR_hip_joint = "x"', "model.xml has no joint 'x'"),
+        ('[joints]\nFR_hip_joint = "FL_hip_joint"\nFL_hip_joint = "FL_hip_joint"', "is given to two joints"),
+        ('[joints]\nFR_hip_joint = { joint = "FR_hip_joint", sign = 2 }', "sign must be 1 or -1"),
+        ('[joints]\nFR_hip_joint = { joint = "FR_hip_joint", offset = nan }', "must be 1 finite number"),
+        ("base_quaternion = [0, 0, 0, 0]", "must have length 1"),
+        ('base = "nobody"', "has no body 'nobody'"),
+        ("speed = 1", "there is no key 'speed'"),
+        ("= 3", "is no TOML"),
+    ],
+)
+def test_wrong_map_files_are_refused(tmp_path, a1, content, message):
+    with pytest.raises(polypod.ConfigError, match=message):
+        model_of(written(tmp_path, a1), given=mapping.Given.read(written(tmp_path, content, "map.toml")))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--map", "x.toml"), "--map needs --model FILE"),
+        (("--commands", "phases"), "--commands phases needs --model FILE"),
+        (("--model", "x.xml", "--steps", "3"), "--steps does not go with --model; choose --phase-s"),
+        (("--model", "x.xml", "--command", "1", "0", "0"), "--command does not go with --model; choose --phases"),
+        (("--model", "x.xml", "--commands", "task"), "--commands task does not go with --model"),
+        (("--model", "x.xml", "--phases", "hop=1"), "there is no phase 'hop'"),
+        (("--model", "x.xml", "--phases", "turn=0"), "give a speed up to 20, such as turn=0.5"),
+        (("--model", "x.xml", "--phases", "stop=1"), "a stop has no speed"),
+        (("--model", "x.xml", "--phase-s", "nan"), "--phase-s nan must be from"),
+        (("--model", "x.xml", "--rounds", "0"), "--rounds 0 must be from 1"),
+        (("--model", "x.xml", "--robots", "spot,unitree_a1"), "--model is a model of one robot; name one"),
+        (
+            (
+                "--model",
+                "/nothing/x.xml",
+            ),
+            "--model /nothing/x.xml: No such file",
+        ),
+    ],
+)
+def test_flags_that_do_not_go_together_get_one_line(capsys, arguments, message):
+    assert polypod.cli.main(["sim2sim", "--checkpoint", str(FLAT_POLICY), *arguments]) == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+# The command
+
+
+def test_it_plays_ranks_and_writes(tmp_path, capsys, a1):
+    """One item of the model is another: it is the only difference, and the table and the file say so."""
+    text = a1.replace('kp="', 'kp="').replace("<worldbody>", '<default><joint armature="0.02"/></default><worldbody>')
+    file, figures = written(tmp_path, text, "unitree_a1.xml"), tmp_path / "figures.json"
+    line = [
+        "sim2sim",
+        "--checkpoint",
+        str(FLAT_POLICY),
+        "--model",
+        str(file),
+        "--actuators",
+        "policy",
+        "--num-envs",
+        "1",
+    ]
+    code = polypod.cli.main([*line, "--phases", "forward=0.6,stop", "--phase-s", "2.4", "--json", str(figures)])
+    output, found = capsys.readouterr().out, json.loads(figures.read_text())
+    assert code == (0 if found["transfers"] else 3)
+    assert found["robot"] == "unitree_a1"
+    assert [phase["phase"] for phase in found["on_model"]["phases"]] == ["forward 0.6", "stop"]
+    ahead, stop = found["on_model"]["phases"]
+    assert ahead["reached"] > 0.7
+    assert ahead["falls"] == stop["falls"] == 0.0
+    assert stop["reached"] is None
+    assert stop["drift"] < 0.2
+    assert found["polypod"]["phases"][0]["saturated"] is None
+    assert 0.0 <= ahead["saturated"] < 0.5
+    ranked = found["differences"]
+    assert [entry["item"] for entry in ranked] == ["the model itself", "armature"]
+    assert ranked[1]["theirs"] == "0.02 kg m^2"
+    # taken over, it is all that there is
+    assert ranked[1]["base"] == pytest.approx(ranked[0]["base"], rel=0.2, abs=2e-3)
+    assert ranked[1]["joints"] > 0.01
+    for words in ("12 joints by name", "forward 0.6", "armature", "the model itself"):
+        assert words in output
+
+
+def test_the_battery_runs_on_a_makers_model(tmp_path, a1):
+    """Its conditions change the maker's model, whose contacts stay unless a condition is about them."""
+    file = written(tmp_path, a1.replace('type="plane"', 'type="plane" condim="6"'))
+    model = in_mujoco.MakersModel(file, None, Choices("policy"))
+    loaded = policy.load(FLAT_POLICY)
+    setting = in_polypod.Setting.of(loaded.manifest, ["unitree_a1"], given=(), seed=0, steps=5, threads=1)
+    nominal = in_polypod.Nominal.of(setting, 1)
+    battery, (body,) = in_mujoco.Mujoco(loaded, setting, 1, model), nominal.robots.values()
+    by_name = {entry.name: entry for entry in robustness.CONDITIONS}
+
+    def changed(name):
+        return battery.twin(by_name[name], in_mujoco.AS_IS, body).reference
+
+    usual = changed("nominal")
+    assert (usual.model.geom_condim == 6).any()
+    assert (changed("joint_damping_2.0").model.dof_damping[usual.v[6:]].ravel()[:12] == 2.0).all()
+    assert (changed("friction_0.3").model.geom_friction[:, 0] == 0.3).all()
+    heavier = changed("payload_plus_20").model.body(usual.root).mass / usual.model.body(usual.root).mass
+    assert heavier == pytest.approx(1.2)
+    options = robustness.Options(
+        ("nominal", "torsional_friction_0.01", "torque"), ("mujoco",), mujoco_envs=1, steps=5, threads=1, model=model
+    )
+    found = robustness.measure(FLAT_POLICY, ["unitree_a1"], options)
+    assert [(row.condition, row.simulator) for row in found.rows] == [
+        ("nominal", "model"),
+        ("torsional_friction_0.01", "model-4"),
+        ("torque_minus_20", "model"),
+    ]
+    assert all(row.robots["unitree_a1"].fall_rate == 0.0 for row in found.rows)
+    assert f"--model {file} --actuators policy --contact asis" in found.command

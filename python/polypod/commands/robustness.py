@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from polypod import _core
 from polypod.commands.arguments import (
@@ -16,6 +16,9 @@ from polypod.commands.arguments import (
     thread_count,
     write_json,
 )
+
+if TYPE_CHECKING:
+    from polypod.robustness.in_mujoco import MakersModel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +54,14 @@ class Robustness:
     """Seed of initial states, commands, pushes and wrong descriptions."""
     threads: Count = None
     """Threads of the simulators and the policy. Default: one per core."""
+    model: Annotated[Path | None, arg(metavar="FILE")] = None
+    """In place of polypod's robot in MuJoCo, somebody else's MuJoCo model of it; see sim2sim."""
+    map: Annotated[Path | None, arg(metavar="FILE")] = None
+    """With --model, a TOML file that says which joint is which where names and geometry do not."""
+    actuators: Literal["model", "policy", "motors"] = "model"
+    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors' inertia."""
+    contact: Literal["asis", "stiff", "condim3"] = "asis"
+    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling friction."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes and below the conditions'. May be repeated."""
 
@@ -78,6 +89,7 @@ class Robustness:
             seed=self.seed,
             threads=threads,
             overrides=self.set,
+            model=self._model(),
         )
         options.check()
         if self.picture is not None:
@@ -89,6 +101,16 @@ class Robustness:
         if self.picture is not None:
             picture.draw(battery, self.picture)
         return 0 if battery.is_within else 3
+
+    def _model(self) -> "MakersModel | None":
+        if self.model is None:
+            if self.map is not None or self.actuators != "model" or self.contact != "asis":
+                raise _core.ConfigError("--map, --actuators and --contact need --model FILE, a MuJoCo model")
+            return None
+        from polypod.robustness.in_mujoco import MakersModel
+        from polypod.sim2sim.maker import Choices
+
+        return MakersModel(self.model, self.map, Choices(self.actuators, self.contact))
 
     def _condims(self) -> tuple[int, ...] | None:
         texts = names(self.condims)

@@ -165,6 +165,5 @@ class Sim2sim:
         model_report.show(comparison)
         write_json(self.json, comparison.as_dict())
         if film is not None:
-            phases = [phase.phase for phase in comparison.on_model.phases]
-            film.close(comparison.task, comparison.source, model.name, phases, self.phase_s)
+            film.close(comparison.task, comparison.source, model.name, comparison.on_model.phases, self.phase_s)
         return 0 if comparison.transfers else 3

@@ -1,13 +1,15 @@
-"""The battery in MuJoCo: each robot and condition for itself, on the twin of `polypod.sim2sim`."""
+"""The battery in MuJoCo: each robot and condition for itself, on the twin of `polypod.sim2sim` or a maker's model."""
 
 import dataclasses
 import threading
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation.walking import Record, Schedule
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
@@ -17,10 +19,24 @@ from polypod.robustness import schedules, twins
 from polypod.robustness.body import Body
 from polypod.robustness.conditions import Condition
 from polypod.robustness.in_polypod import Setting
-from polypod.sim2sim import Twin, run
-from polypod.sim2sim.twin import FoldedPolicy
+from polypod.sim2sim import on_model, run
+from polypod.sim2sim.driven import Driven, FoldedPolicy
+from polypod.sim2sim.maker import Choices, Maker
+
+AS_IS = 0
+"""In place of `condim`: contacts of a maker's model as its file has them."""
 
 Floats = npt.NDArray[np.float32]
+
+
+@dataclasses.dataclass(frozen=True)
+class MakersModel:
+    """Somebody else's MuJoCo model of the robot."""
+
+    file: Path
+    map: Path | None = None
+    """See `polypod.sim2sim.mapping.Given.read`."""
+    choices: Choices = dataclasses.field(default_factory=Choices)
 
 
 class PolicyPerEnv:
@@ -48,13 +64,14 @@ class PolicyPerEnv:
 class Mujoco:
     """A policy and its robots in MuJoCo."""
 
-    def __init__(self, loaded: LoadedPolicy, setting: Setting, num_envs: int) -> None:
+    def __init__(self, loaded: LoadedPolicy, setting: Setting, num_envs: int, model: MakersModel | None = None) -> None:
         """Draws the initial states, as polypod does.
 
         Args:
             loaded: the policy.
             setting: that of the battery.
             num_envs: envs of each robot.
+            model: in place of the twin; of the only robot.
 
         Raises:
             ConfigError: for a policy that cannot be exported, a task with obstacles, and where MuJoCo, ONNX or
@@ -66,8 +83,14 @@ class Mujoco:
         self._network = loaded.network
         self._interfaces = interfaces({**manifest, "overrides": overrides}, setting.sources)
         self._episode = run.Episode(manifest, list(setting.sources), options)
-        for name in self._interfaces:
-            run.check_steps(self._episode.physics, self._episode.step_dt, name)
+        self._model = model
+        for name, source in zip(self._interfaces, setting.sources, strict=True):
+            physics = self._episode.physics
+            if model is not None:
+                robot = accuracy_robot.of(self._episode.sim, name, source)
+                dt = on_model.load_model(model.file, robot, model.map, model.choices).dt
+                physics = dataclasses.replace(physics, dt=dt)
+            run.check_steps(physics, self._episode.step_dt, name)
         self._setting, self.num_envs = setting, num_envs
         self._stops = threading.Event()
 
@@ -80,16 +103,31 @@ class Mujoco:
         steps = self._setting.length(self._episode.sim)
         return condition.commands(body.ranges, self.num_envs, steps, self._episode.step_dt, self._setting.seed)
 
-    def twin(self, condition: Condition, condim: int, body: Body) -> Twin:
+    def twin(self, condition: Condition, condim: int, body: Body) -> Driven:
         """A robot as the condition makes it, in its initial states."""
         interface, late = self._interfaces[body.name], round(condition.delay_s / self._episode.task_dt)
-        twin = run.twin_of(self._episode, body.name, body.source, interface, self._policy(condition, interface), late)
-        twins.contact(condim, condition.torsional)(twin, body)
+        policy, start = self._policy(condition, interface), self._episode.start[body.name]
+        twin: Driven
+        if self._model is None:
+            twin = run.twin_of(self._episode, body.name, body.source, interface, policy, late)
+        else:
+            twin = self._of_maker(self._model, body, policy, late)
+            start = on_model.started(twin.reference, twin.robot, *start)
+        if condim != AS_IS:
+            twins.contact(condim, condition.torsional)(twin, body)
         if condition.twin is not None:
             condition.twin(twin, body)
         twin.refresh()
-        twin.reset(*self._episode.start[body.name])
+        twin.reset(*start)
         return twin
+
+    def _of_maker(self, model: MakersModel, body: Body, policy: FoldedPolicy, late: int) -> Maker:
+        """The maker's model with the policy, before its first reset."""
+        robot = accuracy_robot.of(self._episode.sim, body.name, body.source)
+        compiled = on_model.compiled(model.file, robot, model.map, model.choices)
+        interface = self._interfaces[body.name]
+        ends, outlines = self._episode.ends(body.name, interface), self._episode.outlines[body.name]["bodies"]
+        return on_model.made(compiled, self._episode, robot, interface, ends, outlines, policy, late)
 
     def run(self, condition: Condition, condim: int, body: Body, schedule: Schedule) -> Record:
         """Runs an episode of a condition with contacts of `condim`."""

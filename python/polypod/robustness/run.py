@@ -12,9 +12,10 @@ from polypod.policy import LoadedPolicy, load
 from polypod.provenance import measured
 from polypod.robustness import in_polypod
 from polypod.robustness.conditions import CONDIMS, Condition, chosen
-from polypod.robustness.in_mujoco import Mujoco
+from polypod.robustness.in_mujoco import AS_IS, MakersModel, Mujoco
 from polypod.robustness.in_polypod import Nominal, Setting
 from polypod.robustness.results import Battery, Cell, Row, cell
+from polypod.sim2sim import on_model
 
 SIMULATORS = ("polypod", "mujoco")
 MAX_ENVS = 100_000
@@ -48,6 +49,8 @@ class Options:
     """None: one per core."""
     overrides: tuple[str, ...] = ()
     """`key=value` changes to the task, on top of the run's own and below those of the conditions."""
+    model: MakersModel | None = None
+    """In place of polypod's robot in MuJoCo."""
 
     def check(self) -> None:
         """Raises ConfigError or UnknownNameError for what cannot be run."""
@@ -89,8 +92,12 @@ def measure(
     """
     options = options or Options()
     options.check()
+    if options.model is not None and robots is None:
+        robots = [on_model.robot_of(options.model.file, load(checkpoint).robots)]
     loaded = load(checkpoint, robots=robots)
     sources = list(loaded.manifest["robot_sources"] if robots is None else robots)
+    if options.model is not None and len(sources) != 1:
+        raise _core.ConfigError(f"--robots {','.join(sources)}: --model is a model of one robot; name one")
     setting = Setting.of(
         loaded.manifest,
         sources,
@@ -105,7 +112,7 @@ def measure(
     rows: dict[tuple[str, str], Row] = {}
     if "mujoco" in options.simulators:
         # it refuses what it cannot do before the minutes that polypod takes
-        mujoco = Mujoco(loaded, setting, options.mujoco_envs)
+        mujoco = Mujoco(loaded, setting, options.mujoco_envs, options.model)
     if "polypod" in options.simulators:
         for done, condition in enumerate(conditions):
             rows[condition.name, "polypod"] = _in_polypod(loaded, setting, nominal, condition, options.num_envs)
@@ -149,8 +156,11 @@ def _in_mujoco(
     rows: dict[tuple[str, str], Row] = {}
     jobs = []
     for condition in conditions:
-        for condim in options.condims or condition.condims:
-            row = Row(condition.name, condition.varies, f"mujoco-{condim}", {}, {})
+        for condim in _condims(condition, options):
+            simulator = "mujoco" if options.model is None else "model"
+            row = Row(
+                condition.name, condition.varies, simulator if condim == AS_IS else f"{simulator}-{condim}", {}, {}
+            )
             rows[row.condition, row.simulator] = row
             for body in nominal.robots.values():
                 if condition.twin is None:
@@ -189,6 +199,14 @@ def _in_mujoco(
     return rows
 
 
+def _condims(condition: Condition, options: Options) -> tuple[int, ...]:
+    """Dimensions of MuJoCo's contacts; those of a maker's model stay, unless the condition is about them."""
+    if options.condims is not None:
+        return options.condims
+    is_of_contacts = 3 not in condition.condims
+    return condition.condims if options.model is None or is_of_contacts else (AS_IS,)
+
+
 def _as_they_end(futures: Iterable[Future[Cell]]) -> Iterator[Future[Cell]]:
     """The futures as they end; the main thread hears Ctrl-C meanwhile."""
     left = set(futures)
@@ -198,7 +216,7 @@ def _as_they_end(futures: Iterable[Future[Cell]]) -> Iterator[Future[Cell]]:
 
 
 def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
-    given = {
+    given: dict[str, str | int | None] = {
         "--checkpoint": bundled.shown(bundled.resolve(checkpoint)),
         "--robots": None if robots is None else ",".join(robots),
         "--conditions": None if options.conditions is None else ",".join(options.conditions),
@@ -209,6 +227,10 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
         "--steps": options.steps,
         "--seed": options.seed,
     }
+    if options.model is not None:
+        choices = options.model.choices
+        given |= {"--model": str(options.model.file), "--actuators": choices.actuators, "--contact": choices.contact}
+        given["--map"] = None if options.model.map is None else str(options.model.map)
     words = ["polypod", "robustness"]
     words += [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
     words += [word for change in options.overrides for word in ("--set", change)]

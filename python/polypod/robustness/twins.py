@@ -1,6 +1,6 @@
-"""Changes of a robot in MuJoCo: each function returns one that changes a twin before its first step.
+"""Changes of a robot in MuJoCo: each function returns one that changes a twin or a maker's model before its first step.
 
-A twin has a compiled model of its own. `run` computes MuJoCo's derived constants anew after the change.
+Each has a compiled model of its own. `run` computes MuJoCo's derived constants anew after the change.
 """
 
 import dataclasses
@@ -10,9 +10,9 @@ import numpy as np
 
 from polypod.accuracy.reference import mujoco
 from polypod.robustness.body import Body
-from polypod.sim2sim import Twin
+from polypod.sim2sim.driven import Driven
 
-Change = Callable[[Twin, Body], None]
+Change = Callable[[Driven, Body], None]
 
 TORSIONAL = 0.02
 """m, of contacts with `condim` 4 and 6 unless a condition says otherwise: the feet of Menagerie's quadrupeds."""
@@ -20,14 +20,14 @@ ROLLING = 0.01
 """m, of contacts with `condim` 6."""
 
 
-def nothing(twin: Twin, body: Body) -> None:
+def nothing(twin: Driven, body: Body) -> None:
     """Leaves the robot as it is."""
 
 
 def friction(coefficient: float) -> Change:
     """Coulomb's coefficient of every contact."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         twin.reference.model.geom_friction[:, 0] = coefficient
 
     return change
@@ -36,7 +36,7 @@ def friction(coefficient: float) -> Change:
 def contact(condim: int, torsional: float = TORSIONAL, rolling: float = ROLLING) -> Change:
     """Contacts of `condim` 3, 4 (with torsional friction) or 6 (with rolling friction, too), m."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         model = twin.reference.model
         model.geom_condim[:] = condim
         model.geom_friction[:, 1] = torsional if condim >= 4 else 0.0
@@ -48,7 +48,7 @@ def contact(condim: int, torsional: float = TORSIONAL, rolling: float = ROLLING)
 def joint_damping(value: float) -> Change:
     """Viscous friction of every joint, N m s/rad."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         twin.reference.model.dof_damping[twin.reference.v[6:]] = value
 
     return change
@@ -57,7 +57,7 @@ def joint_damping(value: float) -> Change:
 def dry_friction(value: float) -> Change:
     """Dry friction of every joint, N m."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         twin.reference.model.dof_frictionloss[twin.reference.v[6:]] = value
 
     return change
@@ -66,7 +66,7 @@ def dry_friction(value: float) -> Change:
 def armature(value: float) -> Change:
     """Rotor inertia of every joint, kg m^2."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         twin.reference.model.dof_armature[twin.reference.v[6:]] = value
 
     return change
@@ -75,7 +75,7 @@ def armature(value: float) -> Change:
 def trunk_mass(factor: float) -> Change:
     """Factor on mass and inertia of the trunk and of all that is fixed to it."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         model = twin.reference.model
         root = model.body(twin.reference.root).id
         trunk = model.body_weldid == root
@@ -91,13 +91,13 @@ def trunk_com(forward: float, left: float) -> Change:
     Inertias about the centre of mass stay. Every link of the trunk is shifted, so that their common centre is.
     """
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         mj, model = mujoco(), twin.reference.model
         root = model.body(twin.reference.root).id
         data = mj.MjData(model)
         mj.mj_kinematics(model, data)
         axes = data.xmat.reshape(-1, 3, 3)
-        shift = axes[root] @ [forward * body.base_height, left * body.base_height, 0.0]
+        shift = axes[root] @ twin.base_axes @ [forward * body.base_height, left * body.base_height, 0.0]
         for link in np.flatnonzero(model.body_weldid == root):
             model.body_ipos[link] += axes[link].T @ shift
             # else MuJoCo takes the frame of the link for that of its inertia
@@ -109,10 +109,13 @@ def trunk_com(forward: float, left: float) -> Change:
 def torque(share: float) -> Change:
     """Share of its torque that each motor gives, limits included."""
 
-    def change(twin: Twin, body: Body) -> None:
+    def change(twin: Driven, body: Body) -> None:
         model, actuators = twin.reference.model, twin.robot.actuators
         model.actuator_gainprm[:, 0] *= share
         model.actuator_biasprm[:, 1:3] *= share
+        # of a maker's model; a twin sets them anew in every step
+        model.actuator_forcerange[:] *= share
+        model.jnt_actfrcrange[:] *= share
         weaker = dataclasses.replace(
             actuators,
             effort_limit=share * actuators.effort_limit,

@@ -264,7 +264,9 @@ def _masses(ours: _Side, theirs: _Side) -> list[Item]:
         away = max(float(np.linalg.norm(other[cluster][1] - mine[cluster][1])) for cluster in both)
         if away > 2e-3:
             found.append(Item(f"centre of mass, {label}", "", f"{1e3 * away:.0f} mm away", change("center")))
-        sizes = [max(float(np.trace(side[cluster][2])) / side[cluster][0] for cluster in both) for side in (mine, other)]
+        sizes = [
+            max(float(np.trace(side[cluster][2])) / side[cluster][0] for cluster in both) for side in (mine, other)
+        ]
         spread = max(
             float(np.abs(other[c][2] / other[c][0] - mine[c][2] / mine[c][0]).max() / np.trace(mine[c][2] / mine[c][0]))
             for c in both
@@ -403,7 +405,7 @@ def _actuators(twin: Twin, model: Model) -> list[Item]:
         return []
     found, actuators = [], twin.robot.actuators
     numbers = model.model.actuator_gainprm[model.actuators, 0] * model.gears**2
-    damping = -model.model.actuator_biasprm[model.actuators, 2] * model.gears**2
+    damping = 0.0 - model.model.actuator_biasprm[model.actuators, 2] * model.gears**2
     for name, key, theirs, unit in (
         ("stiffness", "stiffness", numbers, "N m/rad"),
         ("damping of the gains", "damping", damping, "N m s/rad"),
@@ -432,9 +434,7 @@ def _actuators(twin: Twin, model: Model) -> list[Item]:
             effort[own], stall[own] = limits[own], np.inf
             for joint in own:
                 tables[joint] = None
-            changed = dataclasses.replace(
-                of, effort_limit=effort, saturation_effort=stall, effort_tables=tuple(tables)
-            )
+            changed = dataclasses.replace(of, effort_limit=effort, saturation_effort=stall, effort_tables=tuple(tables))
             twin.robot = dataclasses.replace(twin.robot, actuators=changed)
 
         kinds = " of DC motors" if np.isfinite(actuators.saturation_effort[own]).any() else ""
@@ -463,9 +463,7 @@ def _leaves(side: _Side) -> dict[int, int]:
     for cluster in range(len(side.ids)):
         if side.lines.children(cluster):
             continue
-        geoms = [
-            geom for geom in np.flatnonzero(touch) if int(side.lines.clusters[model.geom_bodyid[geom]]) == cluster
-        ]
+        geoms = [geom for geom in np.flatnonzero(touch) if int(side.lines.clusters[model.geom_bodyid[geom]]) == cluster]
         if geoms:
             level = up[2] > 0.99
             heights = [
@@ -493,14 +491,21 @@ def _feet(ours: _Side, theirs: _Side) -> list[Item]:
     )
     kinds = [
         ", ".join(
-            sorted({str(mj.mjtGeom(int(side.model.geom_type[geoms[c]])).name).removeprefix("mjGEOM_").lower() for c in feet})
+            sorted(
+                {
+                    str(mj.mjtGeom(int(side.model.geom_type[geoms[c]])).name).removeprefix("mjGEOM_").lower()
+                    for c in feet
+                }
+            )
         )
         for side, geoms in ((ours, mine), (theirs, other))
     ]
     if not are_spheres:
         return [Item("shape of the feet", kinds[0], kinds[1], None)] if kinds[0] != kinds[1] else []
     found = []
-    radii = [np.array([side.model.geom_size[geoms[c], 0] for c in feet]) for side, geoms in ((ours, mine), (theirs, other))]
+    radii = [
+        np.array([side.model.geom_size[geoms[c], 0] for c in feet]) for side, geoms in ((ours, mine), (theirs, other))
+    ]
     if np.abs(radii[0] - radii[1]).max() > 5e-4:
 
         def resize(twin: Twin) -> None:
@@ -572,9 +577,14 @@ def _contacts(twin: Twin, model: Model, pose: Array) -> list[Item]:
             of.geom_condim[:] = dim
             of.geom_friction[:, 1:] = [spin, rolling]
 
-        texts = (f"condim {own_dim}: {own_spin[0]:.3g}, {own_spin[1]:.3g} m", f"condim {dim}: {spin:.3g}, {rolling:.3g} m")
+        texts = (
+            f"condim {own_dim}: {own_spin[0]:.3g}, {own_spin[1]:.3g} m",
+            f"condim {dim}: {spin:.3g}, {rolling:.3g} m",
+        )
         found.append(Item("torsional, rolling friction", *texts, resist))
-    if not (np.allclose(own.geom_solref[-1], solref, rtol=0.05) and np.allclose(own.geom_solimp[-1], solimp, rtol=0.05)):
+    if not (
+        np.allclose(own.geom_solref[-1], solref, rtol=0.05) and np.allclose(own.geom_solimp[-1], solimp, rtol=0.05)
+    ):
 
         def soften(twin: Twin) -> None:
             twin.reference.model.geom_solref[:], twin.reference.model.geom_solimp[:] = solref, solimp
@@ -621,5 +631,3 @@ def _options(twin: Twin, model: Model) -> list[Item]:
         texts = (f"{np.linalg.norm(of.opt.gravity):.3f} m/s^2" for of in (own, model.model))
         found.append(Item("gravity", *texts, fall))
     return found
-
-

@@ -1,7 +1,7 @@
 """Envs of one robot in MuJoCo, driven as a real robot would be: from its sensors through the exported policy.
 
-Nothing of polypod's simulator is used but its description of the robot. Sensors, actuators and terminations are computed
-here from MuJoCo's state. Where the model comes from is up to `polypod.sim2sim.twin` and `polypod.sim2sim.maker`.
+Nothing of polypod's simulator is used but its description of the robot. Sensors, actuators and terminations are
+computed here from MuJoCo's state. The model comes from `polypod.sim2sim.twin` or from `polypod.sim2sim.maker`.
 
 - Delays and the limits of effort of the policy's actuators (the torque-speed line of DC motors, tables over the joint
   angle) are applied here, anew in every physics step.
@@ -136,6 +136,8 @@ class Driven:
         self.qpos = np.zeros((self.num_envs, 7 + robot.num_joints))
         """In polypod's order of joints; positions about the envs' origins."""
         self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))
+        self.base_axes: Array = np.eye(3)
+        """[3, 3], turns vectors of polypod's base frame into that of the model's base."""
 
     def reset(self, qpos: Array, qvel: Array) -> None:
         """Begins in these states, [envs, nq] and [envs, nv]."""

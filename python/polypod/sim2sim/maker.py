@@ -13,7 +13,6 @@ The model stays as its file says, but for what is needed to stand on the ground 
 import copy
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -144,8 +143,8 @@ class Model:
         if not enough:
             most = max(counts.values(), default=0)
             raise _core.ConfigError(
-                f"{self.file}: {self.robot.name} has {need} joints, and no body of the model has more than {most}; name a "
-                "model of this robot, or another --robot"
+                f"{self.file}: {self.robot.name} has {need} joints, and no body of the model has more than {most}; "
+                "name a model of this robot, or another --robot"
             )
         is_free = {
             body: any(
@@ -159,8 +158,8 @@ class Model:
             if len(fewest) != 1:
                 names = [model.body(body).name or f"body {body}" for body in enough]
                 raise _core.ConfigError(
-                    f"{self.file}: {len(enough)} bodies may be the robot: {', '.join(names)}; say which in a --map FILE "
-                    'with base = "..."'
+                    f"{self.file}: {len(enough)} bodies may be the robot: {', '.join(names)}; say which in a "
+                    '--map FILE with base = "..."'
                 )
             enough = fewest
         root = enough[0]
@@ -190,7 +189,10 @@ class Model:
         kinds = [_kind(mj, model, actuator) for actuator in range(model.nu)]
         of_joint: dict[int, list[int]] = {}
         for actuator in range(model.nu):
-            if int(model.actuator_trntype[actuator]) in (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT)):
+            if int(model.actuator_trntype[actuator]) in (
+                int(mj.mjtTrn.mjTRN_JOINT),
+                int(mj.mjtTrn.mjTRN_JOINTINPARENT),
+            ):
                 of_joint.setdefault(int(model.actuator_trnid[actuator, 0]), []).append(actuator)
         self._kinds = kinds
         home = model.key_qpos[0] if model.nkey else model.qpos0
@@ -215,8 +217,8 @@ class Model:
             else:
                 names = ", ".join(model.actuator(actuator).name or f"actuator {actuator}" for actuator in mine)
                 raise _core.ConfigError(
-                    f"{self.file}: joint {model.joint(joint).name} is driven by {names}, of which no single one takes a "
-                    "position or a torque; pass --actuators policy"
+                    f"{self.file}: joint {model.joint(joint).name} is driven by {names}, of which no single one takes "
+                    "a position or a torque; pass --actuators policy"
                 )
             self._own.append(chosen)
             if chosen is None:
@@ -245,7 +247,9 @@ class Model:
         if lacking:
             self.notes.append(f"{len(lacking)} joints have no actuator: the policy's gains and limits drive them")
         if motors:
-            self.notes.append(f"{len(motors)} joints have motors: the policy's gains set their torque, within their limits")
+            self.notes.append(
+                f"{len(motors)} joints have motors: the policy's gains set their torque, within their limits"
+            )
         if held:
             self.notes.append(f"the policy does not drive {len(held)} joints: held {', '.join(held)}")
         if not self._has_ground(model, root):
@@ -272,9 +276,7 @@ class Model:
     def _add_actuator(self, model: Any, joint: int, number: int) -> None:
         self._spec.joints[joint].name = self._spec.joints[joint].name or f"polypod_joint_{joint}"
         target = self._spec.joints[joint].name
-        actuator = self._spec.add_actuator(
-            name=f"polypod_{number}", target=target, trntype=self._mj.mjtTrn.mjTRN_JOINT
-        )
+        actuator = self._spec.add_actuator(name=f"polypod_{number}", target=target, trntype=self._mj.mjtTrn.mjTRN_JOINT)
         index = self._own_index(number)
         gains = self.robot.actuators
         actuator.set_to_position(kp=gains.stiffness[index], kv=gains.damping[index])
@@ -304,8 +306,8 @@ class Model:
         affinities = int(np.bitwise_or.reduce(model.geom_conaffinity[robot], initial=0))
         if not types | affinities:
             raise _core.ConfigError(
-                f"{self.file}: no shape of {self.root} touches anything: every geom has contype and conaffinity 0, or its "
-                "mesh is missing; give its feet shapes that touch"
+                f"{self.file}: no shape of {self.root} touches anything: every geom has contype and conaffinity 0, or "
+                "its mesh is missing; give its feet shapes that touch"
             )
         ground = self._spec.worldbody.add_geom(type=self._mj.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
         ground.contype, ground.conaffinity = affinities or types, types or affinities
@@ -568,6 +570,7 @@ class Maker(Driven):
             most_tilt=most_tilt,
         )
         self._signs, self._offsets = model.map.signs, model.map.offsets
+        self.base_axes = model.map.turn.T
         self._own_range = model.effort_ranges()
         self.saturated = np.zeros((self.num_envs, model.robot.num_joints))
         """[envs, joints], physics steps in which the actuator was at its limit, since this was set to zero."""

@@ -273,7 +273,7 @@ class _Matcher:
 
     def _expanded(self, theirs: int) -> list[int]:
         """Joints of the model that may be next after one: joints in between have no counterpart."""
-        found = {joint: 0 for joint in self.theirs.children(theirs)}
+        found = dict.fromkeys(self.theirs.children(theirs), 0)
         open_ = list(found)
         for joint in open_:
             if joint not in self._taken and found[joint] < self._spare:
@@ -445,7 +445,14 @@ class _Matcher:
         least = min(scores)
         if least > EXACT * (1 + len(self.ours.children(ours))) and scores[0] - least < DOUBT:
             # links that differ a little give angles that differ a little
-            return [0.0, *(angle for angle, score in zip(angles, scores, strict=True) if abs(angle) > 1.0 and score < least + DOUBT)]
+            return [
+                0.0,
+                *(
+                    angle
+                    for angle, score in zip(angles, scores, strict=True)
+                    if abs(angle) > 1.0 and score < least + DOUBT
+                ),
+            ]
         order = np.argsort(scores, kind="stable")[:_KEPT]
         return [angles[index] for index in order if np.isfinite(scores[index])]
 
@@ -560,9 +567,7 @@ def _paired(ours: Skeleton, theirs: Skeleton, given: Given, file: str) -> tuple[
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=3)
                 guess = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-                raise _core.ConfigError(
-                    f"--map: {what} has no joint {name[:80]!r}; {guess}Joints: {', '.join(known)}"
-                )
+                raise _core.ConfigError(f"--map: {what} has no joint {name[:80]!r}; {guess}Joints: {', '.join(known)}")
         index = theirs.names.index(other)
         if index in paired.values():
             raise _core.ConfigError(f"--map: {other} is given to two joints; give it to one")
@@ -573,9 +578,7 @@ def _paired(ours: Skeleton, theirs: Skeleton, given: Given, file: str) -> tuple[
     return paired, how
 
 
-def _framed(
-    matcher: _Matcher, ours: Skeleton, theirs: Skeleton, given: Given, file: str
-) -> tuple[Rigid, Match, str]:
+def _framed(matcher: _Matcher, ours: Skeleton, theirs: Skeleton, given: Given, file: str) -> tuple[Rigid, Match, str]:
     """The base's frame and the match in it."""
     count = max(1, len(ours.names))
     none = np.zeros(3)
@@ -621,8 +624,8 @@ def _two_ways(ours: Skeleton, theirs: Skeleton, best: Match, other: Match, file:
         second = other.joints[index]
         if found.theirs != second.theirs:
             return (
-                f"{file}: {ours.names[index]} may be {theirs.names[found.theirs]} or {theirs.names[second.theirs]}, both "
-                f"fit; say which in a --map FILE with [joints] {ours.names[index]} = \"...\""
+                f"{file}: {ours.names[index]} may be {theirs.names[found.theirs]} or {theirs.names[second.theirs]}, "
+                f'both fit; say which in a --map FILE with [joints] {ours.names[index]} = "..."'
             )
         if found.sign != second.sign:
             return (
@@ -640,8 +643,8 @@ def _no_match(ours: Skeleton, theirs: Skeleton, matcher: _Matcher | None, file: 
             f"{', '.join(theirs.names)}; name a model of this robot, or another --robot"
         )
     return (
-        f"{file}: the joints of the model do not lie where the robot's do; name a model of this robot, another --robot, "
-        f"or pair them in a --map FILE. Joints of the model: {', '.join(theirs.names)}"
+        f"{file}: the joints of the model do not lie where the robot's do; name a model of this robot, another "
+        f"--robot, or pair them in a --map FILE. Joints of the model: {', '.join(theirs.names)}"
     )
 
 

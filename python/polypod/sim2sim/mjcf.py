@@ -130,8 +130,8 @@ def _leave_out_textures(spec: Any, left_out: list[str]) -> None:
 
 
 def _is_there(spec: Any, folder: str, file: str) -> bool:
-    name = os.path.basename(file) if spec.strippath else file
-    return os.path.isfile(os.path.join(spec.modelfiledir, folder, name))
+    name = Path(file).name if spec.strippath else file
+    return (Path(spec.modelfiledir) / folder / name).is_file()
 
 
 def _main(path: str) -> None:
@@ -141,7 +141,9 @@ def _main(path: str) -> None:
     except ImportError:  # of a system without it
         pass
     else:
-        resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        most = MAX_MEMORY if hard == resource.RLIM_INFINITY else min(MAX_MEMORY, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     problem = None
     try:

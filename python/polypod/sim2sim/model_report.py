@@ -79,7 +79,9 @@ def _show_map(joints: list[Pair]) -> None:
 
 
 def _show_phases(comparison: ModelComparison) -> None:
-    table = Rows("phase", "err xy", "model", "err yaw", "model", "reached", "model", "drift", "model", "falls", "model", "limit")
+    table = Rows(
+        "phase", "err xy", "model", "err yaw", "model", "reached", "model", "drift", "model", "falls", "model", "limit"
+    )
     for ours, theirs in zip(comparison.polypod.phases, comparison.on_model.phases, strict=True):
         table.add_row(
             ours.phase,
@@ -93,8 +95,8 @@ def _show_phases(comparison: ModelComparison) -> None:
     console = console_of_output()
     table.print(console)
     console.print(
-        "errors and drift in m/s and rad/s, polypod's first; reached: share of the asked motion; limit: share of the time "
-        "in which the model's most loaded joint was at its limit of effort",
+        "errors and drift in m/s and rad/s, polypod's first; reached: share of the asked motion; limit: share of the "
+        "time in which the model's most loaded joint was at its limit of effort",
         markup=False,
     )
 

@@ -17,7 +17,6 @@ from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.accuracy.reference import Reference
 from polypod.evaluation import Policy, walking
-from polypod.evaluation.policies import reset
 from polypod.evaluation.results import finite
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
@@ -151,10 +150,18 @@ class ModelComparison:
 
 
 def load_model(path: Path, robot: accuracy_robot.Robot, given: Path | None, choices: Choices) -> Model:
-    """Reads a file as a model of a robot. Raises ConfigError."""
-    named = mapping.Given() if given is None else mapping.Given.read(given)
+    """Checks and reads a file as a model of a robot. Raises ConfigError."""
     try:
         mjcf.check(path)
+    except ValueError as error:
+        raise _core.ConfigError(f"--model {path}: {mjcf.one_line(error)}") from error
+    return compiled(path, robot, given, choices)
+
+
+def compiled(path: Path, robot: accuracy_robot.Robot, given: Path | None, choices: Choices) -> Model:
+    """Reads a file that was checked before. Raises ConfigError."""
+    named = mapping.Given() if given is None else mapping.Given.read(given)
+    try:
         reading = mjcf.read(str(path))
     except ValueError as error:
         raise _core.ConfigError(f"--model {path}: {mjcf.one_line(error)}") from error
@@ -191,7 +198,7 @@ def play(
     if robot is None:
         robot = guess(model_file, load(checkpoint).robots)
     stage = Stage(checkpoint, robot, options)
-    model = load_model(
+    model = compiled(
         model_file,
         stage.robot,
         options.map,
@@ -240,10 +247,20 @@ def play(
     )
 
 
+def robot_of(model_file: Path, robots: Sequence[str]) -> str:
+    """Checks the file, then `guess`. Raises ConfigError."""
+    try:
+        mjcf.check(model_file)
+    except ValueError as error:
+        raise _core.ConfigError(f"--model {model_file}: {mjcf.one_line(error)}") from error
+    return guess(model_file, robots)
+
+
 def guess(model_file: Path, robots: Sequence[str]) -> str:
     """The robot whose joints have the names of the model's. Raises ConfigError where that is not one.
 
-    Robots of one maker share their joints' names. The name of the file or its model, masses and geometry tell them apart.
+    Robots of one maker share their joints' names. The name of the file or its model, masses and geometry tell them
+    apart.
     """
     try:
         spec = mjcf.read(str(model_file)).spec
@@ -263,7 +280,9 @@ def guess(model_file: Path, robots: Sequence[str]) -> str:
             continue
         ratio = infos[name]["mass"] / max(float(found.model.body(found.root).subtreemass[0]), 1e-9)
         costs[source] = found.map.cost + float((np.log(ratio) / 0.1) ** 2)
-    words = {word for text in (spec.modelname, model_file.stem) for word in re.split(r"[^a-z0-9]+", text.lower()) if word}
+    words = {
+        word for text in (spec.modelname, model_file.stem) for word in re.split(r"[^a-z0-9]+", text.lower()) if word
+    }
     called = [source for source in costs if Path(source).stem.lower().split("_")[-1] in words]
     if len(called) == 1:
         return called[0]
@@ -323,7 +342,7 @@ class Stage:
         return OnnxPolicy(onnx_graph.robot_model(self._network, self.interface, {}).SerializeToString())
 
     def twin_of(self, policy: FoldedPolicy | None = None) -> run.Twin:
-        """polypod's robot in MuJoCo, before its first reset."""
+        """Polypod's robot in MuJoCo, before its first reset."""
         return run.twin_of(self.episode, self.name, self.source, self.interface, policy or self.policy())
 
     def _record(self) -> PhaseRecord | None:
@@ -331,47 +350,17 @@ class Stage:
             return None
         return PhaseRecord(self.plan, self.schedule, self.episode.step_dt, self.robot.joint_names)
 
-    def _played(self, record: walking.Record, by_phase: PhaseRecord | None) -> Played:
-        figures = self.episode.figures(self.name, record, slice(None))
-        return Played(figures, [] if by_phase is None else by_phase.figures())
-
     def in_polypod(self, progress: run.Progress, watch: Watch | None) -> Played:
         """Plays the policy in polypod."""
-        sim, schedule = self.episode.sim, self.schedule
-        record, by_phase = walking.Record(schedule, self.episode.step_dt), self._record()
-        reset(self.runner)
-        sim.set_command(schedule.at(0))
-        sim.reset()
-        for step in range(schedule.steps):
-            observation = sim.observation
-            if step + 1 < schedule.steps and schedule.changes_at(step + 1):
-                # the step ends with an observation that shows the next command
-                sim.set_command(schedule.at(step + 1))
-            sim.step(self.runner(observation))
-            velocity, rate = sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2]
-            record.add(velocity, rate, sim.terminated)
-            if by_phase is not None:
-                by_phase.add(velocity, rate, sim.terminated)
-            if watch is not None:
-                watch("polypod", sim.qpos(self.name))
-            progress("polypod", step + 1, schedule.steps)
-        return self._played(record, by_phase)
+        by_phase = self._record()
+        shown = None if watch is None else lambda simulator, robot, qpos: watch(simulator, qpos)
+        seen = None if by_phase is None else by_phase.add
+        figures = run.run_polypod(self.episode, self.runner, progress, shown, seen)[self.name]
+        return Played(figures, [] if by_phase is None else by_phase.figures())
 
     def start(self, model: Model) -> tuple[Array, Array]:
         """The initial states of polypod, at heights at which the model's feet touch as polypod's do."""
-        qpos, qvel = (numbers.copy() for numbers in self.episode.start[self.name])
-        ours = Reference.of(self.robot, dt=0.005)
-        shapes = np.flatnonzero(ours.model.geom_bodyid > 0)
-        body, touch = model.model, (model.model.geom_contype | model.model.geom_conaffinity) != 0
-        of_robot = np.flatnonzero((model.skeleton.clusters[body.geom_bodyid] >= maker.BASE) & touch)
-        for row in qpos:
-            ours.set_state(row)
-            gap = maker.lowest(ours.model, ours.data, shapes) - maker.lowest(body, model.data_of(row), of_robot)
-            if np.isfinite(gap) and abs(gap) > CLEAR:
-                row[2] += gap
-            if model.heights is not None:
-                row[2] += float(model.heights.at(row[None, :2])[0])
-        return qpos, qvel
+        return started(model, self.robot, *self.episode.start[self.name])
 
     def maker_of(self, model: Model, policy: FoldedPolicy | None = None, late: int = 0) -> Maker:
         """The model with the policy, before its first reset; `late` physics steps are added to its delays."""
@@ -396,7 +385,25 @@ class Stage:
             progress("model", step + 1, self.schedule.steps)
             if watch is None and not record.active.any():
                 break
-        return self._played(record, by_phase)
+        figures = self.episode.figures(self.name, record, slice(None))
+        return Played(figures, [] if by_phase is None else by_phase.figures())
+
+
+def started(model: Model, robot: accuracy_robot.Robot, qpos: Array, qvel: Array) -> tuple[Array, Array]:
+    """polypod's initial states [envs, nq] and [envs, nv], at heights at which the model's feet touch as polypod's do."""
+    qpos = qpos.copy()
+    ours = Reference.of(robot, dt=0.005)
+    shapes = np.flatnonzero(ours.model.geom_bodyid > 0)
+    body, touch = model.model, (model.model.geom_contype | model.model.geom_conaffinity) != 0
+    of_robot = np.flatnonzero((model.skeleton.clusters[body.geom_bodyid] >= maker.BASE) & touch)
+    for row in qpos:
+        ours.set_state(row)
+        gap = maker.lowest(ours.model, ours.data, shapes) - maker.lowest(body, model.data_of(row), of_robot)
+        if np.isfinite(gap) and abs(gap) > CLEAR:
+            row[2] += gap
+        if model.heights is not None:
+            row[2] += float(model.heights.at(row[None, :2])[0])
+    return qpos, qvel.copy()
 
 
 def made(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod import _core
 from polypod.accuracy import reference
@@ -40,6 +41,8 @@ Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
 Watch = Callable[[str, str, Array], None]
 """Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 + joints]."""
+Seen = Callable[[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]], None]
+"""Called with planar velocities [envs, 2], m/s, yaw rates [envs], rad/s, and who fell [envs]."""
 
 
 _MINIMUM_SHARE = 0.5
@@ -182,7 +185,7 @@ def compare(
     for name in known:
         check_steps(physics, episode.step_dt, name)
     when = measured()
-    in_polypod = _run_polypod(episode, loaded.runner(), progress, watch)
+    in_polypod = run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         model = onnx_graph.robot_model(network, interface, {})
@@ -353,7 +356,10 @@ def heights(sim: _core.VecSim) -> reference.Heights | None:
     return reference.Heights(terrain["heights"], (x, y), terrain["cell"]).widened(MARGIN)
 
 
-def _run_polypod(episode: Episode, policy: Policy, progress: Progress, watch: Watch | None) -> dict[str, Figures]:
+def run_polypod(
+    episode: Episode, policy: Policy, progress: Progress, watch: Watch | None, seen: Seen | None = None
+) -> dict[str, Figures]:
+    """Runs an episode in polypod; figures by robot. `seen` is shown each control step."""
     sim = episode.sim
     command, width = _columns(sim, "velocity_command")
     given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
@@ -371,6 +377,8 @@ def _run_polypod(episode: Episode, policy: Policy, progress: Progress, watch: Wa
         observation[:, command] = given
         sim.step(policy(observation))
         record.add(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated, commands)
+        if seen is not None:
+            seen(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated)
         if watch is not None:
             for name in sim.robots:
                 watch("polypod", name, sim.qpos(name))

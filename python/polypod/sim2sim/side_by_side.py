@@ -3,9 +3,12 @@
 Both are drawn with the shapes of polypod's robot, at the angles that the map gives.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from polypod import _core
 from polypod.extras import package
@@ -15,6 +18,7 @@ from polypod.play.raster import follow, render, titled
 from polypod.play.scene import Scene
 from polypod.play.stories import replay
 from polypod.sim2sim.commands import Array
+from polypod.sim2sim.phases import PhaseFigures
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -36,14 +40,14 @@ class SideBySide:
         """Takes positions [envs, 7 + joints] after a control step."""
         self._states[simulator].append(qpos[0].copy())
 
-    def close(self, task: str, robot: str, model: str, names: Sequence[str], seconds: float) -> None:
+    def close(self, task: str, robot: str, model: str, phases: Sequence[PhaseFigures], seconds: float) -> None:
         """Draws and writes the film.
 
         Args:
             task: name of the task.
             robot: name or path of the config.
             model: name of the model's file.
-            names: of the phases, in order; empty without.
+            phases: in order; empty without.
             seconds: length of a phase, s.
         """
         sim = _core.VecSim(task, 1, robots=[robot], threads=1)
@@ -59,10 +63,14 @@ class SideBySide:
             if step * scene.step_dt * FPS < shot - 1e-6:
                 continue
             shot += 1
-            phase = names[int(step * scene.step_dt / seconds + 1e-6) % len(names)] if names else ""
+            phase = phases[int(step * scene.step_dt / seconds + 1e-6) % len(phases)] if phases else None
+            command = np.array((0.0, 0.0, 0.0) if phase is None else phase.command)
             whole: Image = image.new("RGB", SIZE)
-            for row, (simulator, title) in enumerate((("polypod", f"polypod  {phase}"), ("model", model))):
+            titles = ("polypod" if phase is None else f"polypod, {phase.phase}", model)
+            for row, (simulator, title) in enumerate(zip(("polypod", "model"), titles, strict=True)):
                 frame = frames[simulator][step]
+                robots = [dataclasses.replace(shown, command=command) for shown in frame.robots]
+                frame = dataclasses.replace(frame, robots=robots)
                 shown = render(scene, frame, follow(scene, frame, half), half)
                 whole.paste(titled(shown, title), (0, row * half[1]))
             self._film.add(whole)
