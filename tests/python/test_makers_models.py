@@ -517,3 +517,14 @@ def test_the_battery_runs_on_a_makers_model(tmp_path, a1):
     ]
     assert all(row.robots["unitree_a1"].fall_rate == 0.0 for row in found.rows)
     assert f"--model {file} --actuators policy --contact asis" in found.command
+
+
+def test_names_that_geometry_contradicts_are_refused(tmp_path, a1):
+    """The left legs have the names of the right ones."""
+    swapped = a1
+    for one, other in (("FL_", "@@"), ("FR_", "FL_"), ("@@", "FR_")):
+        swapped = swapped.replace(f'joint name="{one}', f'joint name="{other}')
+    assert swapped != a1
+    text = edited(swapped, drop=("actuator",))
+    with pytest.raises(polypod.ConfigError, match=r"do not lie where the robot's do; .*pair them in a --map FILE"):
+        model_of(written(tmp_path, text))

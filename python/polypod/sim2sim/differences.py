@@ -188,7 +188,9 @@ class _Side:
             self.ids, self.signs, self.offsets = mapped.joints, mapped.map.signs, mapped.map.offsets
             self.turn, self.shift = mapped.map.turn, mapped.map.shift
         zeros = self.signs * -self.offsets
-        self.lines: Skeleton = skeleton(model, self.root, self.ids, dict(zip(self.ids.tolist(), zeros, strict=True)))
+        self.lines: Skeleton = skeleton(
+            model, self.root, self.ids.tolist(), dict(zip(self.ids.tolist(), zeros, strict=True))
+        )
         self.data = mj.MjData(model)
         self.data.qpos[:] = model.qpos0
         self.data.qpos[model.jnt_qposadr[self.ids]] = zeros
@@ -274,7 +276,7 @@ def _masses(ours: _Side, theirs: _Side) -> list[Item]:
         )
         if spread > 0.05:
             radii = [f"{1e3 * math.sqrt(max(0.0, size)):.0f} mm" for size in sizes]
-            found.append(Item(f"radius of gyration, {label}", *radii, change("inertia")))
+            found.append(Item(f"radius of gyration, {label}", radii[0], radii[1], change("inertia")))
     return found
 
 
@@ -348,7 +350,7 @@ def _joints(twin: Twin, model: Model) -> list[Item]:
 
         def apply(twin: Twin, key: str = key, theirs: Array = theirs) -> None:
             of = getattr(twin.reference.model, key)
-            of[dofs] = theirs.reshape((-1,) + (1,) * (of.ndim - 1)) if of.ndim > 1 else theirs
+            of[(dofs, 0) if of.ndim > 1 else dofs] = theirs
             if key == "dof_frictionloss":
                 for softness in ("dof_solref", "dof_solimp"):
                     getattr(twin.reference.model, softness)[dofs] = getattr(other, softness)[their_dofs]
@@ -370,7 +372,7 @@ def _joints(twin: Twin, model: Model) -> list[Item]:
         change = np.abs(np.where(np.isfinite(ours - mapped), ours - mapped, np.inf)).max(axis=1)
         worst = int(change.argmax())
         texts = [f"{low:.2f} to {high:.2f}" for low, high in (ours[worst], mapped[worst])]
-        found.append(Item(f"range, {twin.robot.joint_names[worst]} and others", *texts, limit))
+        found.append(Item(f"range, {twin.robot.joint_names[worst]} and others", texts[0], texts[1], limit))
     stiffness = _first(other.jnt_stiffness[model.joints])
     if np.any(stiffness > 0.0):
 
@@ -512,7 +514,9 @@ def _feet(ours: _Side, theirs: _Side) -> list[Item]:
             for cluster, radius in zip(feet, radii[1], strict=True):
                 twin.reference.model.geom_size[mine[cluster], 0] = radius
 
-        found.append(Item("radius of the feet", *(f"{1e3 * radius.max():.1f} mm" for radius in radii), resize))
+        found.append(
+            Item("radius of the feet", f"{1e3 * radii[0].max():.1f} mm", f"{1e3 * radii[1].max():.1f} mm", resize)
+        )
     centers = np.array(
         [theirs.turn @ theirs.axes.T @ (theirs.data.geom_xpos[other[c]] - theirs.place) + theirs.shift for c in feet]
     )
@@ -589,11 +593,11 @@ def _contacts(twin: Twin, model: Model, pose: Array) -> list[Item]:
         def soften(twin: Twin) -> None:
             twin.reference.model.geom_solref[:], twin.reference.model.geom_solimp[:] = solref, solimp
 
-        texts = tuple(
+        ours, theirs = (
             f"{ref[0]:.3g} s, {imp[0]:.3g} to {imp[1]:.4g}"
             for ref, imp in ((own.geom_solref[-1], own.geom_solimp[-1]), (solref, solimp))
         )
-        found.append(Item("softness of contacts", texts[0], texts[1], soften))
+        found.append(Item("softness of contacts", ours, theirs, soften))
     cones = [
         f"{'elliptic' if int(of.opt.cone) == int(mj.mjtCone.mjCONE_ELLIPTIC) else 'pyramid'}, {of.opt.impratio:g}"
         for of in (own, model.model)
@@ -604,7 +608,7 @@ def _contacts(twin: Twin, model: Model, pose: Array) -> list[Item]:
             twin.reference.model.opt.cone = int(model.model.opt.cone)
             twin.reference.model.opt.impratio = float(model.model.opt.impratio)
 
-        found.append(Item("cone, impratio", *cones, cone))
+        found.append(Item("cone, impratio", cones[0], cones[1], cone))
     return found
 
 
@@ -628,6 +632,6 @@ def _options(twin: Twin, model: Model) -> list[Item]:
         def fall(twin: Twin) -> None:
             twin.reference.model.opt.gravity[:] = model.model.opt.gravity
 
-        texts = (f"{np.linalg.norm(of.opt.gravity):.3f} m/s^2" for of in (own, model.model))
-        found.append(Item("gravity", *texts, fall))
+        ours, theirs = (f"{np.linalg.norm(of.opt.gravity):.3f} m/s^2" for of in (own, model.model))
+        found.append(Item("gravity", ours, theirs, fall))
     return found

@@ -107,7 +107,7 @@ class Model:
         self.joints = np.array(paired, dtype=np.intp)
         """[joints], numbers of the joints, in polypod's order."""
         root = model.body(self.root).id
-        self.skeleton: Skeleton = skeleton(model, root, self.joints, locked)
+        self.skeleton: Skeleton = skeleton(model, root, self.joints.tolist(), locked)
         self.map = mapping.compared(self.map, self.ours, ours.model, self.skeleton, model, root, locked)
         free = int(model.body_jntadr[root])
         q, v = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])

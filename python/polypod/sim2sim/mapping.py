@@ -34,7 +34,7 @@ from polypod.sim2sim.skeleton import BASE, Skeleton, skeleton
 
 GOOD = 0.6
 """Cost per joint of a match that needs no other frame of the base."""
-BAD = 4.0
+BAD = 1.0
 """Cost per joint of a match that is none."""
 MARGIN = 0.02
 """Two matches whose costs per joint differ by less are alike."""
@@ -269,7 +269,7 @@ class _Matcher:
 
     def matches(self, frame: Rigid) -> list[Match]:
         """The best ways to match the whole trees, the best first."""
-        return self._around(BASE, BASE, frame, 2.0 * BAD * max(1, len(self.ours.names)))
+        return self._around(BASE, BASE, frame, 4.0 * BAD * max(1, len(self.ours.names)))
 
     def _expanded(self, theirs: int) -> list[int]:
         """Joints of the model that may be next after one: joints in between have no counterpart."""
@@ -470,7 +470,7 @@ def named(ours: Sequence[str], theirs: Sequence[str]) -> dict[int, int]:
     def plain(name: str) -> str:
         return re.sub(r"[^a-z0-9]|joint", "", name.lower())
 
-    found = {}
+    found: dict[int, int] = {}
     for form in (str, plain):
         mine, other = [form(name) for name in ours], [form(name) for name in theirs]
         for index, name in enumerate(mine):
@@ -541,10 +541,10 @@ def compared(
     our_root = int(np.flatnonzero(ours.clusters == BASE)[0])
     for _ in range(POSES):
         angles = random.uniform(low, high)
-        mine = skeleton(our_model, our_root, ours.ids, dict(zip(ours.ids.tolist(), angles, strict=True)))
+        mine = skeleton(our_model, our_root, ours.ids.tolist(), dict(zip(ours.ids.tolist(), angles, strict=True)))
         their_angles = found.signs * (angles - found.offsets)
         positions = dict(zip(theirs.ids.tolist(), their_angles, strict=True))
-        other = skeleton(model, root, theirs.ids, {**held, **positions})
+        other = skeleton(model, root, theirs.ids.tolist(), {**held, **positions})
         axes = found.signs[:, None] * (other.axes @ found.turn.T)
         gaps = mine.anchors - (other.anchors @ found.turn.T + found.shift)
         across = gaps - (gaps * mine.axes).sum(axis=1, keepdims=True) * mine.axes
@@ -599,7 +599,8 @@ def _framed(matcher: _Matcher, ours: Skeleton, theirs: Skeleton, given: Given, f
         raise _core.ConfigError(_no_match(ours, theirs, matcher, file))
     tried.sort(key=lambda entry: entry[1].cost)
     frame, best = tried[0]
-    if best.cost > BAD * count:
+    # a frame that is turned has to explain what the same frame does not
+    if best.cost > (BAD if frame is equal else GOOD) * count:
         raise _core.ConfigError(_no_match(ours, theirs, matcher, file))
     for other, match in tried[1:]:
         is_alike = match.cost - best.cost < MARGIN * count

@@ -30,6 +30,8 @@ from polypod.sim2sim.driven import FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
 from polypod.sim2sim.phases import PhaseFigures, PhaseRecord
 from polypod.sim2sim.run import Episode, Figures
+from polypod.sim2sim.skeleton import BASE
+from polypod.sim2sim.twin import Twin
 
 Watch = Callable[[str, Array], None]
 """Called after each control step with "polypod" or "model" and positions [envs, 7 + joints]."""
@@ -233,7 +235,7 @@ def play(
         integrator=model.integrator,
         actuators=options.actuators,
         contact=options.contact,
-        notes=model.notes,
+        notes=list(dict.fromkeys(model.notes)),
         base=model.root,
         base_frame=model.map.frame_how,
         base_turn=model.map.turn.tolist(),
@@ -341,7 +343,7 @@ class Stage:
         """The exported policy, which remembers nothing yet."""
         return OnnxPolicy(onnx_graph.robot_model(self._network, self.interface, {}).SerializeToString())
 
-    def twin_of(self, policy: FoldedPolicy | None = None) -> run.Twin:
+    def twin_of(self, policy: FoldedPolicy | None = None) -> Twin:
         """Polypod's robot in MuJoCo, before its first reset."""
         return run.twin_of(self.episode, self.name, self.source, self.interface, policy or self.policy())
 
@@ -354,7 +356,7 @@ class Stage:
         """Plays the policy in polypod."""
         by_phase = self._record()
         shown = None if watch is None else lambda simulator, robot, qpos: watch(simulator, qpos)
-        seen = None if by_phase is None else by_phase.add
+        seen = None if by_phase is None else by_phase.see
         figures = run.run_polypod(self.episode, self.runner, progress, shown, seen)[self.name]
         return Played(figures, [] if by_phase is None else by_phase.figures())
 
@@ -390,12 +392,12 @@ class Stage:
 
 
 def started(model: Model, robot: accuracy_robot.Robot, qpos: Array, qvel: Array) -> tuple[Array, Array]:
-    """polypod's initial states [envs, nq] and [envs, nv], at heights at which the model's feet touch as polypod's do."""
+    """The initial states [envs, nq] and [envs, nv], at heights at which the model's feet touch as polypod's do."""
     qpos = qpos.copy()
     ours = Reference.of(robot, dt=0.005)
     shapes = np.flatnonzero(ours.model.geom_bodyid > 0)
     body, touch = model.model, (model.model.geom_contype | model.model.geom_conaffinity) != 0
-    of_robot = np.flatnonzero((model.skeleton.clusters[body.geom_bodyid] >= maker.BASE) & touch)
+    of_robot = np.flatnonzero((model.skeleton.clusters[body.geom_bodyid] >= BASE) & touch)
     for row in qpos:
         ours.set_state(row)
         gap = maker.lowest(ours.model, ours.data, shapes) - maker.lowest(body, model.data_of(row), of_robot)

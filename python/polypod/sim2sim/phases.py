@@ -133,6 +133,12 @@ class PhaseRecord:
         self._watched = np.zeros(count)
         self._step = 0
 
+    def see(
+        self, velocity: npt.NDArray[np.float32], yaw_rate: npt.NDArray[np.float32], fell: npt.NDArray[np.bool_]
+    ) -> None:
+        """Adds a control step of polypod."""
+        self.add(velocity.astype(np.float64), yaw_rate.astype(np.float64), fell)
+
     def add(
         self,
         velocity: Array,
