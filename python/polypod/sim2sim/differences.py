@@ -1,4 +1,4 @@
-"""What sets a maker's model apart from polypod's robot, ranked by what it does to one step response.
+"""Differences between a maker's model and polypod's robot, ranked by their effect on one step response.
 
 polypod's robot in MuJoCo stands, then walks forward. Each item of the model (a mass, the armature, the friction of the
 feet) is taken over alone, the same commands are given, and the motions are compared. Items whose numbers are equal on
@@ -27,7 +27,7 @@ STAND_S = 0.5
 WALK_S = 2.0
 """Time after it, s."""
 SPEED = 0.8
-"""Of the command, m/s forward."""
+"""Commanded forward velocity, m/s."""
 
 Change = Callable[[Twin], None]
 
@@ -44,9 +44,9 @@ class Difference:
     base: float
     """Distance of the base from where it is without the change, root mean square over the response, m."""
     heading: float
-    """The same of its heading, rad."""
+    """Root mean square difference of the heading, rad."""
     joints: float
-    """The same of the joints, rad."""
+    """Root mean square difference of the joints, rad."""
     falls: bool
     """Whether the robot falls with the change."""
 
@@ -197,7 +197,7 @@ class _Side:
         mj.mj_kinematics(model, self.data)
         self.place = self.data.xpos[self.root].copy()
         self.axes = self.data.xmat[self.root].reshape(3, 3).copy()
-        """Of the model's base."""
+        """Axes of the model's base in the world."""
         self.anchors = self.lines.anchors @ self.turn.T + self.shift
         self.directions = self.signs[:, None] * (self.lines.axes @ self.turn.T)
 
@@ -538,7 +538,7 @@ def _feet(ours: _Side, theirs: _Side) -> list[Item]:
 
 
 def _contacts(twin: Twin, model: Model, pose: Array) -> list[Item]:
-    """Those of a foot on the ground, as both models make it."""
+    """Differences of the contact between a foot and the ground."""
     mj = mujoco()
     own = twin.reference.model
     state = pose.copy()

@@ -32,7 +32,7 @@ Actuation = Literal["model", "policy", "motors"]
 Contacts = Literal["asis", "stiff", "condim3"]
 
 TILT = 1.2
-"""Of a base that has fallen, rad, where no shape of the model's base touches."""
+"""Tilt from which a robot has fallen where no shape of the model's base touches, rad."""
 SUNK = 0.5
 """Share of its height below which such a base has fallen."""
 REACH = 12.0
@@ -42,7 +42,7 @@ CELL = 0.1
 HIGH = 100.0
 """Height from which they are looked for, m."""
 _LEVEL = 1e-6
-"""Heights that differ by less are alike, m."""
+"""Heights that differ by less count as equal, m."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Model:
             reading: of the file.
             file: its name, for messages.
             robot: of polypod.
-            given: what a map file says.
+            given: content of a map file.
             choices: how it is played.
 
         Raises:
@@ -83,7 +83,7 @@ class Model:
         given, choices = given or Given(), choices or Choices()
         self.file, self.robot, self.choices = file, robot, choices
         self.notes = list(reading.left_out)
-        """What was added, left out or taken otherwise, one line each."""
+        """Parts that were added, left out or replaced, one line each."""
         self._mj = mujoco()
         self._spec = reading.spec
         first = self._compiled()
@@ -449,7 +449,7 @@ class Model:
 
 
 def _kind(mj: Any, model: Any, actuator: int) -> str:
-    """What an actuator of a joint takes: `position`, `motor` (a torque) or `other`."""
+    """Input of an actuator of a joint: `position`, `motor` (a torque) or `other`."""
     if int(model.actuator_gaintype[actuator]) != int(mj.mjtGain.mjGAIN_FIXED):
         return "other"
     dynamics = int(model.actuator_dyntype[actuator])
@@ -513,7 +513,7 @@ def write(body: Model, data: Any, place: Array, qpos: Array, qvel: Array) -> Non
 
 
 class Maker(Driven):
-    """`num_envs` robots of a maker's model, each in a world of its own."""
+    """`num_envs` robots of a maker's model, each in a separate world."""
 
     reference: Model
 
@@ -542,8 +542,8 @@ class Maker(Driven):
             physics_dt: the physics step that delays are counted in, s.
             delays: [envs, joints], of the targets of the policy's actuators, in physics steps.
             network_torques: as for `Driven`.
-            least_height: likewise.
-            most_tilt: likewise.
+            least_height: as for `Driven`.
+            most_tilt: as for `Driven`.
         """
         is_base = model.base_geoms(base)
         if not is_base.any():

@@ -1,8 +1,8 @@
-"""Which joint of somebody else's model is which joint of polypod's robot, and how its angle is counted.
+"""Map from the joints of somebody else's model to those of polypod's robot.
 
-Joints of the same name are the same joint. Others are found by geometry: both robots are trees of lines in space, and
-a joint's line has to lie where its counterpart's does once the joints before it stand alike. This also gives the sign
-of each joint and the angle between both zeros:
+Joints of the same name are the same joint. Others are found by geometry: both robots are trees of lines in space. A
+joint's line has to lie where its counterpart's does once the joints before it have the same poses. This also gives the
+sign of each joint and the angle between both zeros:
 
     polypod's angle = sign * the model's angle + offset
 
@@ -37,7 +37,7 @@ GOOD = 0.6
 BAD = 1.0
 """Cost per joint of a match that is none."""
 MARGIN = 0.02
-"""Two matches whose costs per joint differ by less are alike."""
+"""Two matches whose costs per joint differ by less are equally good."""
 STEEPEST = 0.5
 """Cosine of the largest angle between two axes of one joint."""
 NEAR = 0.35
@@ -92,7 +92,7 @@ class JointMap:
     frame_how: str
     """`equal`, `geometry` or `map`."""
     cost: float = 0.0
-    """Of the match, per joint."""
+    """Cost of the match, per joint."""
 
     @property
     def is_equal(self) -> bool:
@@ -112,7 +112,7 @@ class JointMap:
 
 @dataclasses.dataclass(frozen=True)
 class Given:
-    """What a map file says."""
+    """Content of a map file."""
 
     base: str | None = None
     """Body of the model."""
@@ -121,9 +121,9 @@ class Given:
     signs: Mapping[str, float] = dataclasses.field(default_factory=dict)
     offsets: Mapping[str, float] = dataclasses.field(default_factory=dict)
     quaternion: tuple[float, float, float, float] | None = None
-    """Of the model's base frame in polypod's: w, x, y, z."""
+    """Turn of the model's base frame in polypod's: w, x, y, z."""
     position: tuple[float, float, float] | None = None
-    """Of the model's base frame in polypod's, m."""
+    """Place of the model's base frame in polypod's, m."""
 
     @classmethod
     def read(cls, path: Path) -> "Given":
@@ -429,7 +429,7 @@ class _Matcher:
         return found
 
     def _likely(self, ours: int, theirs: int, motion: Rigid, sign: float, angles: list[float]) -> list[float]:
-        """Those of the turns after which the next joints lie where they should, the best few."""
+        """The few turns after which the next joints lie best."""
         scores = []
         for angle in angles:
             moved = self._moved(ours, motion, angle)
@@ -492,7 +492,7 @@ def find(
     Args:
         ours: polypod's robot with its joints at zero.
         theirs: the model with its joints at zero.
-        given: what a map file says.
+        given: content of a map file.
         file: of the model, for messages.
 
     Raises:
@@ -603,8 +603,8 @@ def _framed(matcher: _Matcher, ours: Skeleton, theirs: Skeleton, given: Given, f
     if best.cost > (BAD if frame is equal else GOOD) * count:
         raise _core.ConfigError(_no_match(ours, theirs, matcher, file))
     for other, match in tried[1:]:
-        is_alike = match.cost - best.cost < MARGIN * count
-        if is_alike and (best.differs(match) or not np.allclose(other.turn, frame.turn)):
+        is_close = match.cost - best.cost < MARGIN * count
+        if is_close and (best.differs(match) or not np.allclose(other.turn, frame.turn)):
             raise _core.ConfigError(_two_ways(ours, theirs, best, match, file))
     is_equal = np.allclose(frame.turn, np.eye(3)) and np.linalg.norm(frame.shift) < 1e-9
     return (equal if is_equal else frame), best, "equal" if is_equal else "geometry"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 MAX_BYTES = 64 << 20
-"""Of the file."""
+"""Largest size of a file, bytes."""
 MAX_SECONDS = 60
 """Time that MuJoCo may take to compile the file."""
 MAX_MEMORY = 8 << 30
@@ -30,7 +30,7 @@ class Reading:
     spec: Any
     """`mujoco.MjSpec`."""
     left_out: list[str]
-    """What is left out since its file is missing, one line each."""
+    """Parts that are left out since their files are missing, one line each."""
 
 
 def read(path: str) -> Reading:
@@ -138,7 +138,7 @@ def _main(path: str) -> None:
     """Prints what is wrong with a file as JSON; null if nothing is."""
     try:
         import resource
-    except ImportError:  # of a system without it
+    except ImportError:  # on systems without it
         pass
     else:
         _, hard = resource.getrlimit(resource.RLIMIT_AS)

@@ -1,4 +1,4 @@
-"""What a user of `polypod sim2sim --model` sees: what was mapped how, what the robot does, and what sets both apart."""
+"""Printed output of `polypod sim2sim --model`: the map, the figures, and the ranked differences."""
 
 import math
 
@@ -61,7 +61,7 @@ def map_lines(joints: list[Pair]) -> list[str]:
 
 
 def _show_map(joints: list[Pair]) -> None:
-    """All pairs, unless each joint is its namesake and counts alike."""
+    """All pairs, unless each joint is its namesake and counts the same way."""
     if all(pair.how == "name" and pair.sign > 0.0 and pair.offset == 0.0 for pair in joints):
         return
     table = Rows("joint", "of the model", "by", "sign", "offset", "apart mm", "degrees")

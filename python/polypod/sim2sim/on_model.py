@@ -42,7 +42,7 @@ CLEAR = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Options of a play."""
 
     episodes: int = 20
     commands: Literal["phases", "walking"] = "phases"
@@ -60,7 +60,7 @@ class Options:
     integrator: str | None = None
     """None: the file's."""
     friction: float | None = None
-    """Of all contacts of the model; None: the file's."""
+    """Sliding friction of all contacts of the model; None: the file's."""
     map: Path | None = None
     """See `polypod.sim2sim.mapping.Given.read`."""
     differences: bool = True
@@ -85,7 +85,7 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Played:
-    """What the robot did in one simulator."""
+    """Figures of the robot in one simulator."""
 
     figures: Figures
     phases: list[PhaseFigures]
@@ -101,7 +101,7 @@ class ModelComparison:
     model: dict[str, str]
     """Name of the file, and its SHA-256."""
     checkpoint: dict[str, str]
-    """The same of the policy."""
+    """Name of the policy's file, and its SHA-256."""
     task: str
     robot: str
     source: str
@@ -116,7 +116,7 @@ class ModelComparison:
     actuators: str
     contact: str
     notes: list[str]
-    """What was added to the model, left out or taken otherwise."""
+    """Parts of the model that were added, left out or replaced."""
     base: str
     """The model's body that is the base."""
     base_frame: str
@@ -135,7 +135,7 @@ class ModelComparison:
 
     @property
     def why_not(self) -> list[str]:
-        """What the robot does not keep on the model of the definition of walking, with numbers."""
+        """Clauses of the definition of walking that the robot misses on the model, with numbers."""
         found = self.on_model.figures.walking
         return ["not measured"] if found is None else list(walking.faults(found, self.is_whole).values())
 

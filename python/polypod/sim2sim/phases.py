@@ -1,4 +1,4 @@
-"""An episode of several commands one after the other, and what a robot does in each."""
+"""Episodes of several commands one after the other, and figures for each command."""
 
 import dataclasses
 import math
@@ -39,7 +39,7 @@ class Phase:
 
     @property
     def kind(self) -> str:
-        """Of the segments of `polypod.evaluation.walking`."""
+        """Kind of segment, see `polypod.evaluation.walking`."""
         x, y, turn = self.command
         if x == y == turn == 0.0:
             return STOP
@@ -76,7 +76,7 @@ def parse(text: str) -> tuple[Phase, ...]:
 
 
 def schedule(phases: Sequence[Phase], rounds: int, seconds: float, num_envs: int, step_dt: float) -> Schedule:
-    """The phases, `rounds` times, each for so many seconds, in every env."""
+    """The phases, `rounds` times, each for `seconds`, in every env."""
     per_phase = max(1, round(seconds / step_dt))
     commands = np.array([phase.command for phase in phases] * rounds, dtype=np.float32)
     kinds = np.array([phase.kind for phase in phases] * rounds, dtype="U4")
@@ -90,7 +90,7 @@ def schedule(phases: Sequence[Phase], rounds: int, seconds: float, num_envs: int
 
 @dataclasses.dataclass(frozen=True)
 class PhaseFigures:
-    """What a robot does in one phase, over all rounds and episodes, until it falls."""
+    """One robot in one phase, over all rounds and episodes, until it falls."""
 
     phase: str
     command: tuple[float, float, float]
