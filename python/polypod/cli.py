@@ -13,6 +13,7 @@ import tyro
 from polypod import _core, interrupts
 from polypod.commands.accuracy import Accuracy
 from polypod.commands.add import Add
+from polypod.commands.adapt import Adapt
 from polypod.commands.bench import Bench
 from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
@@ -32,6 +33,7 @@ from polypod.commands.train import Train
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Adapt, tyro.conf.subcommand("adapt")]
     | Annotated[SweepOf, tyro.conf.subcommand("sweep")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Export, tyro.conf.subcommand("export")]
@@ -58,8 +60,8 @@ COMMANDS: tuple[str, ...] = tuple(typing.get_args(command)[1].name for command i
 def main(arguments: Sequence[str]) -> int:
     """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
 
-    `sim2sim` and `robustness` return 3 for a policy that does not hold its bounds. `train` returns 143 after SIGTERM
-    and 129 after SIGHUP.
+    `sim2sim` and `robustness` return 3 for a policy that does not hold its bounds, `adapt` and `train --until-walks`
+    for one that does not walk. `train` and `adapt` return 143 after SIGTERM and 129 after SIGHUP.
     """
     if arguments and arguments[0] in _VERSION:
         # as in most programs, nothing else counts then

@@ -138,8 +138,14 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _WITH_TASK
         | {"--num-envs": COUNTS, "--max-iterations": COUNTS[:11], "--train-config": [*NAMES, *FILES]}
         | {"--init": FILES, "--run-name": NAMES, "--log-dir": OUTPUTS, "--device": NAMES, "--logger": NAMES}
-        | {"--log-project": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]}
+        | {"--until-walks": COUNTS[:11], "--log-project": NAMES, "--workers": COUNTS, "--ray": ["nowhere:1"]}
         | {"--quadrupeds": NAMES, "--learner": NAMES, "--terms": FILES},
+    ),
+    "adapt": (
+        (Positional("spot"), *_CHECKPOINT, "--max-minutes", "0.0001", "--every", "1", "--threads", "1"),
+        {"": [*NAMES, *FILES], "--checkpoint": FILES, "--neighbours": [*COUNTS[:5], "1001"], "--every": COUNTS[:11]}
+        | {"--max-minutes": FLOATS, "--train-config": [*NAMES, *FILES], "--seed": _SEEDS, "--log-dir": OUTPUTS}
+        | {"--device": NAMES, "--threads": COUNTS, "--set": OVERRIDES, "--package-dir": _PACKAGES, "--lock": _LOCKS},
     ),
     "train resume": (
         ("--resume", "latest"),
@@ -196,7 +202,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
         | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS}
         | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--device": ["", "gpu", "cuda:0"]}
-        | {"--kinds": ["", ",", "x", "bolt", "x,y"]},
+        | {"--kinds": ["", ",", "x", "bolt", "x,y"], "--robots": NAMES},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),
@@ -206,7 +212,7 @@ _POLYPOD_SWITCHES = {
     "": ("--version", "-V"),
     "list": ("--json", "--no-json"),
     "train": ("--headless", "--no-headless"),
-    "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised"),
+    "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--gate", "--no-gate"),
     "export": ("--fold", "--no-fold"),
     "play": ("--headless", "--no-headless", "--meshes", "--no-meshes"),
     "add": ("--force", "--no-force"),

@@ -36,6 +36,8 @@ class Options:
     threads: int | None = None
     """None: one per core."""
     seed: int = DEFAULT_SEED
+    robots: list[str] | None = None
+    """None: those of the task."""
 
     def conditions(self) -> dict[str, Any]:
         """What figures of these trainings were measured on."""
@@ -85,11 +87,17 @@ def training(
     torch.manual_seed(options.seed)
     share = None if workers is None else workers.share(run.num_envs, run.learner)
     env = polypod.make(
-        run.task, run.num_envs, seed=options.seed, threads=options.threads, overrides=run.task_changes, share=share
+        run.task,
+        run.num_envs,
+        robots=options.robots,
+        seed=options.seed,
+        threads=options.threads,
+        overrides=run.task_changes,
+        share=share,
     )
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
         path = Path(folder)
-        run_dir.write_params(path, env.sim, train_config, None, [], "polypod bench")
+        run_dir.write_params(path, env.sim, train_config, options.robots, [], "polypod bench")
         runner = runner_of(VecEnv(env, device, log_extras=False), train_config, path, device, Silent(), workers)
         runner.logger.open("none", 0, print)
         yield runner

@@ -8,12 +8,13 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
+from polypod.bench import energy
 from polypod.bench.learners import Options, heading, training
 from polypod.bench.report import Progress
 from polypod.drawing import pyplot_for, save
-from polypod.evaluation import evaluate_checkpoint
 from polypod.evaluation.walking import BOUNDS, Walking, walks
-from polypod.training import run_dir
+from polypod.training.goal import Point, UntilWalks
+from polypod.training.runner import Runner
 
 INTERVAL = 25
 """Iterations between evaluations."""
@@ -31,14 +32,16 @@ def measure(options: Options, learner: str, seeds: Sequence[int], device: str, p
     """Trains until every robot walks, for each seed.
 
     The deterministic policy is evaluated every `INTERVAL` iterations on `ENVS_PER_ROBOT` envs per robot, without noise,
-    by the definition of `polypod.evaluation.walking`. The evaluations take none of the time.
+    by the definition of `polypod.evaluation.walking`. Neither time nor energy counts the evaluations.
     """
     runs = []
     for seed in seeds:
+        began = time.perf_counter()
         with training(dataclasses.replace(options, seed=seed), learner, device) as runner:
-            runs.append(_walk(runner, seed, options.threads, progress))
+            runs.append(_walk(runner, seed, options, began, progress))
     return {
         **options.conditions(),
+        "robots": options.robots,
         "learner": learner,
         "device": device,
         "walks": BOUNDS,
@@ -46,32 +49,43 @@ def measure(options: Options, learner: str, seeds: Sequence[int], device: str, p
     }
 
 
-def _walk(runner: Any, seed: int, threads: int | None, progress: Progress) -> dict[str, Any]:
-    samples_per_iteration = runner.cfg["num_steps_per_env"] * runner.env.num_envs
-    most = math.ceil(runner.cfg["max_iterations"] / INTERVAL)
-    seconds, curve, walked = 0.0, [], False
-    for turn in range(most):
-        begin = time.perf_counter()
-        runner.learn(INTERVAL, init_at_random_ep_len=turn == 0)
-        seconds += time.perf_counter() - begin
-        path = run_dir.checkpoint_path(Path(runner.run), runner.current_learning_iteration)
-        robots = runner.env.unwrapped.sim.robots
-        result = evaluate_checkpoint(path, num_envs=ENVS_PER_ROBOT * len(robots), threads=threads)
-        path.unlink()
-        found = [robot.walking for robot in result.robots.values() if robot.walking is not None]
-        samples = samples_per_iteration * runner.current_learning_iteration
-        point = _point(found)
-        curve.append({"samples": samples, "seconds": seconds, **point})
+def _walk(runner: Runner, seed: int, options: Options, began: float, progress: Progress) -> dict[str, Any]:
+    curve: list[dict[str, Any]] = []
+    startup = time.perf_counter() - began
+    meter = energy.Meter(gpus=runner.device != "cpu")
+
+    def say(point: Point) -> None:
+        figures = _point(list(point.robots.values()))
+        curve.append({"samples": point.samples, "seconds": point.seconds, **figures})
         progress(
-            f"seed {seed}: {samples / 1e6:.1f} million samples, {seconds:.0f} s, {point['walk']} of {len(found)} walk, "
-            f"worst error {point['error_vel_xy']:.2f} m/s (standing still: {point['still_error_vel_xy']:.2f}), worst "
-            f"yaw error {point['error_vel_yaw']:.2f} rad/s (standing still: {point['still_error_vel_yaw']:.2f}), least "
-            f"turn {_turn(point)}, most falls {point['fall_rate']:.1%}"
+            f"seed {seed}: {point.samples / 1e6:.1f} million samples, {point.seconds:.0f} s, {figures['walk']} of "
+            f"{len(point.robots)} walk, worst error {figures['error_vel_xy']:.2f} m/s (standing still: "
+            f"{figures['still_error_vel_xy']:.2f}), worst yaw error {figures['error_vel_yaw']:.2f} rad/s (standing "
+            f"still: {figures['still_error_vel_yaw']:.2f}), least turn {_turn(figures)}, most falls "
+            f"{figures['fall_rate']:.1%}"
         )
-        walked = point["walk"] == len(found)
-        if walked or runner.stopped_by is not None:
-            break
-    return {"seed": seed, "walked": walked, "samples": samples, "seconds": seconds, "curve": curve}
+
+    goal = UntilWalks(
+        INTERVAL, say=say, confirm=False, envs_per_robot=ENVS_PER_ROBOT, threads=options.threads, meter=meter
+    )
+    most = math.ceil(runner.config.run.max_iterations / INTERVAL) * INTERVAL
+    runner.goal = goal
+    goal.begin()
+    try:
+        runner.learn(most, init_at_random_ep_len=True)
+    finally:
+        meter.pause()
+    if not curve:
+        raise KeyboardInterrupt  # before the first measurement
+    return {
+        "seed": seed,
+        "walked": goal.walked,
+        "samples": curve[-1]["samples"],
+        "seconds": curve[-1]["seconds"],
+        "startup_s": startup,
+        "watt_hours": meter.watt_hours(),
+        "curve": curve,
+    }
 
 
 def _point(robots: Sequence[Walking]) -> dict[str, Any]:
@@ -97,26 +111,35 @@ def _turn(point: Mapping[str, Any]) -> str:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The figures as Markdown."""
+    """The figures as Markdown; energy where the machine tells it in every run."""
+    told = set.intersection(*(set(run["watt_hours"]) for run in result["runs"]))
+    energy_ = f"| Wh, {' and '.join(sorted(told))} " if told else ""
     lines = [
         *heading(result, f"learner {result['learner']} on {result['device']}"),
-        "| seed | all robots walk | million samples | s | worst error (m/s) | still | worst yaw error (rad/s) | still "
-        "| least turn | most falls |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        f"| seed | all robots walk | million samples | s | with start-up, s {energy_}| worst error (m/s) | still "
+        "| worst yaw error (rad/s) | still | least turn | most falls |",
+        "|---|---|---|---|---|---|---|---|---|---|---|" + "---|" * bool(told),
     ]
+    forms = ("{:.1f}", "{:.0f}", "{:.0f}", *(("{:.2f}",) if told else ()))
     for run in result["runs"]:
         walked = "yes" if run["walked"] else "no"
         last = run["curve"][-1]
         errors = [f"{last[f'{of}error_vel_{axis}']:.3f}" for axis in ("xy", "yaw") for of in ("", "still_")]
         cells = [*errors, _turn(last), f"{last['fall_rate']:.1%}"]
-        spent = f"{run['samples'] / 1e6:.1f} | {run['seconds']:.0f}"
+        spent = " | ".join(form.format(value) for form, value in zip(forms, _spent(run), strict=False))
         lines.append(f"| {run['seed']} | {walked} | {spent} | {' | '.join(cells)} |")
     done = [run for run in result["runs"] if run["walked"]]
     if len(done) > 1:
-        both = [[run["samples"] / 1e6 for run in done], [run["seconds"] for run in done]]
-        cells = [f"{mean(values):.1f} ± {stdev(values):.1f}" for values in both]
+        columns = list(zip(*(_spent(run)[: len(forms)] for run in done), strict=True))
+        cells = [f"{mean(values):.1f} ± {stdev(values):.1f}" for values in columns]
         lines.append(f"| mean and deviation of {len(done)} | | {' | '.join(cells)}{' |' * 7}")
     return "\n".join(lines)
+
+
+def _spent(run: Mapping[str, Any]) -> tuple[float, ...]:
+    """Million samples, seconds, seconds with start-up, and watt-hours where the machine tells them."""
+    energy_ = [sum(run["watt_hours"].values())] if run["watt_hours"] else []
+    return (run["samples"] / 1e6, run["seconds"], run["seconds"] + run["startup_s"], *energy_)
 
 
 def picture(result: Mapping[str, Any], out: Path) -> None:

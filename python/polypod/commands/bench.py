@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import Count, arg, names, positive, thread_count, write_json
+from polypod.commands.arguments import Count, Robots, arg, names, positive, thread_count, write_json
 
 NUM_ENVS = 4096
 
@@ -29,6 +29,8 @@ class Bench:
     """Device of --workers: workers on the CPU's cores, or on the machine's GPUs."""
     train_config: str = "quick"
     """Train config of --learner, --walk and --workers."""
+    robots: Robots = None
+    """Robots of --walk, with commas between. Default: those of the train config's task."""
     seeds: int = 3
     """Trainings of --walk, each with the next seed."""
     quick: bool = False
@@ -62,6 +64,8 @@ class Bench:
             return self._train()
         if self.kinds is not None:
             return self._kinds()
+        if self.robots is not None:
+            raise _core.ConfigError("--robots are those of --walk; --robot is that of the physics figures")
         from polypod import bench
 
         for value, flag in (
@@ -113,7 +117,10 @@ class Bench:
         num_envs, seed = positive(self.num_envs, "--num-envs"), DEFAULT_SEED if self.seed is None else self.seed
         is_walk = self.walk and self.workers is None and not self.learner
         train_config = self.train_config or ("quick" if is_walk else "flat_universal")
-        options = learners.Options(train_config, num_envs, threads, seed)
+        robots = names(self.robots)
+        if robots is not None and not is_walk:
+            raise _core.ConfigError("--robots are those of --walk; leave it out, or measure --walk")
+        options = learners.Options(train_config, num_envs, threads, seed, robots)
         progress = functools.partial(print, file=sys.stderr, flush=True)
         if self.workers is not None:
             from polypod.bench import workers

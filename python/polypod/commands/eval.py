@@ -1,6 +1,7 @@
 """`polypod eval`."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -30,6 +31,9 @@ class Eval:
     the task draws them."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
     """Instead, let each episode hold one command of this many forward and left velocities and yaw rates."""
+    gate: bool = False
+    """Measure instead the published gate of nanoG1: falls and score over six commands, smoothness of a walk ahead. The
+    exit code is 3 where a robot does not pass."""
     randomized: bool = False
     """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
@@ -58,6 +62,8 @@ class Eval:
         if not self.checkpoint:
             raise _core.ConfigError("--checkpoint names no file; pass one model_<n>.pt or more")
         checkpoints = [bundled.resolve(checkpoint) for checkpoint in self.checkpoint]
+        if self.gate:
+            return self._gate(checkpoints, threads)
         evaluations = evaluate_checkpoints(
             checkpoints,
             task=self.task,
@@ -84,3 +90,38 @@ class Eval:
         if self.plot is not None:
             plot.picture(summary, self.plot)
         return 0
+
+    def _gate(self, checkpoints: Sequence[Path], threads: int | None) -> int:
+        """Measures the gate of nanoG1."""
+        from polypod.evaluation import gate, gate_of_checkpoint
+        from polypod.evaluation.results import finite
+        from polypod.tables import Rows, console_of_output
+
+        (checkpoint, *others) = checkpoints
+        given = {
+            "several checkpoints": others,
+            "--num-envs": self.num_envs,
+            "--steps": self.steps,
+            "--grid": self.grid,
+            "--randomized": self.randomized or None,
+            "--episodes": self.episodes if self.episodes != 1 else None,
+            "--plot": self.plot,
+        }
+        if unfit := [name for name, value in given.items() if value]:
+            raise _core.ConfigError(f"--gate has commands, envs and times of its own; leave out {', '.join(unfit)}")
+        robots = names(self.robots)
+        found = gate_of_checkpoint(
+            checkpoint, robots, task=self.task, seed=self.seed, threads=threads, overrides=list(self.set)
+        )
+        console = console_of_output()
+        table = Rows("robot", *gate.BOUNDS, "passes")
+        table.add_row("bound", *(f"{bound:g}" for bound in gate.BOUNDS.values()), "")
+        for robot, figures in found.items():
+            cells = [f"{getattr(figures, name):.3g}" for name in gate.BOUNDS]
+            table.add_row(robot, *cells, "yes" if figures.passes else "no")
+        table.print(console)
+        passing = sum(figures.passes for figures in found.values())
+        console.print(f"{passing} of {len(found)} pass nanoG1's gate", markup=False)
+        rows = {robot: {**dataclasses.asdict(of), "passes": of.passes} for robot, of in found.items()}
+        write_json(self.json, finite({"bounds": gate.BOUNDS, "robots": rows}))
+        return 0 if passing == len(found) else 3

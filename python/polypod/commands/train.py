@@ -22,6 +22,9 @@ class Train:
     """Names of the robots, with commas between (`polypod list`). Default: the task's."""
     max_iterations: Count = None
     """Learning iterations; with --resume, how many more. Default: the train config's; with --resume, what was left."""
+    until_walks: Count = None
+    """End the training as soon as all robots walk, by the definition of docs/evaluate.md, and measure it every N
+    iterations. The exit code is 3 where they do not walk after the last one."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     train_config: Name = None
@@ -71,6 +74,7 @@ class Train:
             num_envs=self.num_envs,
             robots=names(self.robots),
             max_iterations=self.max_iterations,
+            until_walks=positive(self.until_walks, "--until-walks"),
             seed=self.seed,
             train_config=self.train_config,
             learner=self.learner,
@@ -86,6 +90,8 @@ class Train:
             overrides=list(self.set),
         )
         if self.ray is not None:
+            if self.until_walks is not None:
+                raise _core.ConfigError("--until-walks is of trainings in one process; leave it out, or --ray")
             from polypod.training import on_ray
 
             return on_ray.train(options, self.ray, positive(self.workers, "--workers"))

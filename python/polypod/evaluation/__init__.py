@@ -1,6 +1,6 @@
 """How well a policy walks: full episodes, deterministic, in the task's Play variant or as randomised in training."""
 
-from polypod.evaluation.checkpoints import command, evaluate_checkpoint, evaluate_checkpoints
+from polypod.evaluation.checkpoints import command, evaluate_checkpoint, evaluate_checkpoints, gate_of_checkpoint
 from polypod.evaluation.policies import Policy, load_network, load_policy
 from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult
 from polypod.evaluation.rollout import ENVS_PER_ROBOT, evaluate, play_task, undisturbed
@@ -23,6 +23,7 @@ __all__ = [
     "evaluate",
     "evaluate_checkpoint",
     "evaluate_checkpoints",
+    "gate_of_checkpoint",
     "load_network",
     "load_policy",
     "play_task",

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from polypod import _core, bundled
+from polypod import _core, bundled, descriptions
+from polypod.evaluation import gate
+from polypod.evaluation.gate import Gate
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
@@ -40,7 +42,25 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         "git": manifest.get("git"),
         "in_own_task": task is None or play_task(task) == play_task(manifest["task"]),
     }
-    return dataclasses.replace(evaluation, checkpoint=origin, measured=measured())
+    distances = {} if robots is None else descriptions.distances(manifest, robots, str(checkpoint))
+    return dataclasses.replace(evaluation, checkpoint=origin, measured=measured(), distances=distances)
+
+
+def gate_of_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> dict[str, Gate]:
+    """`polypod.evaluation.gate.measure` for a checkpoint or an ONNX file, as `evaluate_checkpoint`."""
+    from polypod.policy import load  # it builds on this package
+
+    task = arguments.pop("task", None)
+    policy = load(checkpoint, task, robots)
+    manifest = policy.manifest
+    return gate.measure(
+        policy.runner(),
+        task or manifest["task"],
+        manifest["robot_sources"] if robots is None else robots,
+        trained=manifest["overrides"],
+        slots=manifest["canonical_joint_names"],
+        **arguments,
+    )
 
 
 def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[Evaluation]:

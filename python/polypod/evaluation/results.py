@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.descriptions import Distance
 from polypod.evaluation.walking import Walking
 from polypod.provenance import Measured
 
@@ -119,6 +120,8 @@ class Evaluation:
     """Date, machine and commit; None in files of builds that did not write it."""
     disturbances: list[str] = dataclasses.field(default_factory=list)
     """Keys of the noise, the pushes and the randomisation that were on, see `polypod._core.disturbances`."""
+    distances: dict[str, Distance] = dataclasses.field(default_factory=dict)
+    """By robot, how far those that the policy was not trained on are from its training bodies."""
     commands: str = "task"
     """How commands came about: "walking" for the schedule of `polypod.evaluation.walking`, "grid", or "task" for
     commands as the task draws them. Files of builds that did not write it hold the latter two."""
@@ -134,7 +137,8 @@ class Evaluation:
         robots = {name: _robot_from(robot) for name, robot in content["robots"].items()}
         grid = tuple(content["grid"]) if content["grid"] is not None else None
         commands = content.get("commands", "task" if grid is None else "grid")
-        return cls(**{**content, "grid": grid, "commands": commands, "robots": robots})
+        distances = {name: Distance(**entry) for name, entry in content.get("distances", {}).items()}
+        return cls(**{**content, "grid": grid, "commands": commands, "robots": robots, "distances": distances})
 
 
 def _robot_from(content: Mapping[str, Any]) -> RobotResult:

@@ -442,3 +442,34 @@ def why_not(walking: Walking) -> list[str]:
 def walks(walking: Walking) -> bool:
     """Whether a robot walks, by the definition of this module."""
     return not faults(walking)
+
+
+def shortfall(walking: Walking) -> float:
+    """How far a robot is from walking: 0 where it meets the bounds, and more the further figures lie beyond them.
+
+    Each figure counts by the part of the way from its bound to its worst value, at most 1: falls to every episode,
+    errors to those of a standing robot, a turn to no turn, drifts to twice their bounds. A figure that was not measured
+    counts 1. The sum orders checkpoints of one training that do not walk yet.
+    """
+    errors = (
+        (walking.error_vel_xy, min(MAX_ERROR_XY, MAX_SHARE_OF_STILL * walking.still_error_vel_xy)),
+        (walking.error_vel_yaw, MAX_ERROR_YAW),
+    )
+    stills = walking.still_error_vel_xy, walking.still_error_vel_yaw
+    parts = [_beyond(walking.fall_rate, MAX_FALL_RATE, 1.0)]
+    parts += [_beyond(value, bound, still) for (value, bound), still in zip(errors, stills, strict=True)]
+    if TURN in walking.kinds:
+        parts.append(_beyond(-walking.turn_reached, -LEAST_TURN, 0.0))
+    if STOP in walking.kinds:
+        parts.append(_beyond(walking.drift_xy, MAX_DRIFT_XY, 2.0 * MAX_DRIFT_XY))
+        parts.append(_beyond(walking.drift_yaw, MAX_DRIFT_YAW, 2.0 * MAX_DRIFT_YAW))
+    return sum(parts)
+
+
+def _beyond(value: float, bound: float, worst: float) -> float:
+    """Part of the way from a bound to the worst value, from 0 to 1."""
+    if math.isnan(value):
+        return 1.0
+    if value <= bound:
+        return 0.0
+    return min((value - bound) / (worst - bound), 1.0) if worst > bound else 1.0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, descriptions
 from polypod.compat import tomllib
 from polypod.evaluation import play_task, undisturbed
 from polypod.evaluation.policies import Policy, reset
@@ -91,6 +91,8 @@ class Player(Scene):
         super().__init__(sim, SPACING if command is not None else None)
         shapes = json.loads(sim.robot_shapes())
         self._com = {robot: np.array(shapes[robot]["base_com"]) for robot in sim.robots}
+        self.distances = descriptions.distances(manifest, sources, str(policy.file))
+        """How far the robots that the policy was not trained on are from its training bodies."""
         self.tallies = {robot: Tally() for robot in sim.robots}
         self.policy_robots: list[str] = list(manifest["robot_sources"])
         """Names or paths of the robots that the policy was made for."""

@@ -18,3 +18,5 @@ def show(player: Player) -> None:
         errors = (tally.error_vel_xy, tally.still_error_vel_xy, tally.error_vel_yaw, tally.still_error_vel_yaw)
         table.add_row(robot, *(f"{error:.3f}" for error in errors), str(tally.falls))
     table.print(console)
+    for robot, distance in player.distances.items():
+        console.print(f"  {robot}: its description is {distance}", markup=False, soft_wrap=True)

@@ -39,6 +39,8 @@ def show(comparison: Comparison) -> None:
     for name, robot in comparison.robots.items():
         if robot.why_not:
             console.print(f"  {name} in MuJoCo: {'; '.join(robot.why_not)}", markup=False)
+    for name, distance in comparison.distances.items():
+        console.print(f"  {name}: its description is {distance}", markup=False)
     if not all(robot.is_whole for robot in comparison.robots.values()):
         console.print(
             "judged by what these commands and steps hold of the definition of walking; omit --command, --commands and "

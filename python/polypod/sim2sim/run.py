@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, descriptions
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
@@ -127,6 +127,8 @@ class Comparison:
     physics: Physics
     robots: dict[str, RobotComparison]
     measured: Measured
+    distances: dict[str, descriptions.Distance] = dataclasses.field(default_factory=dict)
+    """How far the robots that the policy was not trained on are from its training bodies."""
 
     @property
     def transfers(self) -> bool:
@@ -202,6 +204,7 @@ def compare(
         physics=physics,
         robots=results,
         measured=when,
+        distances=descriptions.distances(manifest, sources, str(checkpoint)),
     )
 
 

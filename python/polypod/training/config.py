@@ -76,12 +76,16 @@ def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
     Raises:
         ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
     """
-    config = parse(_load_tables(name), name)
+    return changed(parse(_load_tables(name), name), overrides, name)
+
+
+def changed(config: TrainConfig, overrides: Sequence[str], source: str) -> TrainConfig:
+    """A config with overrides, as of `load`; `source` names it in errors. Raises ConfigError."""
     if not overrides:
         return config
     # TOML keeps the numbers that JSON has not
     tables = tomllib.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
-    return parse(tables, f"{name} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
+    return parse(tables, f"{source} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
 
 
 def parse(tables: dict[str, Any], source: str) -> TrainConfig:

@@ -86,6 +86,14 @@ class PolicyManifest(TypedDict):
     joint_names: NotRequired[list[Name]]
 
 
+class BodyManifest(TypedDict):
+    """The description of a training body, see `polypod.descriptions.to_manifest`."""
+
+    name: Name
+    joints: Annotated[list[Name], Meta(min_length=1, max_length=1024)]
+    numbers: Annotated[str, Meta(max_length=1 << 20)]
+
+
 class TermsManifest(TypedDict):
     """The Python file whose terms a run was trained with: a copy lies in `params/`, and nothing runs it."""
 
@@ -107,6 +115,8 @@ class Manifest(TypedDict):
     step_dt: Annotated[float, Meta(gt=0.0, le=10.0)]
     config_hash: NotRequired[str]
     canonical_joint_names: list[Name]
+    slots: NotRequired[Annotated[list[Name], Meta(max_length=65536)]]
+    """Names of actions that the policy has on top of those of the run's robots."""
     observation_layout: Annotated[list[TermSize], Meta(min_length=1)]
     policy: PolicyManifest
     robots: Annotated[list[Name], Meta(min_length=1)]
@@ -114,6 +124,8 @@ class Manifest(TypedDict):
     joint_maps: NotRequired[dict[str, list[dict[str, Any]]]]
     train_config: dict[str, dict[str, Any]]
     terms: NotRequired[TermsManifest]
+    trained_bodies: NotRequired[Annotated[list[BodyManifest], Meta(max_length=65536)]]
+    """Of policies that read descriptions of joints."""
     versions: NotRequired[dict[str, str]]
     git: NotRequired[dict[str, Any] | None]
     checkpoints: NotRequired[dict[str, Sha256]]

@@ -111,6 +111,8 @@ class Reporter:
         table.print(self.console)
         if is_judged:
             self._verdict(evaluation)
+        for robot, distance in evaluation.distances.items():
+            self.message(f"  {robot}: its description is {distance}")
         kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
         if not kinds:
             return

@@ -30,7 +30,7 @@ import numpy as np
 import tomli_w
 import torch
 
-from polypod import _core
+from polypod import _core, descriptions
 from polypod.files import read_bytes, real_path, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.training import manifest
@@ -299,6 +299,15 @@ def save_checkpoint(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     write_text(beside, json.dumps(content, indent=2) + "\n")
 
 
+def remove_checkpoint(path: Path) -> None:
+    """Removes a checkpoint and its entry in the manifest beside it. Raises OSError where it cannot be removed."""
+    path.unlink(missing_ok=True)
+    beside = path.parent / MANIFEST
+    content = json.loads(beside.read_text(encoding="utf-8"))
+    if content.get("checkpoints", {}).pop(path.name, None) is not None:
+        write_text(beside, json.dumps(content, indent=2) + "\n")
+
+
 @contextlib.contextmanager
 def locked(run: Path) -> Iterator[None]:
     """Keeps other trainings out of a run's directory, and clears away what a killed one left half written.
@@ -330,11 +339,14 @@ def write_params(
     overrides: list[str],
     command: str,
     terms: PythonTerms | None = None,
+    slots: Sequence[str] = (),
 ) -> None:
     """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
     manifest = manifest_of(sim, config, robots, overrides, command)
+    if slots:
+        manifest["slots"] = list(slots)
     if terms is not None:
         # what was run, and nothing that is run by itself
         manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}
@@ -364,6 +376,7 @@ def manifest_of(
         "robots": sim.robots,
         "robot_info": infos,
         "joint_maps": {robot: _joint_map(infos[robot]) for robot in sim.robots},
+        **_trained_bodies(sim, robots, overrides),
         "train_config": config.as_dict(),
         "versions": {
             "polypod": _core.__version__,
@@ -374,6 +387,14 @@ def manifest_of(
         },
         "git": git_state(),
     }
+
+
+def _trained_bodies(sim: _core.VecSim, robots: list[str] | None, overrides: list[str]) -> dict[str, Any]:
+    """The descriptions of the bodies of a training, of a policy that reads them."""
+    if not any(term == descriptions.TERM for term, _ in sim.observation_layout):
+        return {}
+    task = sim.task_name if _is_known(sim.task_name) else descriptions.TASK
+    return {"trained_bodies": descriptions.to_manifest(descriptions.describe(robots or sim.robots, task, overrides))}
 
 
 def _joint_map(info: dict[str, Any]) -> list[dict[str, Any]]:

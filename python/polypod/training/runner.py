@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -26,6 +26,7 @@ from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
 from polypod.training.schema import TrainConfig
 from polypod.training.symmetry import Mirror
+from polypod.training.transfer import critic_for, numbers_of, numbers_of_run
 from polypod.training.workers import Workers, slow_workers
 
 STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
@@ -53,6 +54,16 @@ def check_groups(env: VecEnv, obs_groups: dict[str, list[str]]) -> None:
                     f"[obs_groups] {network} = {groups}: {env.unwrapped.sim.task_name} has no group {group!r}, but "
                     f"{', '.join(known)}; add [[observations.{group}]] terms to the task"
                 )
+
+
+class Goal(Protocol):
+    """What a training ends with before its last iteration."""
+
+    def ends(self, runner: "Runner", is_last: bool) -> bool:
+        """Whether the training ends after the iteration just finished, which may be its last one anyway.
+
+        It may save and measure checkpoints.
+        """
 
 
 class Runner(OnPolicyRunner):
@@ -123,6 +134,8 @@ class Runner(OnPolicyRunner):
         """Signal that any worker was told, once all know of it."""
         self.watch: Callable[[int, Mapping[str, float]], None] | None = None
         """Is told the number of finished iterations and the scalars of each."""
+        self.goal: Goal | None = None
+        """Is asked after each iteration whether the training has reached it; of trainings in one process."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
@@ -171,9 +184,11 @@ class Runner(OnPolicyRunner):
         with self._stop_on_signals(), self.reporter.training(start, stop):
             for iteration in range(start, stop):
                 observations = self._iterate(iteration, stop, observations)
-                last = iteration + 1 == stop or self._is_to_stop()
+                is_last = iteration + 1 == stop
+                is_reached = self.goal is not None and self.stopped_by is None and self.goal.ends(self, is_last)
+                last = is_last or self._is_to_stop() or is_reached
                 if last or (iteration + 1) % self.cfg["save_interval"] == 0:
-                    self._try_to_save(run_dir.checkpoint_path(self.run, iteration + 1), last)
+                    self.try_to_save(run_dir.checkpoint_path(self.run, iteration + 1), last)
                 if last:
                     break
 
@@ -184,7 +199,12 @@ class Runner(OnPolicyRunner):
         self.stopped_by = self.stopped_by or self._told_all
         return self.stopped_by is not None
 
-    def _try_to_save(self, path: Path, last: bool) -> None:
+    def try_to_save(self, path: Path, last: bool = False) -> None:
+        """Writes a checkpoint; where the disk does not take it, says so and goes on, but for the last one.
+
+        Raises:
+            ConfigError: where the last one cannot be written, or the run's directory is gone.
+        """
         try:
             self.save(str(path))
         except OSError as error:
@@ -427,7 +447,7 @@ class Runner(OnPolicyRunner):
             if self._distils:
                 self.alg.get_policy().load_state_dict(state["actor_state_dict"])
             else:
-                self.alg.load(state, {"actor": True, "critic": self._critic_fits(path, state)}, True)
+                self.alg.load(state, {"actor": True, "critic": self._fit_critic(path, state)}, True)
         except (AttributeError, RuntimeError, LookupError, TypeError, ValueError) as error:
             raise _core.ConfigError(
                 f"--init {path} does not fit this run's networks, {_first_line(error)}: "
@@ -435,17 +455,27 @@ class Runner(OnPolicyRunner):
             ) from error
         self._limit_deviations(str(path))
 
-    def _critic_fits(self, path: Path, state: dict[str, Any]) -> bool:
-        """Whether a checkpoint's critic is this run's. An actor whose weights know no slots may do with another one."""
+    def _fit_critic(self, path: Path, state: dict[str, Any]) -> bool:
+        """Makes a checkpoint's critic this run's; returns whether there is one to load.
+
+        An actor whose weights know no slots acts for other bodies. Its critic goes on with the numbers that both know.
+        """
         if not isinstance(self.alg.actor, UrmaModel):
             return True
         own, other = self.alg.critic.state_dict(), state["critic_state_dict"]
         if own.keys() == other.keys() and all(own[key].shape == other[key].shape for key in own):
             return True
-        self.reporter.message(
-            f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on"
-        )
-        return False
+        groups, sim = self.config.obs_groups.critic, self.env.unwrapped.sim
+        is_known = (path.parent / run_dir.MANIFEST).is_file()
+        known = numbers_of_run(run_dir.read_manifest(path), groups) if is_known else None
+        moved = None if known is None else critic_for(other, known, own, numbers_of(sim, groups))
+        if moved is None:
+            self.reporter.message(
+                f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on"
+            )
+            return False
+        state["critic_state_dict"] = moved
+        return True
 
     def learn_from(self, teacher: Path) -> None:
         """Takes over the network that a distillation learns from. Raises ConfigError where it does not fit."""

@@ -5,7 +5,7 @@ import dataclasses
 import os
 import shlex
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.terms import CustomTerms
 from polypod.training import config, python_terms, run_dir
+from polypod.training.goal import UntilWalks, progress_line
 from polypod.training.gpu import GpuRunner
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NativeRunner
@@ -28,6 +29,8 @@ from polypod.training.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
+NOT_WALKING = 3
+"""Exit code of a training that was to end with walking robots and does not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,17 +54,22 @@ class Options:
     device: str = "auto"
     threads: int | None = None
     overrides: list[str] = dataclasses.field(default_factory=list)
+    until_walks: int | None = None
     run: Path | None = None
-    """An empty directory that was made for the run; None: a new one in `log_dir`. No flag of the command line."""
+    """A directory that was made for the run; None: a new one in `log_dir`. No flag of the command line."""
+    origin: str | None = None
+    """The command line of another command that trains with these options. No flag of `polypod train`."""
 
     @property
     def command(self) -> str:
         """The command line of these options."""
+        if self.origin is not None:
+            return self.origin
         words = ["polypod", "train"]
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if (
-                field.name == "run"
+                field.name in ("run", "origin")
                 or value is None
                 or (field.default is not dataclasses.MISSING and value == field.default)
             ):
@@ -85,18 +93,28 @@ class Plan:
     checkpoint: Path | None
     device: str
     terms: python_terms.PythonTerms | None = None
+    slots: tuple[str, ...] = ()
+    """Names of actions that the policy has on top of those of its robots."""
 
 
 def train(options: Options) -> int:
     """Trains, saves, evaluates; returns the exit code: 0, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
+
+    With `until_walks` it is 3 where not all robots walk.
 
     Raises:
         ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
     """
     is_cuda = options.device != "cpu" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
+    goal = None
+    if options.until_walks is not None:
+        console = Reporter(quiet=not workers.is_first)
+        goal = UntilWalks(
+            options.until_walks, say=lambda point: console.message(progress_line(point)), threads=options.threads
+        )
     try:
-        run, runner = train_with(options, workers)
+        run, runner = train_with(options, workers, goal=goal)
     finally:
         workers.close()
     if not workers.is_first:
@@ -108,11 +126,21 @@ def train(options: Options) -> int:
     if runner.stopped_by is not None:
         return 128 + runner.stopped_by
     reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads))
-    return 0
+    if goal is None or goal.walked:
+        return 0
+    if goal.best is not None and goal.best.checkpoint != checkpoint:
+        reporter.message(f"the best one that was measured: {goal.best.checkpoint}")
+    return NOT_WALKING
 
 
 def train_with(
-    options: Options, workers: Workers, watch: Callable[[int, Mapping[str, float]], None] | None = None
+    options: Options,
+    workers: Workers,
+    watch: Callable[[int, Mapping[str, float]], None] | None = None,
+    *,
+    goal: UntilWalks | None = None,
+    plan: Plan | None = None,
+    reporter: Reporter | None = None,
 ) -> tuple[Path, Runner]:
     """Trains with the other workers.
 
@@ -120,6 +148,9 @@ def train_with(
         options: the same for all workers.
         workers: the others.
         watch: is told the number of finished iterations and the scalars of each, in worker 0.
+        goal: ends the training before its last iteration; of a training in one process.
+        plan: what to train; None: what the options say.
+        reporter: what the user sees; None: all of a training.
 
     Returns:
         The run's directory, and what has trained it.
@@ -128,7 +159,10 @@ def train_with(
         ConfigError: as `train`.
         SystemExit: in workers that have nothing to say of an error that another one reports.
     """
-    plan = new_plan(options) if options.resume is None else _resumed_plan(options, workers)
+    if plan is None:
+        plan = new_plan(options) if options.resume is None else _resumed_plan(options, workers)
+    if goal is not None and workers.count > 1:
+        raise _core.ConfigError("--until-walks is of trainings in one process; leave it out, or train without workers")
     _check_same_plan(plan, options, workers)
     device = plan.device
     begin_with = plan.checkpoint or options.init
@@ -151,16 +185,17 @@ def train_with(
         overrides=[*run_config.task_changes, *plan.overrides],
         autoreset="same_step" if terms is None else "disabled",
         share=workers.share(run_config.num_envs, run_config.learner),
+        slots=plan.slots,
     )
     if terms is not None and isinstance(env, polypod.VectorEnv):
         env = CustomTerms(env, terms.rewards, terms.terminations, source=f"--terms {options.terms}")
     workers.check_same({"the configuration of task and robots": env.sim.config_hash()}, "use the same files")
     workers.check_same({"the instruction set": env.sim.simd}, "set POLYPOD_SIMD to one that all have")
-    reporter = Reporter(quiet=not workers.is_first)
+    reporter = reporter or Reporter(quiet=not workers.is_first)
 
     def new_run() -> str:
         run = options.run or run_dir.create(options.log_dir, env.sim.experiment_name, options.run_name)
-        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command, terms)
+        run_dir.write_params(run, env.sim, plan.config, plan.robots, plan.overrides, options.command, terms, plan.slots)
         return str(run)
 
     run = Path(workers.from_first(new_run)) if plan.checkpoint is None else plan.checkpoint.parent
@@ -168,7 +203,7 @@ def train_with(
         with _kept_if_begun(run, plan.checkpoint is None and workers.is_first):
             env.sim.set_dump_dir(run if run.is_dir() else None)
             runner = runner_of(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter, workers)
-            runner.watch = watch
+            runner.watch, runner.goal = watch, goal
             if plan.checkpoint is not None:
                 runner.load(str(plan.checkpoint))
             elif options.init is not None:
@@ -185,6 +220,8 @@ def train_with(
             lambda problem: reporter.message(f"polypod: warning: {problem}"),
             options.log_project,
         )
+        if goal is not None:
+            goal.begin()
         try:
             runner.learn(iterations, init_at_random_ep_len=plan.checkpoint is None)
         finally:
@@ -250,6 +287,35 @@ def new_plan(options: Options) -> Plan:
     """Plan of a new run. Raises ConfigError for options that contradict each other or name nothing."""
     of_task, of_training = config.split_overrides(options.overrides)
     train_config = config.load(options.train_config or config.DEFAULT, of_training)
+    if options.run_name is not None and (
+        Path(options.run_name).name != options.run_name or len(options.run_name) > 100
+    ):
+        raise _core.ConfigError(
+            f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
+            "leave out slashes, and use 100 letters at most"
+        )
+    return settle(options, train_config, of_task, options.robots)
+
+
+def settle(
+    options: Options,
+    train_config: TrainConfig,
+    overrides: list[str],
+    robots: list[str] | None,
+    slots: Sequence[str] = (),
+) -> Plan:
+    """Plan of a new run with a train config at hand.
+
+    Args:
+        options: flags, of which task, robots, train config and overrides are not read where the others say them.
+        train_config: what to train, with the device, learner and precision still open.
+        overrides: `key=value` pairs of the task.
+        robots: names, or paths of configs; None: those of the task.
+        slots: names of actions that the policy has on top of those of its robots.
+
+    Raises:
+        ConfigError: as `new_plan`.
+    """
     device = _device(options, train_config)
     train_config = train_config.with_run(
         task=run_dir.source(options.task or train_config.run.task),
@@ -263,14 +329,7 @@ def new_plan(options: Options) -> Plan:
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
-    if options.run_name is not None and (
-        Path(options.run_name).name != options.run_name or len(options.run_name) > 100
-    ):
-        raise _core.ConfigError(
-            f"--run-name {options.run_name[:100]!r} is part of a directory's name; "
-            "leave out slashes, and use 100 letters at most"
-        )
-    return Plan(train_config, options.robots, seed, of_task, None, device, terms)
+    return Plan(train_config, robots, seed, overrides, None, device, terms, tuple(slots))
 
 
 def _resumed_plan(options: Options, workers: Workers) -> Plan:
@@ -302,7 +361,8 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     terms = _terms_again(options, manifest)
     train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
     robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
-    return Plan(train_config, robots, seed, overrides, checkpoint, device, terms)
+    slots = tuple(manifest.get("slots", ()))
+    return Plan(train_config, robots, seed, overrides, checkpoint, device, terms, slots)
 
 
 def _learner_of(options: Options) -> str | None:

@@ -1,0 +1,313 @@
+"""From a policy that does not walk with a robot to one that does: `polypod adapt`.
+
+A short training that begins with the policy, of the robot alone or with robots that are described most like it, and
+ends when the robot walks. Measuring and stopping are `polypod.training.goal`, training is `polypod.training.session`.
+"""
+
+import contextlib
+import dataclasses
+import json
+import shlex
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from polypod import _core, bundled, descriptions
+from polypod.compat import tomllib
+from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
+from polypod.evaluation.walking import Walking, walks, why_not
+from polypod.new_robot import new_robot
+from polypod.tables import Rows
+from polypod.training import config, run_dir, session
+from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
+from polypod.training.report import Iteration, Reporter, walking_cells
+from polypod.training.schema import URMA, TrainConfig
+from polypod.training.workers import Workers
+
+TRAIN_CONFIG = "adapt"
+EXPERIMENT = "adapt"
+"""Folder of the runs."""
+MAX_MINUTES = 15.0
+EVERY = 10
+"""Iterations between two measurements."""
+FOUR_LEGS, OTHERS = "quadruped", "legged"
+"""Bundled policies to begin with."""
+URDF = ".urdf"
+_OF_POLICY = ("task", "task_changes", "symmetry", "normalize_reward_per_robot", "normalize_advantage_per_robot")
+"""Keys of [run] that stay as the policy was trained."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What to adapt to what."""
+
+    robot: str
+    """Name of a robot, path of its TOML, or path of a URDF."""
+    checkpoint: Path | None = None
+    """None: the bundled policy that fits best."""
+    neighbours: int = 0
+    """Robots of the library to train with, so that nothing is forgotten."""
+    max_minutes: float = MAX_MINUTES
+    every: int = EVERY
+    train_config: str = TRAIN_CONFIG
+    seed: int | None = None
+    log_dir: Path = bundled.LOGS
+    device: str = "auto"
+    threads: int | None = None
+    overrides: tuple[str, ...] = ()
+    package_dirs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """Of a URDF."""
+    locked_joints: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """Of a URDF."""
+
+    @property
+    def command(self) -> str:
+        """The command line of these options, for the manifest."""
+        words = ["polypod", "adapt", self.robot]
+        if self.checkpoint is not None:
+            words += ["--checkpoint", bundled.shown(self.checkpoint)]
+        for name in ("neighbours", "max_minutes", "every", "train_config", "seed"):
+            if (value := getattr(self, name)) != getattr(Options, name):
+                words += [f"--{name.replace('_', '-')}", str(value)]
+        words += [word for change in self.overrides for word in ("--set", change)]
+        words += [word for pair in self.package_dirs.items() for word in ("--package-dir", "=".join(pair))]
+        words += [word for joint, at in self.locked_joints.items() for word in ("--lock", f"{joint}={at}")]
+        return shlex.join(words)
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """How far an adaptation came."""
+
+    name: str
+    """Of the robot."""
+    robot: str
+    """How to find the robot again: its name, or the path of its config."""
+    checkpoint: Path
+    """The best one: the policy that it began with where no training was needed or none got better."""
+    before: Mapping[str, Walking]
+    after: Mapping[str, Walking]
+    walks: bool
+    """Whether the robot walks, and every neighbour that walked before."""
+    points: Sequence[Point]
+    minutes: float
+    """Of everything: drafting, training, measuring."""
+    stopped_by: int | None = None
+    """The signal that ended it."""
+
+
+def adapt(options: Options, reporter: Reporter | None = None) -> Result:
+    """Trains until the robot walks or the time is over.
+
+    Raises:
+        ConfigError: for options that name nothing, and for a policy that cannot act for the robot.
+        RobotError: for a URDF that is no legged robot's.
+    """
+    began = time.monotonic()
+    reporter = reporter or Progress()
+    config.load(options.train_config)  # its mistakes are said before anything is written
+    given = Path(options.robot)
+    run = run_dir.create(options.log_dir, EXPERIMENT, _robot_name(given))
+    try:
+        robot = _draft(options, run, reporter) if given.suffix == URDF else run_dir.source(options.robot)
+        checkpoint = options.checkpoint or _fitting_policy(robot)
+        manifest = run_dir.read_manifest(checkpoint)
+        ((name, body),) = descriptions.describe([robot]).items()
+        training = descriptions.training_of(manifest, str(checkpoint))
+        if training is not None and name not in training.bodies:
+            reporter.message(f"{name}: its description is {training.distance(body)}")
+        library = {entry["name"] for entry in _core.robots()}
+        near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
+        neighbours = near[: options.neighbours]
+        changes = _changes(manifest, robot, name, near[:1], options.overrides)
+        before = _measured(checkpoint, [robot, *neighbours], changes, options)
+    except BaseException:
+        shutil.rmtree(run, ignore_errors=True)
+        raise
+    wanted = [each for each in before if each == name or walks(before[each])]
+    reporter.message(f"begins with {bundled.shown(checkpoint)}: {_verdict(before, wanted)}")
+    if walks(before[name]):
+        if given.suffix != URDF:
+            shutil.rmtree(run, ignore_errors=True)
+        return Result(name, robot, checkpoint, before, before, True, [], _minutes(began))
+    goal = UntilWalks(
+        options.every,
+        wanted,
+        say=lambda point: reporter.message(progress_line(point, wanted)),
+        deadline=began + 60.0 * options.max_minutes,
+        threads=options.threads,
+    )
+    of_run = session.Options(
+        init=checkpoint,
+        seed=options.seed,
+        device=options.device,
+        threads=options.threads,
+        log_dir=options.log_dir,
+        run=run,
+        origin=options.command,
+    )
+    shares = [f"env_shares.{name}={len(neighbours)}"] if len(neighbours) > 1 else []
+    plan = session.settle(
+        of_run,
+        _train_config(options, manifest),
+        [*changes, *shares],
+        robots=[robot, *neighbours],
+        slots=[] if manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
+    )
+    _, runner = session.train_with(of_run, Workers.alone(), goal=goal, plan=plan, reporter=reporter)
+    runner.env.unwrapped.close()
+    stopped_by = None if runner.stopped_by is None else int(runner.stopped_by)
+    last = run_dir.checkpoint_path(run, runner.current_learning_iteration)
+    if goal.best is None:
+        # interrupted before the first measurement
+        return Result(name, robot, last, before, {}, False, [], _minutes(began), stopped_by)
+    best, after = goal.best.checkpoint, goal.best.robots
+    if rank(after, wanted) <= rank(before, wanted):
+        # a policy that no measurement beats stays what it was
+        best, after = checkpoint, before
+    elif goal.walked and goal.confirmation is not None:
+        after = goal.confirmation
+    elif stopped_by is None:
+        after = _measured(best, None, [], options)
+    if best != last:
+        run_dir.remove_checkpoint(last)
+    return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by)
+
+
+def _draft(options: Options, run: Path, reporter: Reporter) -> str:
+    """Drafts a URDF's config beside the run, like `polypod robot new`; returns its path."""
+    folder, urdf = run / "robot", Path(options.robot)
+    folder.mkdir()
+    new = new_robot(
+        urdf,
+        folder / f"{_robot_name(urdf)}.toml",
+        package_dirs=options.package_dirs,
+        locked_joints=options.locked_joints,
+    )
+    reporter.message(f"drafted {new.path}")
+    for note in new.notes:
+        reporter.message(f"  {note}")
+    return run_dir.source(str(new.path))
+
+
+def _robot_name(given: Path) -> str:
+    """A name for the robot and its run, of letters that every file system takes."""
+    name = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in given.stem.lower())
+    return name[:60] or "robot"
+
+
+def _fitting_policy(robot: str) -> Path:
+    """The bundled policy to begin with: by the number of legs, and by whether it has a column for every joint."""
+    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
+    (info,) = json.loads(sim.robot_info()).values()
+    if len(info["legs"]) != 4:
+        others = bundled.checkpoint(OTHERS)
+        if set(sim.canonical_joint_names) <= set(run_dir.read_manifest(others)["canonical_joint_names"]):
+            return others
+    return bundled.checkpoint(FOUR_LEGS)
+
+
+def _changes(
+    manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
+) -> list[str]:
+    """`key=value` pairs of the task: those of the policy, the reward set for a robot that the task does not know."""
+    trained = [change for change in manifest["overrides"] if not change.startswith("env_shares.")]
+    of_robot = []
+    if robot.endswith(".toml") and nearest:
+        # a draft names a set of another task; the robot that is described most like it has this task's
+        sim = _core.VecSim(manifest["task"], 1, robots=list(nearest), threads=1, overrides=trained)
+        (like,) = tomllib.loads(sim.resolved_config())["robots"].values()
+        of_robot = [f"robot_overrides.{name}.reward_set={like['reward_set']}"]
+    of_task, _ = config.split_overrides(given)
+    return [*trained, *of_robot, *of_task]
+
+
+def _train_config(options: Options, manifest: Mapping[str, Any]) -> TrainConfig:
+    """The settings of the train config with networks, task and ranges of the policy."""
+    _, of_training = config.split_overrides(options.overrides)
+    tables, policy = config.load(options.train_config).as_dict(), manifest["train_config"]
+    kept = {key: policy["run"][key] for key in _OF_POLICY if key in policy["run"]}
+    tables["run"] = {**tables["run"], **kept, "task": manifest["task"]}
+    for section in ("actor", "critic", "obs_groups"):
+        if section in policy:
+            tables[section] = policy[section]
+    return config.changed(config.parse(tables, f"{options.train_config} for the policy"), of_training, "adapt")
+
+
+def _measured(
+    checkpoint: Path, robots: list[str] | None, changes: Sequence[str], options: Options
+) -> dict[str, Walking]:
+    """Figures with the seed that selects nothing."""
+    count = len(run_dir.read_manifest(checkpoint)["robots"]) if robots is None else len(robots)
+    result = evaluate_checkpoint(
+        checkpoint,
+        robots,
+        num_envs=ENVS_PER_ROBOT * count,
+        seed=CONFIRMING_SEED,
+        threads=options.threads,
+        overrides=changes,
+    )
+    return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
+
+
+def _verdict(figures: Mapping[str, Walking], wanted: Sequence[str]) -> str:
+    """How many robots walk, and why the others do not."""
+    reasons = {name: "; ".join(why_not(walking)) for name, walking in figures.items()}
+    walking = f"{sum(not reason for reason in reasons.values())} of {len(reasons)} walk"
+    return "; ".join([walking, *(f"{name}: {reasons[name]}" for name in wanted if reasons[name])])
+
+
+def _minutes(began: float) -> float:
+    return (time.monotonic() - began) / 60.0
+
+
+def table(result: Result) -> Rows:
+    """The figures of the definition of walking before and after."""
+    rows = None
+    for name, before in result.before.items():
+        for when, figures in (("before", before), ("after", result.after.get(name))):
+            if figures is None:
+                continue
+            cells = walking_cells(figures)
+            rows = rows or Rows("robot", *cells)
+            rows.add_row(f"{name}, {when}", *cells.values())
+    return rows or Rows("robot")
+
+
+def verdict(result: Result) -> str:
+    """The end of an adaptation in words."""
+    spent = f"{result.minutes:.1f} min"
+    if result.points:
+        spent = f"{result.points[-1].samples / 1e6:.2f} million samples, {spent}"
+    shown = bundled.shown(result.checkpoint)
+    robots = f" --robots {result.robot}"
+    if result.walks and not result.points:
+        return f"{result.name} walks without training; see it:  polypod play --checkpoint {shown}{robots}"
+    if result.walks:
+        return f"{result.name} walks after {spent}; see it:  polypod play --checkpoint {shown}"
+    if not result.after:
+        return f"interrupted before the first measurement, after {spent}; {shown}"
+    reasons = {name: "; ".join(why_not(walking)) for name, walking in result.after.items()}
+    why = "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
+    end = "interrupted" if result.stopped_by is not None else "it does not walk"
+    return (
+        f"{result.name}: {end} after {spent}; {why or 'it walks with one of two seeds'}. The best policy is {shown}; "
+        f"go on with  polypod adapt {result.robot} --checkpoint {shown}"
+    )
+
+
+class Progress(Reporter):
+    """Shows messages, and no lines of iterations."""
+
+    @contextlib.contextmanager
+    def training(self, start: int, stop: int) -> Iterator[None]:
+        """Shows nothing while the context lasts."""
+        yield
+
+    def iteration(self, figures: Iteration) -> None:
+        """Shows nothing."""
+
+    def robots(self, stats: Mapping[str, Mapping[str, float]]) -> None:
+        """Shows nothing."""

@@ -1,0 +1,106 @@
+"""`polypod adapt`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from polypod import _core, bundled
+from polypod.commands.arguments import (
+    Count,
+    Locks,
+    Name,
+    Overrides,
+    PackageDirs,
+    arg,
+    check_names,
+    locked_joints,
+    package_dirs,
+    positive,
+    thread_count,
+)
+
+MAX_NEIGHBOURS = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class Adapt:
+    """Let a policy learn to walk with one robot: from a bundled one to one that walks, in minutes."""
+
+    robot: Annotated[str, tyro.conf.Positional, arg(metavar="ROBOT")]
+    """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, of which a config is drafted."""
+    checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Policy to begin with: a model_<n>.pt beside its manifest.json, the name of a run, or a bundled policy. Default:
+    quadruped for four legs; for others legged if it has a column for every joint, else quadruped."""
+    neighbours: int = 0
+    """Also train N robots of the policy that are described most like it, so that they are not forgotten."""
+    max_minutes: float = 15.0
+    """End after so many minutes, drafting and measuring included."""
+    every: int = 10
+    """Iterations between two measurements."""
+    train_config: Name = None
+    """Learner's settings: the name of a train config or the path of a .toml. Networks and task are the policy's.
+    Default: adapt."""
+    seed: Count = None
+    """Seed of every random stream. Default: 42."""
+    log_dir: Path = Path("logs")
+    """The run lies in LOG_DIR/rsl_rl/adapt/."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the learner runs; the simulator runs on the CPU."""
+    threads: Count = None
+    """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
+    package_dir: PackageDirs = ()
+    """Where a ROS package of `package://` names of a URDF lies. May be repeated."""
+    lock: Locks = ()
+    """Holds a joint of a URDF at a position, rad or m: an arm, a wheel. May be repeated."""
+    set: Overrides = ()
+    """Changes the task's configuration, or with train. before the key the train config. May be repeated."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code: 0 if the robot walks, 3 if it does not within the time."""
+        self._check()
+        import torch
+
+        from polypod import adapt
+        from polypod.training.session import NOT_WALKING
+
+        threads = thread_count(self.threads, "--threads")
+        if threads is not None:
+            torch.set_num_threads(threads)
+        options = adapt.Options(
+            robot=self.robot,
+            checkpoint=None if self.checkpoint is None else bundled.resolve(self.checkpoint, self.log_dir),
+            neighbours=self.neighbours,
+            max_minutes=self.max_minutes,
+            every=self.every,
+            train_config=self.train_config or adapt.TRAIN_CONFIG,
+            seed=self.seed,
+            log_dir=self.log_dir,
+            device=self.device,
+            threads=threads,
+            overrides=tuple(self.set),
+            package_dirs=package_dirs(self.package_dir),
+            locked_joints=locked_joints(self.lock),
+        )
+        reporter = adapt.Progress()
+        result = adapt.adapt(options, reporter)
+        adapt.table(result).print(reporter.console)
+        reporter.message(adapt.verdict(result))
+        if result.stopped_by is not None:
+            return 128 + result.stopped_by
+        return 0 if result.walks else NOT_WALKING
+
+    def _check(self) -> None:
+        """Refuses what does not exist before torch is imported."""
+        is_urdf = self.robot.endswith(".urdf")
+        if not is_urdf:
+            check_names(None, [self.robot])
+            for flag, value in (("--package-dir", self.package_dir), ("--lock", self.lock)):
+                if value:
+                    raise _core.ConfigError(f"{flag} is of a URDF; leave it out, or pass the URDF of {self.robot[:80]}")
+        if not 0 <= self.neighbours <= MAX_NEIGHBOURS:
+            raise _core.ConfigError(f"--neighbours {self.neighbours} must be from 0 to {MAX_NEIGHBOURS}")
+        if not 0.0 < self.max_minutes <= 1e6:
+            raise _core.ConfigError(f"--max-minutes {self.max_minutes} must be greater than 0 and at most 1e6")
+        positive(self.every, "--every")

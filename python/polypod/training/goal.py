@@ -1,0 +1,157 @@
+"""Trainings that end when their robots walk: `train --until-walks`, `adapt` and `bench --walk` measure with it."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
+from polypod.evaluation.walking import Walking, shortfall, walks, why_not
+from polypod.training import run_dir
+from polypod.training.runner import Runner
+
+SEED, CONFIRMING_SEED = 0, 1
+"""Seeds of measurements that decide, and of those that confirm what was decided."""
+
+
+class Meter(Protocol):
+    """Counts something between `resume` and `pause`."""
+
+    def resume(self) -> None:
+        """Counts from here on."""
+
+    def pause(self) -> None:
+        """Stands still from here on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """A measurement of a training."""
+
+    iterations: int
+    samples: int
+    seconds: float
+    """Of the training until then, without measurements."""
+    robots: Mapping[str, Walking]
+    checkpoint: Path
+
+
+def rank(robots: Mapping[str, Walking], wanted: Collection[str]) -> tuple[int, float]:
+    """The order of measurements by how well some robots walk, the best one last."""
+    figures = [robots[robot] for robot in wanted]
+    return sum(map(walks, figures)), -sum(map(shortfall, figures))
+
+
+class UntilWalks:
+    """Measures a training at intervals and ends it when robots walk, by `polypod.evaluation.walking`.
+
+    The deterministic policy is measured in the Play variant of the training's task. Measurements leave the training's
+    random numbers alone. Of the checkpoints that were measured, the best one stays.
+    """
+
+    def __init__(
+        self,
+        every: int,
+        wanted: Collection[str] | None = None,
+        *,
+        say: Callable[[Point], None] = lambda point: None,
+        deadline: float | None = None,
+        confirm: bool = True,
+        envs_per_robot: int = ENVS_PER_ROBOT,
+        threads: int | None = None,
+        meter: Meter | None = None,
+    ) -> None:
+        """Begins.
+
+        Args:
+            every: iterations between two measurements.
+            wanted: names of the robots that have to walk; None: all of the training.
+            say: is told each measurement.
+            deadline: of `time.monotonic`, after which one more measurement ends the training; None: there is none.
+            confirm: whether robots have to walk with a second seed too, which selects nothing.
+            envs_per_robot: number of envs of a measurement for each robot.
+            threads: of a measurement; None: one per core.
+            meter: of the training's energy, which stands still in measurements.
+        """
+        self.every, self.wanted = every, None if wanted is None else tuple(wanted)
+        self.best: Point | None = None
+        self.points: list[Point] = []
+        self.confirmation: Mapping[str, Walking] | None = None
+        """Figures of the last second seed."""
+        self.walked = False
+        """Whether the robots walk after the best checkpoint."""
+        self._say, self._deadline, self._confirm = say, deadline, confirm
+        self._envs_per_robot, self._threads = envs_per_robot, threads
+        self._meter = meter
+        self._measuring = 0.0
+        self._began = time.perf_counter()
+
+    def begin(self) -> None:
+        """Counts the seconds of the training from here on."""
+        self._began, self._measuring = time.perf_counter(), 0.0
+        if self._meter is not None:
+            self._meter.resume()
+
+    def ends(self, runner: Runner, is_last: bool) -> bool:
+        """Measures the training if it is time to; returns whether it has reached its goal or its deadline."""
+        iterations = runner.current_learning_iteration
+        is_late = self._deadline is not None and time.monotonic() >= self._deadline
+        if iterations % self.every and not is_late and not is_last:
+            return False
+        begin = time.perf_counter()
+        if self._meter is not None:
+            self._meter.pause()
+        path = run_dir.checkpoint_path(runner.run, iterations)
+        runner.try_to_save(path)
+        # a full disk takes none, and the training goes on
+        if path.is_file():
+            samples = runner.config.run.num_steps_per_env * runner.env.num_envs * iterations
+            seconds = begin - self._began - self._measuring
+            self._add(Point(iterations, samples, seconds, self._measure(path, SEED), path), runner)
+        self._measuring += time.perf_counter() - begin
+        ends = self.walked or is_late
+        if self._meter is not None and not (ends or is_last):
+            self._meter.resume()
+        return ends
+
+    def _add(self, point: Point, runner: Runner) -> None:
+        """Takes a measurement."""
+        wanted = self.wanted or tuple(point.robots)
+        self._keep(point, runner.config.run.save_interval)
+        self.points.append(point)
+        self._say(point)
+        if all(walks(point.robots[robot]) for robot in wanted):
+            self.walked = True
+            if self._confirm:
+                self.confirmation = self._measure(point.checkpoint, CONFIRMING_SEED)
+                self.walked = all(walks(self.confirmation[robot]) for robot in wanted)
+
+    def _measure(self, path: Path, seed: int) -> dict[str, Walking]:
+        with torch.random.fork_rng(devices=[]):
+            # weights are drawn before they are read from the checkpoint
+            count = len(run_dir.read_manifest(path)["robots"])
+            num_envs = self._envs_per_robot * count
+            result = evaluate_checkpoint(path, num_envs=num_envs, seed=seed, threads=self._threads)
+        return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
+
+    def _keep(self, point: Point, save_interval: int) -> None:
+        """Keeps the best checkpoint and those of the training's own interval."""
+        wanted, leaves = self.wanted or tuple(point.robots), point
+        if self.best is None or rank(point.robots, wanted) > rank(self.best.robots, wanted):
+            self.best, leaves = point, self.best or point
+        if leaves is not self.best and leaves.iterations % save_interval:
+            run_dir.remove_checkpoint(leaves.checkpoint)
+
+
+def progress_line(point: Point, wanted: Collection[str] | None = None) -> str:
+    """A measurement in a line: how many robots walk, and the figures of the one that is farthest from it."""
+    figures = {robot: point.robots[robot] for robot in wanted or point.robots}
+    walking = sum(map(walks, figures.values()))
+    name = max(figures, key=lambda robot: shortfall(figures[robot]))
+    spent = f"{point.samples / 1e6:.2f} million samples, {point.seconds:.0f} s"
+    reasons = why_not(figures[name])
+    farthest = f"; {name}: {'; '.join(reasons)}" if reasons else ""
+    return f"iteration {point.iterations}, {spent}: {walking} of {len(figures)} walk{farthest}"

@@ -1,0 +1,80 @@
+"""A critic that goes on with other bodies: columns of its first layer follow the numbers that they belong to."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from polypod import _core
+from polypod.observation import terms_of
+
+FIRST_LAYER = "mlp.0.weight"
+MOMENTS = {"obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normalizer._std": 1.0}
+"""Statistics of the observation, and what they are of a number that was never seen."""
+
+Number = tuple[str, str, int, str]
+"""A number of an observation: group, term, place within the term, and the slot or leg that it belongs to."""
+
+
+def numbers_of(sim: _core.VecSim, groups: Sequence[str]) -> list[Number]:
+    """The numbers of observation groups side by side, in order."""
+    slots = sim.canonical_joint_names
+    legs = [info["legs"] for info in json.loads(sim.robot_info()).values()]
+    # feet of robots with different legs are known by their places alone
+    feet = legs[0] if all(of == legs[0] for of in legs) else []
+    numbers: list[Number] = []
+    for group in groups:
+        for term in terms_of(sim, group):
+            owners = {"per_joint": slots, "per_foot": feet}.get(term.kind, [])
+            if not owners or term.size % len(owners):
+                numbers += [(group, term.term, place, "") for place in range(term.size)]
+                continue
+            for row in range(term.size // len(owners)):
+                numbers += [(group, term.term, row, owner) for owner in owners]
+    return numbers
+
+
+def critic_for(
+    old: Mapping[str, torch.Tensor], of: Sequence[Number], own: Mapping[str, torch.Tensor], wanted: Sequence[Number]
+) -> dict[str, torch.Tensor] | None:
+    """The state of a perceptron for other numbers, which computes what it did where new ones are absent.
+
+    Args:
+        old: the perceptron's state.
+        of: the numbers that it reads.
+        own: the state of the new perceptron.
+        wanted: the numbers that the new one reads.
+
+    Returns:
+        None where the two differ in more than the numbers that they read.
+    """
+    if old.keys() != own.keys() or FIRST_LAYER not in own:
+        return None
+    moved: dict[str, torch.Tensor] = {}
+    place = {number: index for index, number in enumerate(of)}
+    pairs = [(index, place[number]) for index, number in enumerate(wanted) if number in place]
+    to, begin = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    for key, value in own.items():
+        if key != FIRST_LAYER and key not in MOMENTS:
+            if old[key].shape != value.shape:
+                return None
+            moved[key] = old[key]
+            continue
+        if old[key].shape[0] != value.shape[0] or old[key].shape[1] != len(of) or value.shape[1] != len(wanted):
+            return None
+        moved[key] = torch.full_like(value, MOMENTS.get(key, 0.0))
+        moved[key][:, to] = old[key][:, begin].to(value.device)
+    return moved
+
+
+def numbers_of_run(manifest: Mapping[str, Any], groups: Sequence[str]) -> list[Number] | None:
+    """`numbers_of` for the training of a manifest; None where its task or robots are not on this machine."""
+    robots = manifest["robot_sources"]
+    try:
+        sim = _core.VecSim(
+            manifest["task"], len(robots), robots=list(robots), threads=1, overrides=list(manifest["overrides"])
+        )
+        return numbers_of(sim, groups)
+    except _core.PolypodError:
+        return None

@@ -1,0 +1,138 @@
+"""Trainings end when their robots walk: measurements come at intervals, change nothing, and the best policy stays."""
+
+import dataclasses
+import json
+import time
+
+import pytest
+import torch
+
+from polypod.evaluation.walking import Walking, shortfall, walks
+from polypod.training import goal as goals
+from polypod.training import run_dir, session
+from polypod.training.goal import UntilWalks
+from polypod.training.workers import Workers
+
+TINY = ["sim.episode_length_s=1.0"]
+FIGURES = Walking(
+    episodes=64,
+    duration_s=20.0,
+    kinds=("box", "turn", "side", "stop"),
+    error_vel_xy=0.1,
+    still_error_vel_xy=0.46,
+    error_vel_yaw=0.1,
+    still_error_vel_yaw=0.37,
+    fall_rate=0.0,
+    turn_reached=0.9,
+    side_reached=0.9,
+    drift_xy=0.01,
+    drift_yaw=0.01,
+)
+
+
+def options(tmp_path, **changes):
+    return session.Options(
+        robots=["unitree_go1"],
+        num_envs=16,
+        max_iterations=4,
+        logger="none",
+        device="cpu",
+        threads=1,
+        log_dir=tmp_path,
+        overrides=[*TINY, "train.run.num_steps_per_env=4", "train.run.save_interval=1000"],
+        **changes,
+    )
+
+
+def measured(monkeypatch, figures):
+    """Lets measurements give these figures, one after the other."""
+    given = iter(figures)
+    monkeypatch.setattr(UntilWalks, "_measure", lambda self, path, seed: {"unitree_go1": next(given)})
+
+
+def bad(error):
+    return dataclasses.replace(FIGURES, error_vel_xy=error)
+
+
+def test_the_shortfall_is_0_where_a_robot_walks_and_grows_with_what_it_misses():
+    assert walks(FIGURES)
+    assert shortfall(FIGURES) == 0.0
+    assert shortfall(bad(0.23 + 0.115)) == pytest.approx(0.5)
+    changes = [{"fall_rate": 1.0}, {"turn_reached": 0.0}, {"drift_xy": 0.1}, {"drift_yaw": 0.2}, {"error_vel_xy": 2.0}]
+    changes += [{"error_vel_yaw": 0.37}, {"turn_reached": float("nan")}, {"drift_xy": float("nan")}]
+    for change in changes:
+        assert shortfall(dataclasses.replace(FIGURES, **change)) == pytest.approx(1.0), change
+    assert shortfall(dataclasses.replace(FIGURES, fall_rate=0.3)) < shortfall(
+        dataclasses.replace(FIGURES, fall_rate=0.6)
+    )
+
+
+def test_it_ends_when_the_robot_walks_with_a_second_seed_too(tmp_path, monkeypatch):
+    # does not walk; walks with one seed alone; walks with both
+    measured(monkeypatch, [bad(0.4), FIGURES, bad(0.3), FIGURES, FIGURES])
+    goal = UntilWalks(1)
+    _run, runner = session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert goal.walked
+    assert runner.current_learning_iteration == 3
+    assert [point.samples for point in goal.points] == [64, 128, 192]
+    assert [point.seconds for point in goal.points] == sorted(point.seconds for point in goal.points)
+    assert goals.rank(goal.best.robots, ["unitree_go1"]) == (1, 0.0)
+
+
+def test_the_best_checkpoint_stays_and_the_others_go_with_their_sums(tmp_path, monkeypatch):
+    measured(monkeypatch, [bad(0.4), bad(0.3), bad(0.35), bad(0.45)])
+    goal = UntilWalks(1)
+    run, _ = session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert not goal.walked
+    assert goal.best.checkpoint == run / "model_2.pt"
+    # the last one is what a resumed run goes on from
+    assert sorted(path.name for path in run.glob("model_*.pt")) == ["model_2.pt", "model_4.pt"]
+    assert set(json.loads((run / "manifest.json").read_text())["checkpoints"]) == {"model_2.pt", "model_4.pt"}
+
+
+def test_a_deadline_ends_it_after_one_more_measurement(tmp_path, monkeypatch):
+    measured(monkeypatch, [bad(0.4)])
+    goal = UntilWalks(100, deadline=time.monotonic())
+    _, runner = session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert runner.current_learning_iteration == len(goal.points) == 1
+
+
+def test_robots_that_need_not_walk_end_nothing(tmp_path, monkeypatch):
+    measured(monkeypatch, [FIGURES, FIGURES])
+    goal = UntilWalks(1, ["unitree_go1"], confirm=True)
+    session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert goal.walked
+    assert goal.confirmation == {"unitree_go1": FIGURES}
+
+
+@pytest.mark.parametrize("learner", ["native", "rsl_rl"])
+def test_measurements_change_no_bit_of_the_training(tmp_path, learner):
+    weights = []
+    for name in ("alone", "measured"):
+        goal = None if name == "alone" else UntilWalks(1, envs_per_robot=2, threads=1)
+        run, _runner = session.train_with(options(tmp_path / name, learner=learner), Workers.alone(), goal=goal)
+        weights.append(run_dir.load_checkpoint(run_dir.checkpoint_path(run, 4))["actor_state_dict"])
+    for key, value in weights[0].items():
+        assert torch.equal(value, weights[1][key]), key
+
+
+def test_train_says_whether_robots_walk_by_its_exit_code(cli, tmp_path, monkeypatch):
+    flags = ("--num-envs", "16", "--robots", "unitree_go1", "--max-iterations", "2", "--logger", "none")
+    flags += ("--set", TINY[0], "--set", "train.run.num_steps_per_env=4", "--threads", "1", "--until-walks", "1")
+    done = cli("train", *flags)
+    assert done.returncode == 3, done.stderr
+    assert done.stdout.count("0 of 1 walk") == 3
+    (run,) = tmp_path.glob("logs/rsl_rl/*/*")
+    assert "--until-walks 1" in json.loads((run / "manifest.json").read_text())["command"]
+    measured(monkeypatch, [FIGURES, FIGURES])
+    done = cli("train", *flags)
+    assert done.returncode == 0, done.stderr
+    assert "iteration 1, 0.00 million samples" in done.stdout
+
+
+def test_workers_are_refused(cli, monkeypatch):
+    done = cli("train", "--until-walks", "5", "--ray", "nowhere:1")
+    assert done.returncode == 2
+    assert "--until-walks" in done.stderr
+    done = cli("train", "--until-walks", "0")
+    assert "--until-walks 0 must be at least 1" in done.stderr
