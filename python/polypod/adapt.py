@@ -171,7 +171,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         after = goal.confirmation
     elif stopped_by is None:
         after = _measured(best, None, [], options)
-    if best != last:
+    if goal.best.checkpoint != last:
         run_dir.remove_checkpoint(last)
     return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by)
 

@@ -249,3 +249,17 @@ def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path
     for index in (1, 2):
         assert_mujoco_observes_the_same(checkpoint, BODIES[index])
     assert (sizes["joint_pos"], sizes["joint_pos_target"], sizes["actions"], sizes["last_action"]) == (8, 8, 38, 38)
+
+
+def test_statistics_of_numbers_that_no_robot_has_stay_as_they_are():
+    """A policy of many robots goes on with one: what it knows of the others' numbers is not forgotten."""
+    torch.manual_seed(0)
+    normalizer = MaskedNormalization(torch.tensor([1.0, 0.5, 0.0]))
+    normalizer._mean[:], normalizer._var[:], normalizer._std[:] = 3.0, 4.0, 2.0
+    normalizer.count.fill_(10)
+    samples = torch.randn(1000, 3) * torch.tensor([1.0, 1.0, 0.0])
+    samples[500:, 1] = 0.0
+    normalizer.update(samples)
+    assert (normalizer._mean[0, 2], normalizer._var[0, 2], normalizer._std[0, 2]) == (3.0, 4.0, 2.0)
+    assert torch.isfinite(normalizer(samples)).all()
+    assert normalizer._mean[0, 0].abs() < 0.2

@@ -61,21 +61,30 @@ class MaskedNormalization(EmpiricalNormalization):
     scale: torch.Tensor
 
     def __init__(self, shares: torch.Tensor) -> None:
-        """Normalises observations of which each number, [num_obs], exists in this share of the envs, more than 0."""
+        """Normalises observations of which each number, [num_obs], exists in this share of the envs.
+
+        Statistics of a number that no env has stay as they are.
+        """
         super().__init__(shares.numel())
+        self._absent = None if bool((shares > 0.0).all()) else torch.nonzero(shares == 0.0).squeeze(1)
         self.register_buffer("is_padded", (shares < 1.0).unsqueeze(0), persistent=False)
         # squares of what is missing are 0 and lower the mean of all
-        self.register_buffer("scale", shares.float().rsqrt().unsqueeze(0), persistent=False)
+        scale = torch.where(shares > 0.0, shares.float().rsqrt(), 0.0)
+        self.register_buffer("scale", scale.unsqueeze(0), persistent=False)
 
     @torch.jit.unused
     def update(self, x: torch.Tensor) -> None:
         """Takes in observations [n, num_obs], 0 where a number is missing."""
         if not self.training:
             return
+        absent = None if self._absent is None else self._absent.to(x.device)
+        kept = [] if absent is None else [of[:, absent].clone() for of in (self._mean, self._var)]
         super().update(x * self.scale)
         # variance about the mean to mean square
         self._var += torch.where(self.is_padded, self._mean.square(), 0.0)
         self._mean.masked_fill_(self.is_padded, 0.0)
+        if absent is not None:
+            self._mean[:, absent], self._var[:, absent] = kept
         self._std = torch.sqrt(self._var)
 
 

@@ -1,6 +1,5 @@
 """A critic that goes on with other bodies: columns of its first layer follow the numbers that they belong to."""
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,10 +18,7 @@ Number = tuple[str, str, int, str]
 
 def numbers_of(sim: _core.VecSim, groups: Sequence[str]) -> list[Number]:
     """The numbers of observation groups side by side, in order."""
-    slots = sim.canonical_joint_names
-    legs = [info["legs"] for info in json.loads(sim.robot_info()).values()]
-    # feet of robots with different legs are known by their places alone
-    feet = legs[0] if all(of == legs[0] for of in legs) else []
+    slots, feet = sim.canonical_joint_names, sim.feet_names
     numbers: list[Number] = []
     for group in groups:
         for term in terms_of(sim, group):
