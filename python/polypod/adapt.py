@@ -113,6 +113,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     try:
         robot = _draft(options, run, reporter) if given.suffix == URDF else run_dir.source(options.robot)
         checkpoint = options.checkpoint or _fitting_policy(robot)
+        run_dir.load_checkpoint(checkpoint)  # a broken one is refused by its name
         manifest = run_dir.read_manifest(checkpoint)
         ((name, body),) = descriptions.describe([robot]).items()
         training = descriptions.training_of(manifest, str(checkpoint))
@@ -148,11 +149,12 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         run=run,
         origin=options.command,
     )
+    # shares of the training alone, which no evaluation needs
     shares = [f"env_shares.{name}={len(neighbours)}"] if len(neighbours) > 1 else []
     plan = session.settle(
         of_run,
-        _train_config(options, manifest),
-        [*changes, *shares],
+        _train_config(options, manifest, shares),
+        changes,
         robots=[robot, *neighbours],
         slots=[] if manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
     )
@@ -224,12 +226,13 @@ def _changes(
     return [*trained, *of_robot, *of_task]
 
 
-def _train_config(options: Options, manifest: Mapping[str, Any]) -> TrainConfig:
+def _train_config(options: Options, manifest: Mapping[str, Any], shares: Sequence[str]) -> TrainConfig:
     """The settings of the train config with networks, task and ranges of the policy."""
     _, of_training = config.split_overrides(options.overrides)
     tables, policy = config.load(options.train_config).as_dict(), manifest["train_config"]
     kept = {key: policy["run"][key] for key in _OF_POLICY if key in policy["run"]}
-    tables["run"] = {**tables["run"], **kept, "task": manifest["task"]}
+    changes = [change for change in kept.get("task_changes", []) if not change.startswith("env_shares.")]
+    tables["run"] = {**tables["run"], **kept, "task_changes": [*changes, *shares], "task": manifest["task"]}
     for section in ("actor", "critic", "obs_groups"):
         if section in policy:
             tables[section] = policy[section]

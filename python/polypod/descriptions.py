@@ -90,7 +90,7 @@ def describe(robots: Sequence[str], task: str = TASK, overrides: Sequence[str] =
         ConfigError: for a robot or a task that cannot be used.
     """
     play = _core.play_task(task)
-    sim = _core.VecSim(play, len(robots), robots=list(robots), seed=0, threads=1, overrides=list(overrides))
+    sim = _core.VecSim(play, len(robots), robots=list(robots), seed=0, threads=1, overrides=without_shares(overrides))
     start = 0
     for term in terms_of(sim):
         if term.term == TERM:
@@ -108,6 +108,11 @@ def describe(robots: Sequence[str], task: str = TASK, overrides: Sequence[str] =
         here = np.flatnonzero(sim.action_mask[row])
         bodies[robot] = Body(tuple(slots[slot] for slot in here), numbers[row][:, here].T.copy())
     return bodies
+
+
+def without_shares(overrides: Sequence[str]) -> list[str]:
+    """`key=value` pairs of a task that hold for one env of each robot, too."""
+    return [change for change in overrides if not change.startswith("env_shares.")]
 
 
 class Training:

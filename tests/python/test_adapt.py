@@ -108,10 +108,10 @@ def test_an_interrupt_keeps_what_there_is(tmp_path):
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout:
             if line.startswith("iteration 1,"):
-                process.send_signal(signal.SIGINT)
+                process.send_signal(signal.SIGTERM)
                 break
         rest = process.stdout.read()
-    assert process.returncode == 130, rest
+    assert process.returncode == 143, rest
     (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_spot")
     assert len(list(run.glob("model_*.pt"))) == 1
     assert "spot, after" in rest
@@ -152,6 +152,10 @@ def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured)
     robots = json.loads((run / "manifest.json").read_text())["robots"]
     assert robots[:2] == ["unitree_go1", "unitree_go2"]
     assert len(robots) == 3
+    # the robot has the envs of both, in the training alone
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["train_config"]["run"]["task_changes"][-1] == "env_shares.unitree_go1=2"
+    assert not [change for change in manifest["overrides"] if change.startswith("env_shares")]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +170,7 @@ def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured)
         (("unitree_go1", "--lock", "a=0"), "--lock is of a URDF"),
         (("unitree_go1", "--train-config", "nothing"), "nothing"),
         (("unitree_go1", "--checkpoint", "nothing.pt"), "nothing.pt"),
-        (("unitree_h1", "--checkpoint", "flat", *FLAGS), "12"),
+        (("unitree_h1", "--checkpoint", "flat", *FLAGS), "twelve joints"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, tuple) else "",
 )

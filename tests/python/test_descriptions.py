@@ -121,3 +121,14 @@ def test_evaluations_tell_it_of_other_bodies_alone(cli, tmp_path):
     assert told[1]["distance"] > 0.1
     done = cli("play", "--checkpoint", "quadruped", "--robots", "unitree_go2w", "--headless", "--seconds", "0.1")
     assert "unitree_go2w: its description is 0." in " ".join(done.stdout.split())
+
+
+def test_shares_of_envs_do_not_keep_a_policy_from_other_bodies(manifest):
+    """One env of each robot is enough to describe bodies, whatever shares the training gave them."""
+    from polypod.policy import _for_bodies
+
+    trained = {**manifest, "robot_sources": ["unitree_go1", "solo12"], "overrides": ["env_shares.unitree_go1=9"]}
+    slots = _for_bodies(trained, None, ["box_quadruped", "bolt"])["canonical_joint_names"]
+    assert {"LF_HAA", "L_KNEE"} < set(slots)
+    overrides = trained["overrides"]
+    assert set(descriptions.describe(["unitree_go1", "solo12"], overrides=overrides)) == {"unitree_go1", "solo12"}

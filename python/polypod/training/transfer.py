@@ -6,6 +6,7 @@ from typing import Any
 import torch
 
 from polypod import _core
+from polypod.descriptions import without_shares
 from polypod.observation import terms_of
 
 FIRST_LAYER = "mlp.0.weight"
@@ -69,7 +70,11 @@ def numbers_of_run(manifest: Mapping[str, Any], groups: Sequence[str]) -> list[N
     robots = manifest["robot_sources"]
     try:
         sim = _core.VecSim(
-            manifest["task"], len(robots), robots=list(robots), threads=1, overrides=list(manifest["overrides"])
+            manifest["task"],
+            len(robots),
+            robots=list(robots),
+            threads=1,
+            overrides=without_shares(manifest["overrides"]),
         )
         return numbers_of(sim, groups)
     except _core.PolypodError:
