@@ -160,7 +160,7 @@ def _run(sim: _core.VecSim, policy: Policy, commands: npt.NDArray[np.float32], s
     sim.set_command(commands)
     sim.reset()
     reset(policy)
-    fell, score, jerk, is_on, rates, speeds = ([] for _ in range(6))  # type: ignore[var-annotated]
+    fell, score, jerk, is_on, rates, speeds = ([] for _ in range(6))
     before, goes_on = np.zeros((sim.num_envs, sim.num_actions)), np.zeros(sim.num_envs, dtype=np.bool_)
     for _ in range(round(seconds / sim.step_dt)):
         actions = policy(sim.observation)
