@@ -11,8 +11,9 @@ from test_trainings_end_when_robots_walk import FIGURES, bad
 
 from polypod import _core, adapt, bundled
 from polypod.compat import tomllib
-from polypod.training import config, goal, run_dir
+from polypod.training import config, goal, run_dir, session
 from polypod.training.transfer import critic_for, numbers_of
+from polypod.training.workers import Workers
 
 CONFIG = """
 extends = "quick"
@@ -140,6 +141,29 @@ def _core_urdf(robot):
     from pathlib import Path
 
     return Path(__file__).parents[2] / "assets" / "robots" / robot / "robot.urdf"
+
+
+def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cli, tmp_path, measured):
+    measured(bad(0.4), FIGURES, FIGURES)
+    done = cli("adapt", "unitree_h1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "begins with legged" in done.stdout
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (checkpoint,) = run.glob("model_*.pt")
+    of_policy, manifest = run_dir.read_manifest(bundled.checkpoint("legged")), run_dir.read_manifest(checkpoint)
+    assert manifest["robots"] == ["unitree_h1"]
+    for key in ("canonical_joint_names", "observation_layout"):
+        assert manifest[key] == of_policy[key]
+    weights = [run_dir.load_checkpoint(path)["actor_state_dict"] for path in (bundled.checkpoint("legged"), checkpoint)]
+    assert all(bool(torch.isfinite(value.float()).all()) for value in weights[1].values())
+    first = "mlp.0.weight"
+    changed = (weights[0][first] != weights[1][first]).any(dim=0)
+    # what belongs to other bodies' joints is as it was
+    assert 0 < int(changed.sum()) < len(changed)
+    # and the run goes on
+    resumed = session.Options(resume=str(run), max_iterations=1, logger="none", device="cpu", threads=1)
+    _, runner = session.train_with(resumed, Workers.alone())
+    assert runner.current_learning_iteration == 2
 
 
 def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured):
