@@ -1,5 +1,8 @@
 """Energy is what the machine tells: counters that begin again, those for the administrator alone, samples of power."""
 
+import time
+from types import SimpleNamespace
+
 import pytest
 
 from polypod.bench import energy
@@ -49,12 +52,12 @@ def test_the_power_of_gpus_is_sampled(tmp_path, monkeypatch):
     script = tmp_path / "nvidia-smi"
     script.write_text("#!/bin/sh\nprintf '0, 100.0\\n1, [N/A]\\n0, 300.0\\n0, 9'\nexec sleep 60\n")
     script.chmod(0o755)
-    monkeypatch.setattr(energy.shutil, "which", lambda name: str(script))
+    monkeypatch.setattr(energy, "shutil", SimpleNamespace(which=lambda name: str(script)))
     times = iter([0.0, 36.0])
-    monkeypatch.setattr(energy.time, "perf_counter", lambda: next(times))
+    monkeypatch.setattr(energy, "time", SimpleNamespace(perf_counter=lambda: next(times)))
     meter = Meter(gpus=True, powercap=tmp_path / "nothing")
     meter.resume()
-    while meter._samples.seek(0, 2) < 35:
-        pass
+    while meter._samples.seek(0, 2) < len("0, 100.0\n1, [N/A]\n0, 300.0\n0, 9"):
+        time.sleep(0.01)
     meter.pause()
     assert meter.watt_hours() == pytest.approx({GPUS: 2.0})
