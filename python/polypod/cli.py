@@ -12,8 +12,8 @@ import tyro
 
 from polypod import _core, interrupts
 from polypod.commands.accuracy import Accuracy
-from polypod.commands.add import Add
 from polypod.commands.adapt import Adapt
+from polypod.commands.add import Add
 from polypod.commands.bench import Bench
 from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
