@@ -107,19 +107,17 @@ def train(options: Options) -> int:
     """
     is_cuda = options.device != "cpu" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
-    goal = None
+    reporter, goal = Reporter(quiet=not workers.is_first), None
     if options.until_walks is not None:
-        console = Reporter(quiet=not workers.is_first)
         goal = UntilWalks(
-            options.until_walks, say=lambda point: console.message(progress_line(point)), threads=options.threads
+            options.until_walks, say=lambda point: reporter.message(progress_line(point)), threads=options.threads
         )
     try:
-        run, runner = train_with(options, workers, goal=goal)
+        run, runner = train_with(options, workers, goal=goal, reporter=reporter)
     finally:
         workers.close()
     if not workers.is_first:
         return 0 if runner.stopped_by is None else 128 + runner.stopped_by
-    reporter = runner.reporter
     runner.env.unwrapped.close()
     checkpoint = run_dir.checkpoint_path(run, runner.current_learning_iteration)
     reporter.message(f"checkpoint {checkpoint}")
