@@ -468,12 +468,17 @@ class Runner(OnPolicyRunner):
         groups, sim = self.config.obs_groups.critic, self.env.unwrapped.sim
         is_known = (path.parent / run_dir.MANIFEST).is_file()
         known = numbers_of_run(run_dir.read_manifest(path), groups) if is_known else None
-        moved = None if known is None else critic_for(other, known, own, numbers_of(sim, groups))
+        wanted = numbers_of(sim, groups)
+        moved = None if known is None else critic_for(other, known, own, wanted)
         if moved is None:
             self.reporter.message(
                 f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on"
             )
             return False
+        kept = len(set(known or ()) & set(wanted))
+        self.reporter.message(
+            f"polypod: {path}: its critic goes on with {kept} of {len(wanted)} numbers; the others are new to it"
+        )
         state["critic_state_dict"] = moved
         return True
 
