@@ -4,7 +4,7 @@ use polypod_dynamics::elementary::{exp, tanh_positive};
 use polypod_dynamics::lanes::Real;
 use serde::{Deserialize, Serialize};
 
-/// What follows a hidden layer.
+/// Function after a hidden layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Activation {

@@ -16,10 +16,10 @@ pub(crate) struct Step<'a> {
     pub(crate) rates: Rates,
 }
 
-/// What all weights of a network share in a step.
+/// Rates that all weights of a network share in a step.
 #[derive(Clone, Copy)]
 pub(crate) struct Rates {
-    /// What the gradient is multiplied by, so that its norm is not too large.
+    /// Factor on the gradient, so that its norm is not too large.
     clip: f32,
     /// Learning rate over the first moment's bias.
     rate: f32,
@@ -28,7 +28,7 @@ pub(crate) struct Rates {
 }
 
 impl Rates {
-    /// Those of a network's step number `step`, counted from 1.
+    /// Rates of a network's step number `step`, counted from 1.
     pub(crate) fn new(learning_rate: f64, step: u64, clip: f64) -> Self {
         let bias = BETA.map(|beta| 1.0 - libm::pow(beta, step as f64));
         Self { clip: clip as f32, rate: (learning_rate / bias[0]) as f32, root: bias[1].sqrt() as f32 }

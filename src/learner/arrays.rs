@@ -31,7 +31,7 @@ pub struct RolloutArrays<'a> {
 }
 
 impl Learner {
-    /// Number of samples of an iteration, of its own envs.
+    /// Number of samples of an iteration, of this worker's envs.
     pub fn num_own_samples(&self) -> usize {
         self.num_own_envs() * self.settings.options.num_steps_per_env
     }
@@ -75,7 +75,7 @@ impl Learner {
         order
     }
 
-    /// Number of its own samples in each mini-batch.
+    /// Number of this worker's samples in each mini-batch.
     pub fn batch_sizes(&self) -> Vec<u32> {
         let batches = self.settings.options.algorithm.num_mini_batches;
         let samples = |batch| self.parts.iter().map(|part| part.mini_batch(batch, batches).len() as u32).sum();

@@ -1,6 +1,7 @@
-//! What a network of joints computes besides matrix products: attention over the joints of a body, and codes of joints.
+//! Parts of a network of joints besides matrix products: attention over the joints of a body, and codes of joints.
 //!
-//! A tile has rows of samples, and rows of the joints of its bodies. A sample reads its body's rows, which all samples of that body share.
+//! A tile has rows of samples, and rows of the joints of its bodies. A sample reads its body's rows, which all
+//! samples of that body share.
 
 use polypod_dynamics::elementary::exp;
 use polypod_dynamics::lanes::Real;
@@ -192,9 +193,9 @@ pub(crate) struct GatherBack<'a> {
     pub(crate) values: &'a [Line],
     /// Panels `[heads][lines][rows]`.
     pub(crate) delta: &'a [Line],
-    /// Of the values; zero where a body has no joint.
+    /// Derivatives of the values; zero where a body has no joint.
     pub(crate) of_values: &'a mut [Line],
-    /// Of the shares, panels `[lines of heads][joints of the bodies]`.
+    /// Derivatives of the shares, panels `[lines of heads][joints of the bodies]`.
     pub(crate) of_shares: &'a mut [Line],
 }
 
@@ -237,9 +238,9 @@ impl LineKernel for GatherBack<'_> {
 pub(crate) struct Softmax<'a> {
     pub(crate) runs: &'a [Run],
     pub(crate) num_joints: usize,
-    /// What is added to the logarithms, panels `[lines of heads][joints of the bodies]`.
+    /// Addends of the logarithms, panels `[lines of heads][joints of the bodies]`.
     pub(crate) added: &'a [Line],
-    /// Of the same size.
+    /// Shares of the attention, of the same size.
     pub(crate) shares: &'a mut [Line],
 }
 

@@ -13,7 +13,8 @@ use crate::normalizer::Normalizer;
 pub(crate) struct Body {
     /// Slots of its joints.
     pub(crate) slots: Vec<usize>,
-    /// `[joints][lines]`: numbers of the descriptions, their logarithms, and how they differ within the body; normalised.
+    /// `[joints][lines]`: numbers of the descriptions, their logarithms, and how they differ within the body;
+    /// normalised.
     pub(crate) features: Vec<Line>,
     /// `[joints][lines]`: how they differ within the body.
     pub(crate) relative: Vec<Line>,

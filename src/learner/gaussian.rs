@@ -5,7 +5,8 @@ use polypod_dynamics::elementary::exp;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::settings::Settings;
 
-/// Deviations that the policy may have: those of rsl_rl's `GaussianDistribution`. Each step of the optimiser ends within them.
+/// Deviations that the policy may have: those of rsl_rl's `GaussianDistribution`. Each step of the optimiser ends
+/// within them.
 pub(crate) const RANGE: [f32; 2] = [1e-6, 1e6];
 const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
@@ -18,7 +19,8 @@ pub(crate) struct Gaussian {
     /// `[lines of an action]`, 0 beyond the actions and where the robot has none.
     pub(crate) deviation: Vec<Line>,
     inverse: Vec<Line>,
-    /// What the log-density has in any state: minus the sum of the deviations' logarithms, minus that of `sqrt(2 pi)`.
+    /// Log-density's part that is the same in any state: minus the sum of the deviations' logarithms, minus that of
+    /// `sqrt(2 pi)`.
     constant: f32,
 }
 
@@ -27,7 +29,7 @@ pub(crate) struct Surrogate {
     pub(crate) clip: f32,
     pub(crate) advantage: f32,
     pub(crate) old_log_prob: f32,
-    /// What the loss' derivative is multiplied by: one over the number of samples.
+    /// Factor on the loss' derivative: one over the number of samples.
     pub(crate) weight: f32,
 }
 
@@ -80,8 +82,8 @@ impl Gaussian {
         self.constant - 0.5 * sum
     }
 
-    /// The clipped surrogate loss of an action under this distribution, and its derivatives: those of the mean are written to `mean`,
-    /// which holds it; those of the deviations are added to `deviation`.
+    /// The clipped surrogate loss of an action under this distribution, and its derivatives: those of the mean are
+    /// written to `mean`, which holds it; those of the deviations are added to `deviation`.
     #[inline(always)]
     pub(crate) fn surrogate(
         &self,
@@ -105,8 +107,8 @@ impl Gaussian {
         free.max(clipped)
     }
 
-    /// Kullback-Leibler divergence of this distribution from an older one, whose deviations add `of_deviations`; exactly zero if they are
-    /// the same.
+    /// Kullback-Leibler divergence of this distribution from an older one, whose deviations add `of_deviations`;
+    /// exactly zero if they are the same.
     #[inline(always)]
     pub(crate) fn divergence(&self, mean: &[Line], old_mean: &[Line], of_deviations: f32) -> f32 {
         let mut sum = 0.0;
@@ -149,7 +151,7 @@ impl Gaussian {
 /// The distributions of all robots, one for each set of actions that a robot has.
 #[derive(Clone, Debug)]
 pub(crate) struct Distributions {
-    /// Of each robot.
+    /// Distributions of each robot.
     of_robot: Vec<usize>,
     pub(crate) gaussians: Vec<Gaussian>,
 }
@@ -179,7 +181,7 @@ impl Distributions {
         self.of_robot[robot]
     }
 
-    /// That of a robot.
+    /// Distribution of a robot.
     pub(crate) fn of(&self, robot: usize) -> &Gaussian {
         &self.gaussians[self.of_robot[robot]]
     }

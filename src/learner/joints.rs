@@ -1,6 +1,7 @@
 //! A network of joints: what `polypod.networks.urma.JointNetwork` computes, forward and back over a tile of samples.
 //!
-//! What a body says (codes, shares of the attention, keys, deviations) is computed once for all of its samples in a tile.
+//! Numbers of a body (codes, shares of the attention, keys, deviations) are computed once for all of its samples in a
+//! tile.
 
 use crate::activation::Activation;
 use crate::attention::{
@@ -24,9 +25,9 @@ const LOG_FLOOR: f32 = 0.01;
 const RELATIVE_FLOOR: f32 = 0.1;
 /// Deviations of the actions.
 const STD_RANGE: [f32; 2] = [0.01, 2.0];
-/// Of an action's inner product over as many numbers as a code has.
+/// Scale of an action's inner product over the numbers of a code.
 const KEY_SCALE: f32 = 2.0;
-/// Of the reflex.
+/// Scale of the reflex.
 const REFLEX_SCALE: f32 = 0.1;
 /// Samples of a tile: what they and their bodies take stays in a second-level cache of 2 MB.
 const ROWS: usize = 32;
@@ -35,7 +36,7 @@ const ROWS: usize = 32;
 #[derive(Clone, Debug)]
 enum Head {
     /// An action of each joint, and its deviation.
-    Actions { request: Layer, reflex: [Layer; 2], deviation: Layer },
+    Actions { request: Layer, reflex: Box<[Layer; 2]>, deviation: Layer },
     /// Numbers about the whole body.
     Outputs(Layer),
 }
@@ -54,7 +55,7 @@ pub(crate) struct JointNetwork {
     columns: Joints,
     slots: usize,
     activation: Activation,
-    /// Of each robot: of its samples, and of their mirror images.
+    /// Plans of each robot: of its samples, and of their mirror images.
     plans: Vec<[Plan; 2]>,
     describe: [Layer; 2],
     state: Layer,
@@ -69,8 +70,8 @@ pub(crate) struct JointNetwork {
     transposed: Vec<Line>,
 }
 
-/// Activations of a tile, and what the loss says of them. Rows of joints are those of the tile's bodies, one after the other; rows of
-/// places are `[most][rows]`, a place for each joint of each sample.
+/// Activations of a tile, and what the loss says of them. Rows of joints are those of the tile's bodies, one after
+/// the other; rows of places are `[most][rows]`, a place for each joint of each sample.
 #[derive(Default)]
 pub(crate) struct JointTile {
     /// One for each body of the tile.
@@ -95,14 +96,14 @@ pub(crate) struct JointTile {
     shares: Vec<Line>,
     focused: Vec<Line>,
     deviations: Vec<Line>,
-    /// Of each body, panels `[lines of a key][joints]`, joints rounded up to a multiple of [`BLOCK`].
+    /// Keys of each body, panels `[lines of a key][joints]`, joints rounded up to a multiple of [`BLOCK`].
     keys: Vec<Vec<Line>>,
-    /// Of each body, panels `[lines of its joints][numbers of a key]`.
+    /// Keys of each body, panels `[lines of its joints][numbers of a key]`.
     keys_transposed: Vec<Vec<Line>>,
     states: Vec<Line>,
     state: Vec<Line>,
     values: Vec<Line>,
-    /// What enters the body's layers, and what each of them gives.
+    /// Input of the body's layers, and the output of each of them.
     hidden: Vec<Vec<Line>>,
     request: Vec<Line>,
     reads: Vec<Line>,
@@ -128,7 +129,7 @@ pub(crate) struct JointTile {
     of_described: [Vec<Line>; 3],
 }
 
-/// So many lines of zeros.
+/// Makes `count` lines of zeros.
 fn clear(lines: &mut Vec<Line>, count: usize) {
     lines.clear();
     lines.resize(count, Line::ZERO);
@@ -161,10 +162,10 @@ impl JointNetwork {
         let head = match outputs {
             None => Head::Actions {
                 request: layer(inputs, by_lines(2, dim), true, true),
-                reflex: [
+                reflex: Box::new([
                     layer(in_order(dim), in_order(dim), true, true),
                     layer(in_order(dim), in_order(1), true, true),
-                ],
+                ]),
                 deviation: layer(in_order(3 * numbers), in_order(1), true, false),
             },
             Some(outputs) => Head::Outputs(layer(inputs, in_order(outputs), true, true)),
@@ -239,7 +240,7 @@ impl JointNetwork {
         let Self { describe, state, state_by_description, value, code, attention, focus, body, head, .. } = self;
         let joints = [state, state_by_description, value, code, attention, focus];
         let head: Vec<&Layer> = match head {
-            Head::Actions { request, reflex: [first, second], deviation } => vec![request, first, second, deviation],
+            Head::Actions { request, reflex, deviation } => vec![request, &reflex[0], &reflex[1], deviation],
             Head::Outputs(decoder) => vec![decoder],
         };
         describe.iter().chain(joints).chain(body).chain(head)
@@ -517,7 +518,8 @@ impl JointNetwork {
         self.bodies_back(matrix, t, gradient);
     }
 
-    /// Takes the derivatives of actions and deviations apart: those of reads, reflexes, requests, keys, logarithms of deviations.
+    /// Takes the derivatives of actions and deviations apart: those of reads, reflexes, requests, keys, logarithms of
+    /// deviations.
     fn read_back(&self, matrix: Matrix, delta: &[Line], t: &mut JointTile) {
         let (rows, n, lines) = (t.rows, t.num_joints, lines_of(self.slots));
         let inner = t.request.len() / rows * WIDTH;
@@ -593,7 +595,8 @@ impl JointNetwork {
         self.describe[0].add_gradient(matrix, n, &t.features, from_keys, gradient);
     }
 
-    /// Moments of what a part's samples hold of each of [`JointNetwork::normalizers`], one after the other; of joints, the real ones alone.
+    /// Moments of what a part's samples hold of each of [`JointNetwork::normalizers`], one after the other; of
+    /// joints, the real ones alone.
     pub(crate) fn moments(
         &self,
         part: &Part,

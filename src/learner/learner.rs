@@ -25,10 +25,12 @@ pub trait Team {
     fn for_each<T: Send>(&self, tasks: Vec<T>, f: impl Fn(T) + Sync);
 }
 
-/// PPO over some envs: networks, samples, statistics. One iteration is [`act`](Learner::act) and [`record`](Learner::record) for each
-/// step, then [`finish_rollout`](Learner::finish_rollout) and [`update`](Learner::update).
+/// PPO over some envs: networks, samples, statistics. One iteration is [`act`](Learner::act) and
+/// [`record`](Learner::record) for each step, then [`finish_rollout`](Learner::finish_rollout) and
+/// [`update`](Learner::update).
 ///
-/// All it computes depends on its settings, its networks' numbers, the iteration and what is recorded, and on nothing else.
+/// All it computes depends on its settings, its networks' numbers, the iteration and what is recorded, and on nothing
+/// else.
 pub struct Learner {
     pub(crate) settings: Settings,
     pub(crate) matrix: Matrix,
@@ -36,15 +38,15 @@ pub struct Learner {
     pub(crate) actor: Net,
     pub(crate) critic: Net,
     pub(crate) mirrors: Vec<Mirror>,
-    /// Those of this worker.
+    /// Parts of this worker.
     pub(crate) parts: Vec<Part>,
     pub(crate) shares: Shares,
     pub(crate) peers: Box<dyn Peers>,
     /// The policy's distributions while the samples are collected.
     pub(crate) old: Distributions,
-    /// What brings advantages to one scale: their mean and one over their deviation, of each robot.
+    /// Scale of each robot's advantages: their mean and one over their deviation.
     pub(crate) advantage_scale: Vec<(f32, f32)>,
-    /// The same of all robots, of each mini-batch; empty where the scale is that of all samples.
+    /// Scale of all robots' advantages, of each mini-batch; empty where the scale is that of all samples.
     pub(crate) mini_batch_scale: Vec<(f32, f32)>,
     pub(crate) reward_scale: Option<RewardScale>,
     iteration: u64,
@@ -87,8 +89,8 @@ impl Learner {
         Self::with_peers(settings, simd, Worker::ALONE, Box::new(Alone))
     }
 
-    /// A learner that has [`Worker::envs`] and learns with others that have the rest: all come to the same networks, bit for bit those
-    /// of a learner with all envs. Arrays `[envs, ..]` have rows for its own envs alone.
+    /// A learner that has [`Worker::envs`] and learns with others that have the rest: all come to the same networks,
+    /// bit for bit those of a learner with all envs. Arrays `[envs, ..]` have rows for its own envs alone.
     ///
     /// # Errors
     /// Settings that contradict each other, or more workers than blocks of envs.
@@ -128,17 +130,18 @@ impl Learner {
         })
     }
 
-    /// What it was made from.
+    /// Settings that it was made from.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// Number of its own envs.
+    /// Number of this worker's envs.
     pub fn num_own_envs(&self) -> usize {
         self.parts.iter().map(Part::len).sum()
     }
 
-    /// Changes what the coming updates aim at: the weight of the entropy, and the divergence that the learning rate is adapted to.
+    /// Changes what the coming updates aim at: the weight of the entropy, and the divergence that the learning rate
+    /// is adapted to.
     pub fn set_goals(&mut self, entropy_coef: f32, desired_kl: Option<f64>) {
         let algorithm = &mut self.settings.options.algorithm;
         (algorithm.entropy_coef, algorithm.desired_kl) = (entropy_coef, desired_kl);
@@ -160,7 +163,8 @@ impl Learner {
     /// Takes over a network's numbers.
     ///
     /// # Errors
-    /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not finite, which change nothing.
+    /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not finite, which change
+    /// nothing.
     pub fn set_network(&mut self, which: Which, state: &NetworkState) -> Result<(), LearnerError> {
         let has_deviations = !self.net(which).deviations().is_empty();
         let deviations = state.weights.iter().take(usize::from(has_deviations)).flatten();
@@ -173,8 +177,8 @@ impl Learner {
         fits.then_some(()).ok_or_else(|| LearnerError::new("state", "its arrays have other sizes than the network's"))
     }
 
-    /// Deviations that the actions are drawn with, `[num_actions]`: at least 1e-6. Of a network of joints, those of the last actions of all
-    /// envs, one for each joint that a robot has.
+    /// Deviations that the actions are drawn with, `[num_actions]`: at least 1e-6. Of a network of joints, those of
+    /// the last actions of all envs, one for each joint that a robot has.
     pub fn deviations(&self) -> Vec<f32> {
         if self.actor.joints().is_some() {
             return self.parts.iter().flat_map(|part| part.bodies[0].last_deviations()).collect();
@@ -183,8 +187,8 @@ impl Learner {
         numbers.map(|x| x.clamp(RANGE[0], RANGE[1])).collect()
     }
 
-    /// A network's statistics: of a perceptron, those of the observations; of a network of joints, those of states, of a description's
-    /// numbers, of their logarithms and of the rest. Empty where nothing is normalised.
+    /// A network's statistics: of a perceptron, those of the observations; of a network of joints, those of states,
+    /// of a description's numbers, of their logarithms and of the rest. Empty where nothing is normalised.
     pub fn normalizers(&self, which: Which) -> &[Normalizer] {
         &self.net(which).normalizers
     }
@@ -343,7 +347,8 @@ impl Learner {
         });
     }
 
-    /// Stores what came of the step, `[envs]` each; episodes that ended are added to `episodes`, in the order of the envs.
+    /// Stores what came of the step, `[envs]` each; episodes that ended are added to `episodes`, in the order of the
+    /// envs.
     ///
     /// # Panics
     /// If the arrays have other sizes, or all steps are taken.

@@ -1,11 +1,11 @@
 //! The three matrix products of a perceptron, over lines: what nearly all time of a training is spent on.
 //!
-//! Matrices are stored by panels of sixteen columns: the sixteen numbers of a row in a panel are a [`Line`], and the lines of a panel
-//! follow one another. A block of rows times two panels of columns stays in registers while the inner dimension runs, and reads memory
-//! in order.
+//! Matrices are stored by panels of sixteen columns: the sixteen numbers of a row in a panel are a [`Line`], and the
+//! lines of a panel follow one another. A block of rows times two panels of columns stays in registers while the
+//! inner dimension runs, and reads memory in order.
 //!
-//! Every number of a product is one chain of fused multiply-adds in the order of the inner dimension. So the bits depend neither on
-//! the width of the registers nor on the size of the blocks.
+//! Every number of a product is one chain of fused multiply-adds in the order of the inner dimension. So the bits
+//! depend neither on the width of the registers nor on the size of the blocks.
 
 use std::ops::Range;
 
@@ -34,7 +34,7 @@ pub(crate) struct Product<'a> {
     pub(crate) end: End<'a>,
 }
 
-/// What is done with a sum before it is written.
+/// Operation on a sum before it is written.
 #[derive(Clone, Copy)]
 pub(crate) enum End<'a> {
     /// Each panel of `b` has one line more: the bias. The activation follows, if there is one.

@@ -12,7 +12,7 @@ pub(crate) struct Moments {
 }
 
 impl Moments {
-    /// Those of some samples, by two passes.
+    /// Moments of some samples, by two passes.
     pub(crate) fn of(samples: impl Iterator<Item = f32> + Clone) -> Self {
         let (mut count, mut sum) = (0.0, 0.0);
         for x in samples.clone() {
@@ -30,7 +30,7 @@ impl Moments {
         Self { count, mean, squares }
     }
 
-    /// Those of both (Chan, Golub and LeVeque).
+    /// Moments of both (Chan, Golub and LeVeque).
     pub(crate) fn merge(self, other: Self) -> Self {
         let count = self.count + other.count;
         if count == 0.0 {
@@ -44,7 +44,7 @@ impl Moments {
         }
     }
 
-    /// What brings samples to mean 0 and deviation 1: their mean, and one over the deviation of this variance.
+    /// Scale to mean 0 and deviation 1: the mean, and one over the deviation of this variance.
     pub(crate) fn scale(&self, variance: f64) -> (f32, f32) {
         const EPSILON: f64 = 1e-8;
         (self.mean as f32, (1.0 / (variance.max(0.0).sqrt() + EPSILON)) as f32)
@@ -55,7 +55,7 @@ impl Moments {
         self.squares / self.count
     }
 
-    /// The same of one sample fewer: what the samples say of where they come from.
+    /// Variance with one sample fewer in the divisor: an estimate of the samples' source.
     pub(crate) fn unbiased_variance(&self) -> f64 {
         self.squares / (self.count - 1.0)
     }

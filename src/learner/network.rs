@@ -20,10 +20,11 @@ pub enum Which {
     Critic,
 }
 
-/// A network's numbers in torch's order: a perceptron's deviations of the actions, then weight `[outputs, inputs]` and bias of each layer.
+/// A network's numbers in torch's order: a perceptron's deviations of the actions, then weight `[outputs, inputs]`
+/// and bias of each layer.
 #[derive(Clone, Debug, Default)]
 pub struct NetworkState {
-    /// What is learnt.
+    /// Weights of the network.
     pub weights: Vec<Vec<f32>>,
     /// Adam's mean of the gradients.
     pub first: Vec<Vec<f32>>,
@@ -36,14 +37,15 @@ pub struct NetworkState {
 /// A kind of network.
 pub(crate) enum Model {
     Perceptron(Perceptron),
-    Joints(JointNetwork),
+    Joints(Box<JointNetwork>),
 }
 
 pub(crate) struct Net {
     pub(crate) model: Model,
     /// The numbers of a row that a perceptron reads; None: all of them.
     columns: Option<Vec<usize>>,
-    /// Statistics of a perceptron's observations, or the four of a network of joints; empty where nothing is normalised.
+    /// Statistics of a perceptron's observations, or the four of a network of joints; empty where nothing is
+    /// normalised.
     pub(crate) normalizers: Vec<Normalizer>,
     pub(crate) first: Vec<Line>,
     pub(crate) second: Vec<Line>,
@@ -58,7 +60,7 @@ pub(crate) struct Mirror {
     pub(crate) action: Vec<(usize, f32)>,
 }
 
-/// What a network is asked about.
+/// Question to a network.
 #[derive(Clone, Copy)]
 pub(crate) struct Row<'a> {
     pub(crate) observation: &'a [Line],
@@ -87,7 +89,7 @@ impl Net {
         let model = match &network.joints {
             Some(joints) => {
                 let outputs = (which == Which::Critic).then_some(outputs);
-                Model::Joints(JointNetwork::new(joints, network, outputs, settings))
+                Model::Joints(Box::new(JointNetwork::new(joints, network, outputs, settings)))
             }
             None => {
                 let is_whole = inputs == 0 || network.columns.iter().copied().eq(0..settings.num_obs);
@@ -200,8 +202,8 @@ impl Net {
         }
     }
 
-    /// Calls `each` with the place of each observation, and the lines of the network's output for it; of an actor that is a network of
-    /// joints, with the distribution of the actions too.
+    /// Calls `each` with the place of each observation, and the lines of the network's output for it; of an actor
+    /// that is a network of joints, with the distribution of the actions too.
     pub(crate) fn evaluate(
         &self,
         matrix: Matrix,
@@ -229,8 +231,8 @@ impl Net {
         }
     }
 
-    /// Mean of each number of an observation so far, `[num_obs]`, as far as it is known: what moments are computed about. Networks without
-    /// statistics of whole observations have none.
+    /// Mean of each number of an observation so far, `[num_obs]`, as far as it is known: what moments are computed
+    /// about. Networks without statistics of whole observations have none.
     pub(crate) fn means(&self, num_obs: usize) -> Option<Vec<f32>> {
         let normalizer = self.normalizers.first().filter(|_| self.joints().is_none())?;
         let Some(columns) = &self.columns else { return Some(normalizer.mean.clone()) };
@@ -253,7 +255,8 @@ impl Net {
         }
     }
 
-    /// Moments of what a part's samples hold, for [`Net::update_normalizers`]; None for a network without statistics of joints.
+    /// Moments of what a part's samples hold, for [`Net::update_normalizers`]; None for a network without statistics
+    /// of joints.
     pub(crate) fn moments(&self, part: &Part, which: Which, num_obs: usize) -> Option<Vec<Moments>> {
         let joints = self.joints().filter(|_| !self.normalizers.is_empty())?;
         Some(joints.moments(part, &part.bodies[which as usize], &self.normalizers, num_obs))

@@ -3,7 +3,7 @@
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::moments::Moments;
 
-/// What is added to a deviation before it divides.
+/// Addend of a deviation before it divides.
 const EPSILON: f32 = 1e-2;
 
 /// Running statistics of the observations.
@@ -57,11 +57,11 @@ impl Normalizer {
         (x - self.mean_lines[line].0[lane]) * self.inverse_lines[line].0[lane]
     }
 
-    /// Takes in the samples of an iteration, `[num_obs]`; so many in all, of which each number may be missing in some, and in the same
-    /// share of them at all times. A number that none has keeps what it has.
+    /// Takes in the samples of an iteration, `[num_obs]`; so many in all, of which each number may be missing in
+    /// some, and in the same share of them at all times. A number that none has keeps what it has.
     ///
-    /// What is missing is 0 in observations, and stays 0: a number that is missing in some, as `is_padded` says, is divided by the root of
-    /// its mean square, and nothing is subtracted from it.
+    /// What is missing is 0 in observations, and stays 0: a number that is missing in some, as `is_padded` says, is
+    /// divided by the root of its mean square, and nothing is subtracted from it.
     pub(crate) fn update(&mut self, samples: &[Moments], added: u64, is_padded: &[bool]) {
         self.count += added;
         let rate = added as f64 / self.count.max(1) as f64;

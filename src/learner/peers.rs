@@ -1,4 +1,5 @@
-//! The workers of a training: processes that each have some of the parts, and sum what they know in the order of the tree.
+//! The workers of a training: processes that each have some of the parts, and sum what they know in the order of the
+//! tree.
 
 use std::ops::Range;
 
@@ -18,8 +19,8 @@ pub trait Peers: Send + Sync {
     /// A worker is gone.
     fn gather(&self, mine: &[u8]) -> Result<Vec<u8>, LearnerError>;
 
-    /// Cuts `mine` into a piece of one length for each worker, in their order; returns the pieces for this worker, in the order of those
-    /// that they are from.
+    /// Cuts `mine` into a piece of one length for each worker, in their order; returns the pieces for this worker, in
+    /// the order of those that they are from.
     ///
     /// # Errors
     /// A worker is gone.
@@ -60,7 +61,7 @@ impl Worker {
     }
 }
 
-/// Which sums of parts each worker makes by itself, and how they are summed further.
+/// Shares of the workers in the sums of parts, and the order of further sums.
 pub(crate) struct Shares {
     pub(crate) worker: Worker,
     /// Whole subtrees of this worker's parts, counted from its first one.
@@ -74,7 +75,7 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    /// Of `count` parts; each worker has some.
+    /// Shares of `count` parts; each worker has some.
     pub(crate) fn new(worker: Worker, count: usize) -> Self {
         let all: Vec<Vec<Range<usize>>> = (0..worker.count)
             .map(|index| {
@@ -100,7 +101,8 @@ impl Shares {
         self.worker.count == 1
     }
 
-    /// The sum of some lists over the parts of all workers, term by term; `parts` has a list for each part of this worker.
+    /// The sum of some lists over the parts of all workers, term by term; `parts` has a list for each part of this
+    /// worker.
     pub(crate) fn sum<T: Term>(&self, peers: &dyn Peers, parts: &[Vec<T>]) -> Result<Vec<T>, LearnerError> {
         let length = parts.first().map_or(0, Vec::len);
         let add = |mut left: Vec<T>, right: Vec<T>| {
@@ -121,14 +123,14 @@ impl Shares {
         Ok(self.top.fold(leaves, add).unwrap_or_default())
     }
 
-    /// What all workers have to say of their subtrees, `size` bytes each; in the order of the subtrees.
+    /// Messages of all workers about their subtrees, `size` bytes each; in the order of the subtrees.
     pub(crate) fn gather(&self, peers: &dyn Peers, mine: Message, size: usize) -> Result<Vec<Vec<u8>>, LearnerError> {
         let mut mine = mine.0;
         mine.resize(self.most * size, 0);
         self.cut(&peers.gather(&mine)?, size)
     }
 
-    /// The same of a piece of each; `piece` writes what this worker has to say of its subtrees to another.
+    /// Exchanges a piece of each message; `piece` writes this worker's part about its subtrees for another worker.
     pub(crate) fn exchange(
         &self,
         peers: &dyn Peers,

@@ -27,12 +27,12 @@ pub(crate) struct Tile {
     /// Panels `[outputs / 16][rows]`: the loss' derivative with respect to the last layer.
     pub(crate) delta: Vec<Line>,
     next: Vec<Line>,
-    /// What a network of joints computes.
+    /// Working memory of a network of joints.
     pub(crate) joints: JointTile,
 }
 
 impl Tile {
-    /// What the last layer gave, panels `[outputs / 16][rows]`.
+    /// Output of the last layer, panels `[outputs / 16][rows]`.
     pub(crate) fn output(&self) -> &[Line] {
         self.outputs.last().map_or(&[], |output| output)
     }
@@ -44,7 +44,8 @@ const MOST_ROWS: usize = 128;
 const LEAST_ROWS: usize = 32;
 
 impl Perceptron {
-    /// All weights zero; `sizes` are those of the input, the hidden layers and the output. `extra` further numbers are learnt.
+    /// All weights zero; `sizes` are those of the input, the hidden layers and the output. `extra` further numbers
+    /// are learnt.
     pub(crate) fn new(sizes: &[usize], activation: Activation, extra: usize) -> Self {
         let mut room = Room::default();
         let layer = |(l, pair): (usize, &[usize])| {
@@ -123,7 +124,8 @@ impl Perceptron {
         }
     }
 
-    /// Lines in the order of torch's parameters: the further numbers, then weight `[outputs, inputs]` and bias of each layer.
+    /// Lines in the order of torch's parameters: the further numbers, then weight `[outputs, inputs]` and bias of
+    /// each layer.
     pub(crate) fn export(&self, lines: &[Line]) -> Vec<Vec<f32>> {
         let mut all = Vec::new();
         if self.extra > 0 {

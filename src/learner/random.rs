@@ -10,7 +10,7 @@ fn spread(mut x: u64) -> u64 {
 /// A stream of random numbers.
 pub(crate) struct Stream(u64);
 
-/// What SplitMix64 counts in.
+/// Increment of SplitMix64.
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Stream {
@@ -45,7 +45,7 @@ impl Stream {
     }
 }
 
-/// What a stream is for.
+/// Purpose of a stream.
 pub(crate) enum Use {
     Noise = 1,
     Order = 2,

@@ -4,7 +4,7 @@
 
 use crate::moments::Moments;
 
-/// What keeps the first deviations from being zero.
+/// Keeps the first deviations from being zero.
 pub(crate) const EPSILON: f64 = 1e-8;
 
 /// Running statistics of the discounted returns of each robot.

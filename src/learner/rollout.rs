@@ -1,4 +1,4 @@
-//! What a part's envs did in an iteration, and what follows from it: values, scaled rewards, returns, advantages.
+//! Samples of a part's envs in an iteration, and their values, scaled rewards, returns and advantages.
 
 use std::ops::Range;
 
@@ -34,13 +34,13 @@ pub(crate) struct Part {
     pub(crate) rows: Range<usize>,
     /// The robots it has envs of, with these envs, counted from the part's first.
     pub(crate) blocks: Vec<(usize, Range<usize>)>,
-    /// Of each of its envs.
+    /// Robot of each of its envs.
     pub(crate) robot_of: Vec<usize>,
     /// `[samples][lines of an observation]`, as they came.
     pub(crate) observations: Vec<Line>,
     /// `[samples][lines of an action]`.
     pub(crate) actions: Vec<Line>,
-    /// What the policy's mean was, `[samples][lines of an action]`.
+    /// Mean of the policy, `[samples][lines of an action]`.
     pub(crate) means: Vec<Line>,
     /// Logarithm of the action's probability density, `[samples]`.
     pub(crate) log_probs: Vec<f32>,
@@ -88,7 +88,7 @@ pub struct Episode {
 }
 
 impl Part {
-    /// Of the worker whose first env is `first_env`.
+    /// Part of the worker whose first env is `first_env`.
     pub(crate) fn new(envs: Range<usize>, first_env: usize, settings: &Settings) -> Self {
         let count = envs.len();
         let samples = count * settings.options.num_steps_per_env;
@@ -192,8 +192,8 @@ impl Part {
         }
     }
 
-    /// Follows the discounted returns through the iteration; their moments of each step and of each of the part's robots,
-    /// `[steps][blocks]`.
+    /// Follows the discounted returns through the iteration; their moments of each step and of each of the part's
+    /// robots, `[steps][blocks]`.
     pub(crate) fn discounted_returns(&mut self, gamma: f32) -> Vec<Moments> {
         let n = self.len();
         let mut moments = Vec::new();
@@ -221,7 +221,8 @@ impl Part {
         of_robots
     }
 
-    /// Returns and advantages by generalised advantage estimation; `scale` is what the rewards of a step and a robot are multiplied by.
+    /// Returns and advantages by generalised advantage estimation; `scale` is what the rewards of a step and a robot
+    /// are multiplied by.
     pub(crate) fn estimate_advantages(&mut self, gamma: f32, lam: f32, scale: impl Fn(usize, usize) -> f32) {
         let n = self.len();
         let mut advantage = vec![0.0f32; n];
@@ -267,7 +268,7 @@ impl Part {
         all
     }
 
-    /// The same of some of the part's envs, all numbers.
+    /// Moments of some of the part's envs, all numbers.
     #[inline(always)]
     fn moments_of(&self, about: &[f32], envs: Range<usize>) -> Vec<Moments> {
         let lines = lines_of(about.len());

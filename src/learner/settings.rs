@@ -1,4 +1,4 @@
-//! What a training is told: sizes, hyperparameters, robots. Names are those of rsl_rl.
+//! Settings of a training: sizes, hyperparameters, robots. Names are those of rsl_rl.
 
 use serde::Deserialize;
 
@@ -17,11 +17,11 @@ pub struct Settings {
     pub seed: u64,
     /// The robots, which together have all envs.
     pub robots: Vec<Robot>,
-    /// What a train config says.
+    /// Options of the train config.
     pub options: Options,
 }
 
-/// What a train config says of the learner.
+/// Options of the learner in a train config.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
@@ -33,11 +33,11 @@ pub struct Options {
     pub critic: Network,
     /// Proximal policy optimisation.
     pub algorithm: Algorithm,
-    /// Divide each robot's rewards by the deviation of its own returns.
+    /// Divide each robot's rewards by the deviation of its returns.
     pub normalize_reward_per_robot: bool,
     /// Over each robot's own samples instead of all samples.
     pub normalize_advantage_per_robot: bool,
-    /// What is learnt of mirror images.
+    /// Use of mirror images.
     pub symmetry: Symmetry,
 }
 
@@ -47,19 +47,20 @@ pub struct Options {
 pub struct Network {
     /// Sizes of the hidden layers.
     pub hidden_dims: Vec<usize>,
-    /// What follows each of them.
+    /// Function after each of them.
     pub activation: Activation,
     /// Whether observations are brought to mean 0 and deviation 1 first.
     pub obs_normalization: bool,
     /// Numbers of a row of all observation groups that a perceptron reads, in order; all of them where empty.
     #[serde(default)]
     pub columns: Vec<usize>,
-    /// What a network of joints reads; None: a perceptron.
+    /// Layout that a network of joints reads; None: a perceptron.
     #[serde(default)]
     pub joints: Option<Joints>,
 }
 
-/// A network of joints, as `polypod.networks.urma.JointNetwork` is one. Columns are those of a row of all observation groups.
+/// A network of joints, as `polypod.networks.urma.JointNetwork` is one. Columns are those of a row of all observation
+/// groups.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Joints {
@@ -105,7 +106,7 @@ pub struct Algorithm {
     pub normalize_advantage_per_mini_batch: bool,
 }
 
-/// What is learnt of left and right exchanged.
+/// Use of samples with left and right exchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Symmetry {
@@ -129,13 +130,13 @@ impl Symmetry {
 pub struct Robot {
     /// Its envs, `[start, stop)`.
     pub envs: (usize, usize),
-    /// Of each number of an observation: which number its mirror image is, and with which sign. Empty where there is no mirror.
+    /// Mirror of each number of an observation: index and sign of its image. Empty where there is no mirror.
     pub observation_mirror: Vec<(usize, f32)>,
-    /// The same of an action.
+    /// Mirror of each number of an action.
     pub action_mirror: Vec<(usize, f32)>,
-    /// Which numbers of an observation it has; all where empty. Those that it lacks are 0, and count for nothing.
+    /// Numbers of an observation that the robot has; all where empty. Missing ones are 0 and count for nothing.
     pub observation_mask: Vec<bool>,
-    /// Which actions it has; all where empty. Those that it lacks are 0, and count for nothing.
+    /// Actions that the robot has; all where empty. Missing ones are 0 and count for nothing.
     pub action_mask: Vec<bool>,
 }
 
@@ -157,7 +158,7 @@ impl Robot {
 pub struct LearnerError {
     /// The setting or argument.
     pub element: &'static str,
-    /// What is wrong with it, and what to do.
+    /// Problem and remedy.
     pub problem: String,
 }
 

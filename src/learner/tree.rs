@@ -1,4 +1,5 @@
-//! Sums over parts in an order that does not depend on who has which parts: that of a binary tree that halves the parts.
+//! Sums over parts in an order that does not depend on who has which parts: that of a binary tree that halves the
+//! parts.
 
 use std::ops::Range;
 
@@ -7,7 +8,8 @@ use polypod_dynamics::lanes::Kernel;
 use crate::lines::{Line, WIDTH};
 use crate::moments::Moments;
 
-/// Sums that wait for their right neighbour at the same time: more than a tree of as many leaves as there may be parts is deep.
+/// Sums that wait for their right neighbour at the same time: more than a tree of as many leaves as there may be
+/// parts is deep.
 const MOST_WAITING: usize = 16;
 /// Lines that go through the tree together.
 const BLOCK: usize = 8;
@@ -68,7 +70,7 @@ fn descend(parts: Range<usize>, is_leaf: &impl Fn(&Range<usize>) -> bool, comple
 /// Numbers of a [`Term`].
 pub(crate) const NUMBERS: usize = 5;
 
-/// What is summed over parts and told to other workers.
+/// Term that is summed over parts and told to other workers.
 pub(crate) trait Term: Copy + Default {
     /// Its numbers.
     fn numbers(self) -> [f64; NUMBERS];

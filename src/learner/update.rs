@@ -33,19 +33,19 @@ pub struct Losses {
 
 /// Lines that a task sums and steps.
 const CHUNK: usize = 256;
-/// Most workers each of whom gets the gradients of all others at once; more workers sum a piece each first. With two, both ways send as
-/// many bytes, and the first way sends them at once.
+/// Most workers each of whom gets the gradients of all others at once; more workers sum a piece each first. With two,
+/// both ways send as many bytes, and the first way sends them at once.
 const MOST_GATHERED: usize = 2;
 /// Bytes of the figures that come with gradients.
 const FIGURES: usize = size_of::<Figures>();
-/// What a norm is divided by at least.
+/// Least divisor of a norm.
 const EPSILON: f64 = 1e-6;
 /// The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted.
 const RATE_STEP: f64 = 1.5;
 /// Learning rates that the adaptive schedule keeps to.
 const RATES: [f64; 2] = [1e-5, 1e-2];
 
-/// What a part's samples of a mini-batch give for a network.
+/// Gradients of a part's samples of a mini-batch for a network.
 #[derive(Clone, Debug, Default)]
 struct Gradient {
     lines: Vec<Line>,
@@ -54,11 +54,11 @@ struct Gradient {
     divergence: f64,
     /// Samples that are no images.
     samples: usize,
-    /// What the part's samples have of the mean entropy, where robots have different actions.
+    /// The part's share of the mean entropy, where robots have different actions.
     entropy: f64,
 }
 
-/// What all parts share in a mini-batch.
+/// Inputs that all parts share in a mini-batch.
 struct MiniBatch<'a> {
     settings: &'a Settings,
     matrix: Matrix,
@@ -70,7 +70,7 @@ struct MiniBatch<'a> {
     /// Number of samples.
     samples: usize,
     new: &'a Distributions,
-    /// Of each distribution.
+    /// Divergence of each distribution.
     divergence_of_deviations: &'a [f32],
     /// Mean and one over the deviation of the advantages, of each robot.
     advantages: &'a [(f32, f32)],
@@ -80,7 +80,8 @@ struct MiniBatch<'a> {
 type Sample<'a> = (usize, Option<&'a Mirror>);
 
 impl MiniBatch<'_> {
-    /// Calls `f` with the samples of a part in tiles. A network of joints gets the samples of a body one after the other.
+    /// Calls `f` with the samples of a part in tiles. A network of joints gets the samples of a body one after the
+    /// other.
     fn for_each_tile(&self, part: &Part, net: &Net, bodies: &Bodies, mut f: impl FnMut(&[Sample])) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
         for pass in 0..self.settings.options.symmetry.rows_per_sample() {
@@ -101,7 +102,7 @@ impl MiniBatch<'_> {
         }
     }
 
-    /// What a network is asked about in a tile.
+    /// Questions to a network in a tile.
     fn rows<'a>(&self, part: &'a Part, bodies: &Bodies, samples: &[Sample<'a>]) -> Vec<Row<'a>> {
         let lines = lines_of(self.settings.num_obs);
         let row = |&(sample, mirror): &Sample<'a>| Row {
@@ -113,7 +114,7 @@ impl MiniBatch<'_> {
         samples.iter().map(row).collect()
     }
 
-    /// What a tile's bodies have of the mean entropy, where each has its own distribution; its derivatives are noted in the tile.
+    /// A tile's share of the mean entropy, where each body has its distribution; its derivatives are noted in the tile.
     fn entropy_of_bodies(&self, samples: &[Sample], joints: &mut JointTile) -> f64 {
         let mut counts = vec![0usize; joints.bodies().len()];
         for (row, (_, mirror)) in samples.iter().enumerate() {
@@ -132,7 +133,7 @@ impl MiniBatch<'_> {
         entropy
     }
 
-    /// What a part has of the mean entropy, where robots have different actions; its derivatives are added to those
+    /// A part's share of the mean entropy, where robots have different actions; its derivatives are added to those
     /// of the deviations.
     fn entropy_of(&self, part: &Part, deviation: &mut [Line]) -> f64 {
         let algorithm = &self.settings.options.algorithm;
@@ -242,13 +243,13 @@ impl MiniBatch<'_> {
     }
 }
 
-/// What comes with gradients; see [`Total`].
+/// Figures that come with gradients; see [`Total`].
 type Figures = [f64; NUMBERS];
 
 /// A mini-batch's gradients of both networks, summed over the parts of all workers.
 struct Total {
-    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images; mean entropy of the
-    /// samples, where robots have different actions.
+    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images; mean entropy
+    /// of the samples, where robots have different actions.
     sums: Figures,
     /// Squared norm of each network's gradient.
     squares: [f64; 2],
@@ -302,7 +303,8 @@ impl Learner {
         parts_of(*num_envs).map(of_part).sum()
     }
 
-    /// Fills `gradients` of each part and network, of a mini-batch with so many rows; returns the entropy, where all robots have the same.
+    /// Fills `gradients` of each part and network for a mini-batch; returns the entropy, where all robots have the
+    /// same.
     fn compute_gradients(
         &self,
         team: &impl Team,
@@ -406,7 +408,8 @@ impl Learner {
         Ok((all.iter().map(|node| lines(&node[FIGURES..])).collect(), sums.unwrap_or_default()))
     }
 
-    /// The sum of the subtrees of all workers, and of their figures: each worker sums a piece, and sends it to the others.
+    /// The sum of the subtrees of all workers, and of their figures: each worker sums a piece, and sends it to the
+    /// others.
     fn reduce(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
         let (count, length) = (self.shares.worker.count, nodes[0].0.len());
         let piece = length.div_ceil(count);
@@ -521,8 +524,8 @@ impl Kernel<f32> for OfObservations<'_> {
     }
 }
 
-/// The learning rate that follows a divergence. The first mini-batch has the policy that collected the samples: its divergence is exactly
-/// zero, and changes nothing.
+/// The learning rate that follows a divergence. The first mini-batch has the policy that collected the samples: its
+/// divergence is exactly zero, and changes nothing.
 fn adapted(rate: f64, divergence: f64, desired: f64) -> f64 {
     if divergence > desired * 2.0 {
         (rate / RATE_STEP).max(RATES[0])
