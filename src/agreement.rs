@@ -2,7 +2,7 @@
 
 use crate::bounds::Shown;
 use crate::config::{ConfigError, JointPositionMode, LoadedRobot};
-use crate::robot::{Model, Roles, soft_limits};
+use crate::robot::{JointKind, Model, Roles, soft_limits};
 
 /// Limits of a joint in the direction of its slot, rad or m.
 #[derive(Clone, Copy)]
@@ -51,6 +51,35 @@ pub(crate) fn check(
     check_positions(loaded, model, roles, default_pose)?;
     check_efforts(loaded, model, roles)?;
     check_base(loaded, model)
+}
+
+/// Narrows the limits of joints to those of `[joint_limits]`, which are in the direction of the slot.
+///
+/// # Errors
+/// Limits of a joint that the robot lacks, and limits that have nothing in common with those of the URDF.
+pub(crate) fn narrow_limits(loaded: &LoadedRobot, model: &mut Model, roles: &Roles) -> Result<(), ConfigError> {
+    for (name, &own) in &loaded.config.joint_limits {
+        let element = || format!("joint_limits.{name}");
+        let Some(at) = roles.slots.iter().position(|slot| slot.to_string() == *name) else {
+            let remedy = "name a joint of [default_pose], or remove the line";
+            return Err(invalid(loaded, element(), "the robot has no such joint".into(), remedy));
+        };
+        let joint = &mut model.joints[roles.joint_of_slot[at]];
+        let stated = Limits::of([joint.lower, joint.upper], roles.sign_of_slot[at]);
+        let both = Limits { lower: stated.lower.max(own[0]), upper: stated.upper.min(own[1]) };
+        if both.lower >= both.upper {
+            let own = Limits { lower: own[0], upper: own[1] };
+            let problem =
+                format!("{own} has nothing in common with the limits {stated} of the joint \"{}\"", joint.name);
+            return Err(invalid(loaded, element(), problem, "write limits within those of the URDF, rad or m"));
+        }
+        let narrowed = Limits::of([both.lower, both.upper], roles.sign_of_slot[at]);
+        (joint.lower, joint.upper) = (narrowed.lower, narrowed.upper);
+        if joint.kind == JointKind::Continuous {
+            joint.kind = JointKind::Revolute;
+        }
+    }
+    Ok(())
 }
 
 fn check_locks(loaded: &LoadedRobot, model: &Model) -> Result<(), ConfigError> {

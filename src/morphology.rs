@@ -304,6 +304,7 @@ impl ConfiguredRobot {
         let mut model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
         let roles = robot::detect(&model, &config.joint_roles, &config.feet)
             .map_err(|error| robot::naming_causes(error, &model))?;
+        agreement::narrow_limits(loaded, &mut model, &roles)?;
         let unequal = robot::unequal_sides(&model, &roles);
         model.warnings.extend(unequal);
         let default_pose = config.default_pose_by_slot(&roles.slots)?;

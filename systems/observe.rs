@@ -5,6 +5,7 @@ use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
 use super::sense::joint_descriptors::{COUNT, MIRROR, MOST_EFFORT, TERM};
+use super::sense::scaled_descriptors::joint_descriptors;
 use super::terms::{Block, CompiledTask, NoParams, ObservationTerm, Per, Registry, TermKind, TermSource, TermSpec};
 use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
@@ -290,7 +291,7 @@ pub(super) fn register(registry: &mut Registry) {
     let spec = TermSpec::new(PerJoint, "", "what each joint is and what drives it, see docs/task.md")
         .from_source(TermSource::RobotConstant)
         .with_joint_mirror(&MIRROR);
-    registry.joint_observation(TERM, COUNT, spec, |_: &NoParams, r, out| out.copy_from_slice(r.joint_descriptors));
+    registry.joint_observation(TERM, COUNT, spec, joint_descriptors);
     let spec = TermSpec::new(Scan, "m", "height of the base above the ground below each ray, less the offset")
         .from_source(TermSource::HeightScan);
     registry.observation_of("height_scan", height_scan_size, spec, |p: &ScanOffset| p.offset, height_scan);

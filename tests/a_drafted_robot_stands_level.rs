@@ -139,3 +139,13 @@ fn a_name_without_letters_is_refused() {
         assert!(text.contains("name") && text.contains("letter"), "{text}");
     }
 }
+
+#[test]
+fn legs_that_hang_at_zero_keep_their_angles() {
+    // descriptions of these robots are what bundled policies were trained on
+    for file in assets() {
+        let model = load(&file, &LoadOptions::default()).unwrap();
+        let roles = detect(&model, &BTreeMap::new(), &BTreeMap::new()).unwrap();
+        assert_eq!(roles.zero_of_slot, vec![0.0; roles.slots.len()], "{}", file.display());
+    }
+}

@@ -107,6 +107,10 @@ class Body:
     """Of each group of actuators."""
     action_scale: float
     """rad per unit of action."""
+    speed: float = 1.0
+    """Factor on the speed limits, which are otherwise those of like motion."""
+    friction: float = 0.0
+    """Dry friction of all joints, as a share of weight times leg length."""
 
     @property
     def mass(self) -> float:
@@ -114,11 +118,15 @@ class Body:
         return sum(link.mass for link in self.links)
 
 
-def draw(kind: str, name: str, rng: np.random.Generator) -> Body:
-    """Draws a body of one of `KINDS`. The same generator state gives the same body."""
+def draw(kind: str, name: str, rng: np.random.Generator, wide: bool = False) -> Body:
+    """Draws a body of one of `KINDS`. The same generator state gives the same body.
+
+    With `wide`, quadrupeds also differ in what makers choose in different ways: where the thigh hangs on the hip, joint
+    limits, weak and strong motors, slow and fast ones, dry friction, and soft and stiff gains.
+    """
     makers = {
-        "quadruped": lambda: _quadruped(name, rng, abduction=True),
-        "quadruped8": lambda: _quadruped(name, rng, abduction=False),
+        "quadruped": lambda: _quadruped(name, rng, abduction=True, wide=wide),
+        "quadruped8": lambda: _quadruped(name, rng, abduction=False, wide=wide),
         "biped": lambda: _biped(name, rng, arms=False),
         "humanoid": lambda: _biped(name, rng, arms=True),
         "hexapod": lambda: _hexapod(name, rng),
@@ -129,7 +137,14 @@ def draw(kind: str, name: str, rng: np.random.Generator) -> Body:
 
 
 def generate(
-    out: Path, count: int, seed: int = 0, kinds: Sequence[str] = KINDS, prefix: str = "body", force: bool = False
+    out: Path,
+    count: int,
+    seed: int = 0,
+    kinds: Sequence[str] = KINDS,
+    prefix: str = "body",
+    force: bool = False,
+    *,
+    wide: bool = False,
 ) -> list[Body]:
     """Writes a library of bodies: a folder to be named in `POLYPOD_PATH`, with tasks of all of them.
 
@@ -142,6 +157,7 @@ def generate(
         kinds: of `KINDS`.
         prefix: what names begin with; kind and number follow.
         force: write over files that are there.
+        wide: see `draw`.
 
     Raises:
         ConfigError: for an unknown kind or a bad prefix, or where the folder holds files already or cannot be written.
@@ -160,11 +176,11 @@ def generate(
     bodies = []
     for index in range(count):
         kind = kinds[index % len(kinds)]
-        bodies.append(draw(kind, f"{prefix}_{kind}_{index:0{digits}}", np.random.default_rng([seed, index])))
+        bodies.append(draw(kind, f"{prefix}_{kind}_{index:0{digits}}", np.random.default_rng([seed, index]), wide))
     try:
         with new_folder(out) as folder:
             _write(folder, bodies, seed)
-            facts = {"count": count, "seed": seed, "kinds": list(kinds), "prefix": prefix}
+            facts = {"count": count, "seed": seed, "kinds": list(kinds), "prefix": prefix, "wide": wide}
             write_text(folder / "bodies.json", json.dumps(facts) + "\n")
     except OSError as error:
         raise _core.ConfigError(f"cannot write {out}: {error.strerror}; choose another folder") from error
@@ -217,14 +233,76 @@ def _softer(drive: Drive, stiffness: float, effort: float) -> Drive:
     )
 
 
-def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
+@dataclasses.dataclass(frozen=True)
+class _Choices:
+    """What makers of quadrupeds choose in different ways; the defaults are those of bodies that are not wide."""
+
+    mass: float = 1.0
+    """Factor on the drawn mass."""
+    beside: float = 1.0
+    """Distance of the thigh beside the axis of abduction, as a share of the drawn one."""
+    below: float = 0.0
+    """Distance of the thigh below that axis, as a share of the leg."""
+    spread: float = 0.0
+    """More abduction in the default pose, rad."""
+    light: float = 1.0
+    """Factor on the mass of the legs."""
+    inwards: float = 0.9
+    outwards: float = 0.9
+    """Limits of the abduction, rad."""
+    hip: tuple[float, float] = (-1.5, 3.4)
+    knee: tuple[float, float] = (-2.7, -0.3)
+    """Limits of legs whose knees bend to the rear, rad."""
+    speed: float = 1.0
+    """Factor on the speed limit."""
+    stiffness: float = 1.0
+    effort: float = 1.0
+    armature: float = 1.0
+    """Factors on the drive's."""
+    friction: float = 0.0
+    """Dry friction of the joints, as a share of weight times leg length."""
+
+
+def _choices(rng: np.random.Generator) -> _Choices:
+    """Draws what makers choose, about as widely as robots of the library and of makers' files have it."""
+    hangs_below = rng.random() < 0.3
+    turns_freely, abducts_freely = rng.random() < 0.15, rng.random() < 0.08
+    return _Choices(
+        mass=_log_uniform(rng, 0.35, 1.3),
+        beside=rng.uniform(0.0, 1.0) if hangs_below else 1.0,
+        below=rng.uniform(0.02, 0.16) if hangs_below else 0.0,
+        spread=rng.uniform(0.0, 0.15),
+        light=_log_uniform(rng, 0.6, 1.1),
+        inwards=math.pi if abducts_freely else rng.uniform(0.3, 1.3),
+        outwards=math.pi if abducts_freely else rng.uniform(0.35, 1.6),
+        hip=(-math.pi, math.pi) if turns_freely else (rng.uniform(-3.1, 0.1), rng.uniform(0.8, 4.6)),
+        knee=(-math.pi, math.pi) if turns_freely else (rng.uniform(-3.1, -2.2), rng.uniform(-1.1, 0.4)),
+        speed=_log_uniform(rng, 0.35, 5.0),
+        stiffness=_log_uniform(rng, 0.8, 1.5),
+        effort=_log_uniform(rng, 0.7, 1.2),
+        armature=0.0 if rng.random() < 0.3 else _log_uniform(rng, 0.3, 2.0),
+        friction=0.0 if rng.random() < 0.5 else _log_uniform(rng, 5e-4, 8e-3),
+    )
+
+
+_AROUND = 0.2
+"""Joints can move at least this far to either side of the default pose, rad."""
+
+
+def _around(angle: float, lower: float, upper: float) -> tuple[float, float]:
+    """Limits that leave room about an angle."""
+    return min(lower, angle - _AROUND), max(upper, angle + _AROUND)
+
+
+def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool) -> Body:
+    choices = _choices(np.random.default_rng(rng.integers(1 << 32))) if wide else _Choices()
     leg = _log_uniform(rng, 0.22, 0.9)
     thigh = leg * rng.uniform(0.42, 0.58)
     shank = leg - thigh
     length, width, height = leg * rng.uniform(0.75, 1.5), leg * rng.uniform(0.2, 0.55), leg * rng.uniform(0.15, 0.35)
-    mass = 15.0 * (leg / 0.426) ** 3 * _log_uniform(rng, 0.5, 1.6)
+    mass = 15.0 * (leg / 0.426) ** 3 * _log_uniform(rng, 0.5, 1.6) * choices.mass
     hip = leg * rng.uniform(0.06, 0.28)
-    heavy = {part: _log_uniform(rng, 0.5, 1.8) for part in ("hip", "thigh", "shank")}
+    heavy = {part: _log_uniform(rng, 0.5, 1.8) * choices.light for part in ("hip", "thigh", "shank")}
     shares = {
         "hip": 0.04 * heavy["hip"],
         "thigh": 0.065 * heavy["thigh"] * 2 * thigh / leg,
@@ -239,7 +317,7 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
     knees = [(1, 1), (1, -1), (-1, 1), (-1, -1)][rng.choice(4, p=[0.5, 0.3, 0.1, 0.1])]
     below = leg * rng.uniform(0.66, 0.92)
     ahead = leg * np.array([rng.uniform(-0.15, 0.05), rng.uniform(-0.2, 0.05)])
-    spread = rng.uniform(-0.03, 0.15)
+    spread = rng.uniform(-0.03, 0.15) + choices.spread
     for place, x, y in (("LF", 1, 1), ("LH", -1, 1), ("RF", 1, -1), ("RH", -1, -1)):
         names = [f"{place}_{part}" for part in ("hip", "thigh", "shank", "foot")]
         end = 0 if x > 0 else 1
@@ -248,13 +326,21 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
         corner = (x * length / 2, y * width / 2, 0.0)
         if abduction:
             links.append(Link(names[0], shares["hip"] * mass, "sphere", (0.1 * leg,)))
-            joints.append(Joint(f"{place}_HAA", "base", names[0], corner, "x", -0.9, 0.9, "legs", spread * y))
+            low, high = (-choices.inwards, choices.outwards) if y > 0 else (-choices.outwards, choices.inwards)
+            if wide:
+                low, high = _around(spread * y, low, high)
+            joints.append(Joint(f"{place}_HAA", "base", names[0], corner, "x", low, high, "legs", spread * y))
         # legs that cannot spread stand as far apart as those that can
         beside = (corner[0], y * (width / 2 + hip + 0.07 * leg), 0.0)
-        parent, at = (names[0], (0.0, y * hip, 0.0)) if abduction else ("base", beside)
+        on_hip = (0.0, y * hip * choices.beside, -leg * choices.below)
+        parent, at = (names[0], on_hip) if abduction else ("base", beside)
         links.append(_rod(names[1], shares["thigh"] * mass, thigh, 0.07 * leg))
         links.append(_rod(names[2], shares["shank"] * mass, shank, 0.035 * leg))
-        (low, high), (lower, upper) = ((-1.5, 3.4), (-2.7, -0.3)) if back > 0 else ((-3.4, 1.5), (0.3, 2.7))
+        (low, high), (lower, upper) = choices.hip, choices.knee
+        if back < 0:
+            low, high, lower, upper = -high, -low, -upper, -lower
+        if wide:
+            (low, high), (lower, upper) = _around(flexion, low, high), _around(bend, lower, upper)
         joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", low, high, "legs", flexion))
         joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", lower, upper, "knees", bend))
         feet.append((names[3], names[2], (0.0, 0.0, -shank), radius))
@@ -262,8 +348,15 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool) -> Body:
     # bent legs carry the weight on longer levers
     crouch = (0.9 * leg / below) ** 2
     legs = _drive(rng, (0.2 * crouch, 0.7 * crouch))
+    legs = dataclasses.replace(
+        legs,
+        stiffness=legs.stiffness * choices.stiffness,
+        effort=legs.effort * choices.effort,
+        armature=legs.armature * choices.armature,
+    )
     drives = {"legs": legs, "knees": _softer(legs, 1.0, rng.uniform(1.0, 1.6))}
-    return Body(name, kind, links, joints, feet, leg, "quadruped", drives, rng.uniform(0.2, 0.5))
+    scale = rng.uniform(0.2, 0.5)
+    return Body(name, kind, links, joints, feet, leg, "quadruped", drives, scale, choices.speed, choices.friction)
 
 
 HIP_ORDERS = ("yaw roll pitch", "pitch roll yaw", "roll yaw pitch", "roll pitch yaw", "pitch yaw roll")
@@ -419,6 +512,7 @@ def _shape(link: Link) -> str:
 def urdf(body: Body) -> str:
     """The URDF of a body. Feet are links without mass, fixed to their legs."""
     limits = _limits(body)
+    friction = body.friction * body.mass * GRAVITY * body.leg_length
     out = [
         '<?xml version="1.0" encoding="utf-8"?>',
         f"<!-- A {body.kind} that was drawn by `polypod bodies generate`. -->",
@@ -437,6 +531,7 @@ def urdf(body: Body) -> str:
                 f'    <parent link="{joint.parent}"/><child link="{joint.child}"/><axis xyz="{axis}"/>',
                 f'    <limit lower="{_number(joint.lower)}" upper="{_number(joint.upper)}" effort="{_number(effort)}" '
                 f'velocity="{_number(velocity)}"/>',
+                *([f'    <dynamics damping="0" friction="{_number(friction)}"/>'] if friction > 0.0 else []),
                 "  </joint>",
             ]
         x, y, z = link.inertia()
@@ -465,7 +560,7 @@ def urdf(body: Body) -> str:
 def _limits(body: Body) -> dict[str, tuple[float, float]]:
     """Effort (N m) and speed (rad/s) of each group: strong enough for gains to hold, speeds of like motion."""
     load = body.mass * GRAVITY * body.leg_length
-    speed = 20.0 * math.sqrt(0.4 / body.leg_length)
+    speed = 20.0 * body.speed * math.sqrt(0.4 / body.leg_length)
     return {group: (drive.effort * load, speed) for group, drive in body.drives.items()}
 
 

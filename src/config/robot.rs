@@ -63,6 +63,9 @@ pub struct RobotConfig {
     /// Canonical joint -> joint of the URDF, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub joint_roles: BTreeMap<String, String>,
+    /// Canonical joint -> lowest and highest position, rad or m, of a joint that the URDF lets move farther than the robot does.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub joint_limits: BTreeMap<String, [f64; 2]>,
     /// Leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> link of the URDF that is its foot, where geometry alone
     /// does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -483,6 +486,13 @@ impl RobotConfig {
         slots.sort_unstable();
         self.actuators_by_slot(&slots)?;
         self.check_slots("joint_roles", self.joint_roles.keys())?;
+        self.check_slots("joint_limits", self.joint_limits.keys())?;
+        for (joint, [lower, upper]) in &self.joint_limits {
+            if lower >= upper {
+                let problem = format!("the lowest position {lower} is not below the highest {upper}");
+                return self.invalid(&format!("joint_limits.{joint}"), problem, "write [lowest, highest], rad or m");
+            }
+        }
         let legs = Place::ALL.into_iter().filter(|place| place.side() != Side::Middle).map(Place::name);
         self.check_names("feet", self.feet.keys(), &legs.collect::<Vec<_>>())
     }

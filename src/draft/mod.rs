@@ -1,6 +1,9 @@
 //! A first config for a robot of which only the URDF is known: roles, a pose to stand in, gains, ranges.
 
 mod body;
+mod commands;
+mod drive;
+mod limits;
 mod quadruped;
 mod stance;
 mod text;
@@ -10,26 +13,16 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::robot::{self, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES};
+use crate::robot::{self, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LoadOptions, Model, ROLES};
 use crate::robot::{Role, Roles, Slot, Warning, load, load_holding, load_str};
 use body::Standing;
+use commands::Commands;
+use drive::{Drive, Drives, Limit};
 use quadruped::Legs;
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
-/// Stiffness over weight times leg length. Legs as bent as these give way by about 0.15 rad; below 0.5 some buckle. The robots
-/// in `configs/robots` have 0.20 to 0.49.
-const STIFFNESS: f64 = 0.7;
-/// Damping over stiffness, s; theirs is 1/50 to 1/31.
-const DAMPING: f64 = 1.0 / 40.0;
-/// Effort limit over weight times leg length where the URDF has none; theirs is 0.20 to 0.62.
-const EFFORT: f64 = 0.35;
-/// Of joints that carry an arm, a head or a torso: stiffness and effort limit over the largest moment of gravity about them, and
-/// the least stiffness over that of the legs. Arms of the robots in `configs/robots` have 5 to 20 times.
-const HELD: f64 = 10.0;
-const HELD_EFFORT: f64 = 3.0;
-const HELD_LEAST: f64 = 0.03;
-/// Damping over stiffness of these, s.
-const HELD_DAMPING: f64 = 1.0 / 20.0;
+/// A joint whose links weigh less than this share of the robot and carry no foot is a rod or a gear of a linkage.
+const LINKAGE: f64 = 0.003;
 /// Radians of joint target per unit of action: of quadrupeds and hexapods, and of bodies on two legs.
 const ACTION_SCALES: [f64; 2] = [0.25, 0.5];
 /// Share of the effort limit that standing may take.
@@ -95,8 +88,13 @@ struct Findings<'a> {
     /// Whether the event body_variation knows its legs.
     has_variation: bool,
     locked: BTreeMap<String, f64>,
-    /// Those of `locked` that mimic others.
+    /// Joints of `locked` that mimic others.
     coupled: BTreeMap<String, f64>,
+    /// Joints of `locked` that move nothing but a rod or a gear, with their share of the mass.
+    linkage: BTreeMap<String, f64>,
+    commands: Commands,
+    /// Position limits by slot of joints that the URDF lets turn freely, rad.
+    limits: BTreeMap<String, [f64; 2]>,
     /// Limbs that are no mirror images of each other.
     unequal: Vec<Warning>,
     needs_policy: Option<String>,
@@ -112,17 +110,6 @@ struct Drafted {
     /// Position in the default pose, in the joint's own direction, rad.
     angle: f64,
     drive: Drive,
-    /// Whether the URDF has no effort limit for it.
-    has_no_effort: bool,
-}
-
-/// Gains and limits of a joint.
-#[derive(Clone, Copy, PartialEq)]
-struct Drive {
-    stiffness: f64,
-    damping: f64,
-    effort: f64,
-    velocity: Option<f64>,
 }
 
 /// Drafts the config of the robot whose URDF is at `file`: roles and feet from geometry, a standing pose with the feet level, gains in
@@ -152,6 +139,15 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         Ok(found.map_err(|error| robot::naming_causes(error, model))?)
     };
     let (whole, coupled) = load_holding(file, &load_options)?;
+    let linkage = linkages(&whole, options);
+    let whole = if linkage.is_empty() {
+        whole
+    } else {
+        let rest = |joint: &&Joint| linkage.contains_key(&joint.name);
+        let held = whole.joints.iter().filter(rest).map(|joint| (joint.name.clone(), nearest_to_zero(joint)));
+        load_options.locked_joints.extend(held.collect::<Vec<_>>());
+        load_holding(file, &load_options)?.0
+    };
     let roles = detect(&whole)?;
     let is_driven = |slot: &Slot| match Legs::of(&roles) {
         Some(_) => CANONICAL_JOINT_NAMES.contains(&slot.to_string().as_str()),
@@ -166,7 +162,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         .collect();
     let others = whole.joints.iter().enumerate().filter(|(joint, _)| !driven.contains(joint));
     let others: BTreeMap<String, f64> = others.map(|(_, joint)| (joint.name.clone(), nearest_to_zero(joint))).collect();
-    let is_whole = others.is_empty() && coupled.is_empty();
+    let is_whole = others.is_empty() && coupled.is_empty() && linkage.is_empty();
     load_options.locked_joints.extend(coupled.clone());
     load_options.locked_joints.extend(others);
     let (model, roles) = if is_whole {
@@ -198,6 +194,9 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         has_variation: Legs::of(&roles).is_some(),
         locked: load_options.locked_joints,
         coupled,
+        linkage,
+        commands: Commands { ahead: [0.0; 2], aside: 0.0, turn: 0.0 },
+        limits: BTreeMap::new(),
         unequal: robot::unequal_sides(&model, &roles),
         needs_policy: needs_policy(&roles),
     };
@@ -206,6 +205,28 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     let toml = text::write(&findings);
     let notes = findings.notes();
     Ok(Draft { toml, notes, class: findings.class, needs_policy: findings.needs_policy, name })
+}
+
+/// Joints that move nothing but a rod or a gear, as models of linkages without their loops have them, with their share of the
+/// mass. Joints that the options name stay.
+fn linkages(model: &Model, options: &DraftOptions) -> BTreeMap<String, f64> {
+    let total = model.total_mass();
+    let share = |joint: usize| {
+        let mass: f64 = body::below(model, joint + 1).iter().map(|link| model.links[*link].mass).sum();
+        mass / total.max(f64::MIN_POSITIVE)
+    };
+    let is_named = |name: &String| options.joint_roles.values().any(|named| named == name);
+    let carries_foot = |joint: usize| {
+        let links = body::below(model, joint + 1);
+        let named = |body: &robot::Body| options.feet.values().any(|name| *name == body.name);
+        model.bodies.iter().any(|body| named(body) && links.contains(&body.link))
+    };
+    let joints = model.joints.iter().enumerate();
+    joints
+        .map(|(joint, own)| (joint, own, share(joint)))
+        .filter(|(joint, own, share)| *share < LINKAGE && !is_named(&own.name) && !carries_foot(*joint))
+        .map(|(_, own, share)| (own.name.clone(), share))
+        .collect()
 }
 
 /// Why a body cannot stand by itself, whatever its gains.
@@ -239,45 +260,17 @@ impl Findings<'_> {
         q
     }
 
-    /// Chooses gains and limits of all joints for a pose.
+    /// Chooses gains and limits of all joints for a pose, and what the legs can be asked for.
     fn drive(&mut self, roles: &Roles, q: &[f64]) {
-        let model = self.model;
-        let load = model.total_mass() * GRAVITY * self.leg_length;
-        let factor = self.options.gain_factor.unwrap_or(1.0);
-        let of_legs: Vec<usize> = roles
-            .limbs
-            .iter()
-            .filter(|limb| limb.kind == LimbKind::Leg)
-            .flat_map(|limb| limb.joints.iter().map(|own| own.joint))
-            .collect();
+        let drives = Drives::new(self.model, roles, self.leg_length, self.options.gain_factor.unwrap_or(1.0));
+        self.commands = Commands::new(self.model, roles, self.leg_length, q);
+        self.limits = limits::assumed(self.model, roles, q);
         let slots = roles.slots.iter().zip(roles.joint_of_slot.iter().zip(&roles.sign_of_slot));
         self.joints = slots
             .map(|(slot, (&joint, &sign))| {
-                let own = &model.joints[joint];
-                let known = known_effort(own);
-                let (stiffness, damping, effort) = if of_legs.contains(&joint) {
-                    (STIFFNESS * load, DAMPING, EFFORT * load)
-                } else {
-                    let moment = body::gravity_moment(model, joint);
-                    let stiffness = (HELD * moment).clamp(HELD_LEAST * STIFFNESS * load, STIFFNESS * load);
-                    (stiffness, HELD_DAMPING, (HELD_EFFORT * moment).max(HELD_LEAST * EFFORT * load))
-                };
-                let stiffness = round(stiffness * factor);
                 let name = slot.to_string();
-                Drafted {
-                    suffix: name[slot.place.name().len() + 1..].to_owned(),
-                    name,
-                    joint,
-                    sign,
-                    angle: q[joint],
-                    drive: Drive {
-                        stiffness,
-                        damping: round(damping * stiffness),
-                        effort: known.unwrap_or(round(effort)),
-                        velocity: Some(own.velocity).filter(|velocity| velocity.is_finite() && *velocity > 0.0),
-                    },
-                    has_no_effort: known.is_none(),
-                }
+                let suffix = name[slot.place.name().len() + 1..].to_owned();
+                Drafted { suffix, name, joint, sign, angle: q[joint], drive: drives.of(joint) }
             })
             .collect();
     }
@@ -309,19 +302,25 @@ impl Findings<'_> {
         for (joint, position) in
             self.locked.iter().filter(|(joint, _)| !self.options.locked_joints.contains_key(*joint))
         {
-            let what = match (self.coupled.contains_key(joint), self.has_variation) {
-                (true, _) => "coupled to another by <mimic>, which is not modelled,",
-                (false, true) => "no leg's",
-                (false, false) => "a finger, toe, wheel or slide",
+            let what = match (self.coupled.contains_key(joint), self.linkage.get(joint), self.has_variation) {
+                (true, ..) => "coupled to another by <mimic>, which is not modelled,".to_owned(),
+                (false, Some(share), _) => {
+                    format!("a rod or a gear of a linkage, {:.2} % of the mass,", 100.0 * share)
+                }
+                (false, None, true) => "no leg's".to_owned(),
+                (false, None, false) => "a finger, toe, wheel or slide".to_owned(),
             };
             notes.push(format!("[locked_joints]: {joint} is {what} and is held at {position}"));
         }
-        for own in self.joints.iter().filter(|own| own.has_no_effort) {
+        notes.extend(self.notes_on_limits());
+        if !self.limits.is_empty() {
+            let joints: Vec<&str> = self.limits.keys().map(String::as_str).collect();
             notes.push(format!(
-                "[actuators]: the URDF has no effort limit for {}; {} N m follow from weight and leg length: write the motor's",
-                self.model.joints[own.joint].name, own.drive.effort
+                "[joint_limits]: the URDF lets {} turn freely; the limits are those of usual legs: write the robot's",
+                joints.join(", ")
             ));
         }
+        notes.extend(self.commands.note().map(|note| format!("[commands.base_velocity]: {note}")));
         for (name, torque) in &self.torques {
             let of_role = self.joints.iter().filter(|own| own.suffix == *name);
             let least = of_role.map(|own| own.drive.effort).fold(f64::INFINITY, f64::min);
@@ -333,9 +332,38 @@ impl Findings<'_> {
         }
         notes
     }
+
+    /// Limits that are not the URDF's: a line for each reason and number, with its joints.
+    fn notes_on_limits(&self) -> Vec<String> {
+        let efforts = self.joints.iter().map(|own| ("effort", "N m", own.drive.effort_is, own.drive.effort, own.joint));
+        let speeds =
+            self.joints.iter().map(|own| ("velocity", "rad/s", own.drive.velocity_is, own.drive.velocity, own.joint));
+        let mut assumed: Vec<(&str, &str, Limit, f64, Vec<&str>)> = Vec::new();
+        for (what, unit, limit, value, joint) in
+            efforts.chain(speeds).filter(|(_, _, limit, ..)| *limit != Limit::Stated)
+        {
+            let name = self.model.joints[joint].name.as_str();
+            match assumed.iter_mut().find(|other| (other.0, other.2, other.3) == (what, limit, value)) {
+                Some((.., joints)) => joints.push(name),
+                None => assumed.push((what, unit, limit, value, vec![name])),
+            }
+        }
+        let note = |(what, unit, limit, value, joints): (&str, &str, Limit, f64, Vec<&str>)| {
+            let joints = joints.join(", ");
+            let from = if what == "effort" { "weight and leg length" } else { "leg length" };
+            let problem = match limit {
+                Limit::Placeholder(stated) => {
+                    format!("the URDF's {what} limit of {stated} {unit} is no motor's, for {joints}")
+                }
+                _ => format!("the URDF has no {what} limit for {joints}"),
+            };
+            format!("[actuators]: {problem}; {value} {unit} follow from {from}: write the motor's")
+        };
+        assumed.into_iter().map(note).collect()
+    }
 }
 
-/// That of the known robot of the same class whose mass is nearest, as a ratio; robots on two legs also agree in whether they
+/// Reward set of the known robot of the same class whose mass is nearest, as a ratio; robots on two legs also agree in whether they
 /// have ankles. Without any: that of the quadruped whose mass is nearest.
 fn reward_set(model: &Model, roles: &Roles) -> Result<String, Error> {
     let kind = |roles: &Roles| {
@@ -384,9 +412,4 @@ fn round(value: f64) -> f64 {
     let rounded = (value / unit).round() * unit;
     // without the tail of the division
     format!("{rounded:.6}").parse().unwrap_or(rounded)
-}
-
-/// The effort limit of the URDF, if it has one that means something.
-fn known_effort(joint: &Joint) -> Option<f64> {
-    Some(joint.effort).filter(|effort| effort.is_finite() && *effort > 0.0)
 }

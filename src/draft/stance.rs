@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 use super::quadruped::Legs;
 use crate::config::EARTH_GRAVITY;
@@ -77,7 +77,7 @@ struct Leg {
     foot_link: usize,
     foot_point: DVec3,
     radius: f64,
-    /// The hip flexion joint with the leg hanging as in the URDF's zero pose, base frame, m.
+    /// The hip flexion joint with the leg upright, between left and right at the axis of abduction, base frame, m.
     hip: DVec3,
     /// Thigh and shank, m.
     length: f64,
@@ -95,6 +95,9 @@ impl Leg {
         // in the plane that thigh and shank move in
         let across = zero[joints[1] + 1].rotation * model.joints[joints[1]].axis;
         let across = across * across.y.signum();
+        // with that plane upright; the thigh may begin below the axis of abduction
+        let upright = DQuat::from_rotation_x(-across.z.atan2(across.y));
+        let drop = (upright * (at[1] - at[0])).z;
         let sideways = (tip - at[0]).dot(across);
         let flat = |v: DVec3| (v - across * v.dot(across)).length();
         Self {
@@ -102,7 +105,7 @@ impl Leg {
             foot_link: foot.link,
             foot_point: roles.foot_point[leg],
             radius: roles.foot_radius[leg],
-            hip: DVec3::new(at[1].x, at[0].y, at[0].z),
+            hip: DVec3::new(at[1].x, at[0].y, at[0].z + drop),
             length: flat(at[2] - at[1]) + flat(tip - at[2]),
             track: at[0].y + sideways,
         }

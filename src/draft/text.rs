@@ -4,6 +4,7 @@ use std::fmt::{self, Write as _};
 
 use toml::Value;
 
+use super::drive::Limit;
 use super::{Drafted, Findings, GRAVITY, round, stance};
 use crate::config::matches;
 
@@ -18,7 +19,9 @@ pub(super) fn write(findings: &Findings<'_>) -> String {
     let _ = head(findings, &mut out)
         .and_then(|()| roles(findings, &mut out))
         .and_then(|()| pose(findings, &mut out))
+        .and_then(|()| limits(findings, &mut out))
         .and_then(|()| actuators(findings, &mut out))
+        .and_then(|()| commands(findings, &mut out))
         .and_then(|()| ranges(findings, &mut out));
     out
 }
@@ -80,8 +83,20 @@ fn pose(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     Ok(())
 }
 
+fn limits(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
+    if findings.limits.is_empty() {
+        return Ok(());
+    }
+    writeln!(out, "\n# Limits of joints that the URDF lets turn freely, rad, assumed: knees do not pass straight.")?;
+    writeln!(out, "[joint_limits]")?;
+    for (slot, limits) in &findings.limits {
+        writeln!(out, "{slot} = {limits:?}")?;
+    }
+    Ok(())
+}
+
 fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
-    writeln!(out, "\n# Gains in proportion to weight times leg length, limits of the URDF.")?;
+    writeln!(out, "\n# Gains by weight, leg length and effort, limits of the URDF where it has them.")?;
     let mut torques = String::new();
     for (at, (role, torque)) in findings.torques.iter().enumerate() {
         match at {
@@ -103,12 +118,20 @@ fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
         writeln!(out, "model = \"ideal_pd\"            # ideal_pd | dc_motor | delayed_pd")?;
         writeln!(out, "stiffness = {:?}             # N m / rad", drive.stiffness)?;
         writeln!(out, "damping = {:?}               # N m s / rad", drive.damping)?;
-        writeln!(out, "effort_limit = {:?}          # N m", drive.effort)?;
-        if let Some(velocity) = drive.velocity {
-            writeln!(out, "velocity_limit = {velocity:?}        # rad/s")?;
-        }
+        let from = |limit: Limit| if limit == Limit::Stated { "" } else { ", assumed: not in the URDF" };
+        writeln!(out, "effort_limit = {:?}          # N m{}", drive.effort, from(drive.effort_is))?;
+        writeln!(out, "velocity_limit = {:?}        # rad/s{}", drive.velocity, from(drive.velocity_is))?;
     }
     Ok(())
+}
+
+fn commands(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
+    let commands = findings.commands;
+    writeln!(out, "\n# What the legs can be asked for: speeds of their length, m/s and rad/s.")?;
+    writeln!(out, "[commands.base_velocity]")?;
+    writeln!(out, "lin_vel_x = {:?}", commands.ahead)?;
+    writeln!(out, "lin_vel_y = {:?}", [-commands.aside + 0.0, commands.aside])?;
+    writeln!(out, "ang_vel_z = {:?}", [-commands.turn + 0.0, commands.turn])
 }
 
 /// Groups that a name lists; larger ones are numbered.

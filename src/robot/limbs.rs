@@ -404,6 +404,9 @@ pub struct Roles {
     /// For each of `slots`, 1 where the joint's axis has the direction that the role states, and -1 where it is
     /// turned round.
     pub sign_of_slot: Vec<f64>,
+    /// For each of `slots`, the position in the slot's direction at which a quadruped's leg hangs straight, rad: 0 unless the
+    /// file has the leg folded at zero. It makes angles of bodies comparable whose makers count them from other poses.
+    pub zero_of_slot: Vec<f64>,
     /// The places of the legs, in order: those of the feet.
     pub legs: Vec<Place>,
     /// For each of `legs`, the index in [`Model::bodies`](super::Model::bodies) of its foot.
@@ -425,6 +428,7 @@ impl Roles {
             slots: joints.iter().map(|joint| joint.slot).collect(),
             joint_of_slot: joints.iter().map(|joint| joint.joint).collect(),
             sign_of_slot: joints.iter().map(|joint| joint.sign).collect(),
+            zero_of_slot: vec![0.0; joints.len()],
             legs: feet.iter().map(|(place, _)| *place).collect(),
             foot_body: feet.iter().map(|(_, foot)| foot.body).collect(),
             foot_point: feet.iter().map(|(_, foot)| foot.point).collect(),

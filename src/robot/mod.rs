@@ -8,6 +8,7 @@ mod check;
 mod colliders;
 mod error;
 mod feet;
+mod folded;
 mod formats;
 mod hull;
 mod hull_cache;

@@ -8,6 +8,7 @@ use serde::Deserialize;
 use super::chains::{LimbChain, ZeroPose};
 use super::error::{Diagnosis, RobotError, nearest_name};
 use super::feet;
+use super::folded;
 use super::limbs::{Foot, Limb, LimbJoint, LimbKind, Place, Role, Roles, Side, Slot};
 use super::model::Model;
 use super::quadruped::{self, CANONICAL_JOINT_NAMES, CORNERS, LEG_ROLES};
@@ -84,7 +85,9 @@ pub fn detect(
             return Err(option_error(model, "feet", place.name(), "is no leg of this robot", remedy));
         }
     }
-    Ok(Roles::new(limbs))
+    let mut roles = Roles::new(limbs);
+    roles.zero_of_slot = folded::zeros(&pose, &roles);
+    Ok(roles)
 }
 
 /// The group of each of [`Model::bodies`].

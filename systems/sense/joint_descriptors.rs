@@ -84,7 +84,13 @@ impl JointDescriptors {
                 inertia += p.mass[below] * (dot(&arm, &arm) - along * along);
                 inertia += xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             }
-            let limit = |x: f64| x.clamp(-TURN, TURN);
+            // from where the leg hangs straight, by less than half a turn
+            let position = sign * q[j];
+            let mut zero = robot.morphology.roles.zero_of_slot[own];
+            if zero.abs() > 0.0 {
+                zero += 2.0 * TURN * ((position - zero) / (2.0 * TURN)).round();
+            }
+            let limit = |x: f64| (x - zero).clamp(-TURN, TURN);
             let (lower, upper) = if slot.sign < 0.0 { (-p.upper[j], -p.lower[j]) } else { (p.lower[j], p.upper[j]) };
             let speed = p.velocity_limit[j].min(p.motor_velocity_limit[j]).min(MOST_SPEED);
             let effort = f64::from(robot.morphology.max_effort(j, robot.body)).min(MOST_EFFORT);
@@ -95,7 +101,7 @@ impl JointDescriptors {
                 axis[0],
                 axis[1],
                 axis[2],
-                sign * q[j],
+                position - zero,
                 limit(lower),
                 limit(upper),
                 effort / 100.0,

@@ -9,6 +9,7 @@ mod feet;
 mod height_scan;
 mod imu;
 pub(super) mod joint_descriptors;
+pub(super) mod scaled_descriptors;
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::component::Mutable;

@@ -1,5 +1,6 @@
 """`polypod bodies generate`: bodies of drawn lengths, the same ones for the same seed, that stand in one batch."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import tomllib
 
 import polypod
 from common import size
-from polypod import _core, bodies
+from polypod import _core, bodies, bodies_coverage
 from polypod import files as files_of_polypod
 from polypod.accuracy import reference
 from polypod.accuracy.statics import relative_error
@@ -191,3 +192,50 @@ def test_a_library_that_is_there_stays_whole(tmp_path, monkeypatch):
     bodies.generate(tmp_path / "a", 6, seed=2, force=True)
     bodies.generate(tmp_path / "b", 6, seed=2)
     assert files(tmp_path / "a") == files(tmp_path / "b")
+
+
+def test_wide_quadrupeds_reach_around_the_librarys():
+    """Every number by which a policy tells the library's joints apart lies among those of 200 drawn bodies."""
+    sim = _core.VecSim("velocity_flat_legged_play", 24, threads=1)
+    info = json.loads(sim.robot_info())
+    robots = [robot for robot in sim.robots if info[robot]["class"] == "quadruped"]
+    assert len(robots) >= 15
+    for robot, numbers in bodies_coverage.outside(robots).items():
+        assert not numbers, (robot, list(map(str, numbers)))
+
+
+def test_what_lies_outside_is_named():
+    (numbers,) = bodies_coverage.outside(["unitree_go1"], count=20, wide=False).values()
+    names = {number.name for number in numbers}
+    # all bodies that are not wide have the same limits
+    assert {"front HAA upper", "hind KFE speed"} <= names
+    assert not any("position" in name for name in names), names
+    assert "drawn 0.9 to 0.9" in str(next(number for number in numbers if number.name == "front HAA upper"))
+
+
+def test_bodies_that_are_not_wide_stay_those_of_the_bundled_policy(tmp_path):
+    """Byte for byte: docs/train.md says which ones it was trained on."""
+    kinds = ("quadruped", "quadruped", "quadruped", "quadruped8")
+    made = [bodies.draw(kinds[i % 4], f"q_{kinds[i % 4]}_{i:03}", np.random.default_rng([11, i])) for i in range(8)]
+    text = "".join(bodies.urdf(body) + bodies.toml(body, 11) for body in made)
+    assert (
+        hashlib.sha256(text.encode()).hexdigest() == "a162f164688019a7c884645b62a29add396d770d18e6cf17134283ad9fdd5278"
+    )
+
+
+def test_wide_bodies_stand(tmp_path, monkeypatch):
+    """Joints have room about the default pose, and strong motors hold it."""
+    made = bodies.generate(tmp_path / "wide", 24, seed=5, kinds=["quadruped", "quadruped8"], wide=True)
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "wide"))
+    assert json.loads((tmp_path / "wide/bodies.json").read_text())["wide"] is True
+    for body in made:
+        for joint in body.joints:
+            assert joint.lower <= joint.angle - 0.19
+            assert joint.angle + 0.19 <= joint.upper
+    env = polypod.make(bodies.TASK + "_play", len(made), seed=0, autoreset="disabled")
+    env.reset()
+    fallen = np.zeros(len(made), dtype=np.bool_)
+    for _ in range(100):
+        fallen |= env.step(np.zeros((len(made), env.sim.num_actions), dtype=np.float32))[2]
+    assert env.state.valid.all()
+    assert fallen.mean() <= 0.15, [body.name for body, fell in zip(made, fallen, strict=True) if fell]

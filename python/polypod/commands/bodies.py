@@ -25,6 +25,8 @@ class Bodies:
     """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
     prefix: Annotated[str, arg(metavar="NAME")] = "body"
     """Beginning of the robots' names."""
+    wide: bool = False
+    """Let quadrupeds also differ in hips, joint limits, motors and gains, as robots of makers do."""
     force: bool = False
     """Write over files that are there."""
 
@@ -34,7 +36,7 @@ class Bodies:
 
         positive(self.count, "--count")
         kinds = names(self.kinds) or []
-        made = bodies.generate(self.folder, self.count, self.seed, kinds, self.prefix, force=self.force)
+        made = bodies.generate(self.folder, self.count, self.seed, kinds, self.prefix, force=self.force, wide=self.wide)
         joints = [len(body.joints) for body in made]
         masses = [body.mass for body in made]
         print(
