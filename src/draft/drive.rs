@@ -6,8 +6,8 @@ use super::body;
 use super::round;
 use super::stance::GRAVITY;
 
-/// Stiffness of a leg, per rad: the geometric mean of these shares of weight times leg length and of the weakest effort limit
-/// of its hips and knees. Quadrupeds of `configs/robots` have 0.22 to 0.64 of the one and 0.6 to 2.8 of the other; the mean
+/// Stiffness of a leg, per rad: the geometric mean of these shares of weight times leg length and of the median effort limit
+/// of the hips and knees. Quadrupeds of `configs/robots` have 0.22 to 0.64 of the one and 0.6 to 2.8 of the other; the mean
 /// of both is nearer to each of them than either share. The first holds for `USUAL_MASS` and falls with this power of the
 /// mass: light robots are stiffer. Without effort limits it is the first alone.
 const STIFFNESS_OF_LOAD: f64 = 0.5;
@@ -19,6 +19,7 @@ const STIFFNESS_BOUNDS: [f64; 2] = [0.25, 0.8];
 /// Stiffness of two legs over weight times leg length. Standing takes it: two softer ankles do not hold the moment of the
 /// weight as the body leans. Makers choose less, 0.01 at an ankle to 1.2 at a hip, and let a policy balance.
 const STIFFNESS_OF_TWO_LEGS: f64 = 0.7;
+const DAMPING_OF_TWO_LEGS: f64 = 1.0 / 40.0;
 /// Damping over stiffness of a leg of `USUAL_MASS`, s, which falls with the same power; quadrupeds in `configs/robots` have 1/50
 /// to 1/25, the lightest ones most.
 const DAMPING: f64 = 1.0 / 36.0;
@@ -95,6 +96,8 @@ pub(super) struct Drives<'a> {
     ankles: Vec<usize>,
     /// Stiffness of legs, N m/rad.
     stiffness: f64,
+    /// Damping over stiffness of legs, s.
+    damping: f64,
     /// Factor on all gains.
     factor: f64,
 }
@@ -110,15 +113,19 @@ impl<'a> Drives<'a> {
                 ankles.push(own.joint);
             }
         }
-        let mut drives = Self { model, load, leg_length, of_legs, ankles, stiffness: 0.0, factor };
-        let weakest = drives.of_legs.iter().filter(|joint| !drives.ankles.contains(joint));
-        let weakest = weakest.map(|joint| drives.effort(*joint)).filter(|(limit, _)| *limit == Limit::Stated);
-        let weakest = weakest.map(|(_, effort)| effort).reduce(f64::min);
+        let mut drives = Self { model, load, leg_length, of_legs, ankles, stiffness: 0.0, damping: 0.0, factor };
+        let bends = drives.of_legs.iter().filter(|joint| !drives.ankles.contains(joint));
+        let stated = bends.map(|joint| drives.effort(*joint)).filter(|(limit, _)| *limit == Limit::Stated);
+        let mut efforts: Vec<f64> = stated.map(|(_, effort)| effort).collect();
+        efforts.sort_by(f64::total_cmp);
+        let median = efforts.get(efforts.len().saturating_sub(1) / 2);
         let [least, most] = STIFFNESS_BOUNDS.map(|share| share * load);
         let of_load = STIFFNESS_OF_LOAD * drives.of_mass() * load;
-        let of_both =
-            weakest.map_or(of_load, |effort| (of_load * STIFFNESS_OF_EFFORT * effort).sqrt()).clamp(least, most);
-        drives.stiffness = if roles.legs.len() == 2 { STIFFNESS_OF_TWO_LEGS * load } else { of_both };
+        let of_both = median.map_or(of_load, |effort| (of_load * STIFFNESS_OF_EFFORT * effort).sqrt());
+        (drives.stiffness, drives.damping) = match roles.legs.len() {
+            2 => (STIFFNESS_OF_TWO_LEGS * load, DAMPING_OF_TWO_LEGS),
+            _ => (of_both.clamp(least, most), DAMPING * drives.of_mass()),
+        };
         drives
     }
 
@@ -132,7 +139,7 @@ impl<'a> Drives<'a> {
         let (effort_is, effort) = self.effort(joint);
         let (velocity_is, velocity) = self.velocity(own);
         let (stiffness, damping) = if self.of_legs.contains(&joint) {
-            (self.stiffness, DAMPING * self.of_mass())
+            (self.stiffness, self.damping)
         } else {
             let of_moment = HELD * body::gravity_moment(self.model, joint);
             let of_both = match effort_is {

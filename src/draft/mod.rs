@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::robot::{self, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LoadOptions, Model, ROLES};
+use crate::robot::{self, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES};
 use crate::robot::{Role, Roles, Slot, Warning, load, load_holding, load_str};
 use body::Standing;
 use commands::Commands;
@@ -139,16 +139,22 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         Ok(found.map_err(|error| robot::naming_causes(error, model))?)
     };
     let (whole, coupled) = load_holding(file, &load_options)?;
-    let linkage = linkages(&whole, options);
-    let whole = if linkage.is_empty() {
-        whole
+    let found = detect(&whole);
+    let linkage = linkages(&whole, found.as_ref().ok(), options);
+    let (whole, roles) = if linkage.is_empty() {
+        (whole, found?)
     } else {
         let rest = |joint: &&Joint| linkage.contains_key(&joint.name);
         let held = whole.joints.iter().filter(rest).map(|joint| (joint.name.clone(), nearest_to_zero(joint)));
         load_options.locked_joints.extend(held.collect::<Vec<_>>());
-        load_holding(file, &load_options)?.0
+        let held = load_holding(file, &load_options)?.0;
+        let roles = match (detect(&held), found) {
+            (Ok(roles), _) => roles,
+            // of the robot as it is
+            (Err(_), Err(error)) | (Err(error), Ok(_)) => return Err(error),
+        };
+        (held, roles)
     };
-    let roles = detect(&whole)?;
     let is_driven = |slot: &Slot| match Legs::of(&roles) {
         Some(_) => CANONICAL_JOINT_NAMES.contains(&slot.to_string().as_str()),
         None => !matches!(slot.role, Role::Finger | Role::Toe | Role::Wheel | Role::Slide),
@@ -208,8 +214,8 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
 }
 
 /// Joints that move nothing but a rod or a gear, as models of linkages without their loops have them, with their share of the
-/// mass. Joints that the options name stay.
-fn linkages(model: &Model, options: &DraftOptions) -> BTreeMap<String, f64> {
+/// mass. Joints of the legs' own chains and joints that the options name stay.
+fn linkages(model: &Model, roles: Option<&Roles>, options: &DraftOptions) -> BTreeMap<String, f64> {
     let total = model.total_mass();
     let share = |joint: usize| {
         let mass: f64 = body::below(model, joint + 1).iter().map(|link| model.links[*link].mass).sum();
@@ -221,7 +227,12 @@ fn linkages(model: &Model, options: &DraftOptions) -> BTreeMap<String, f64> {
         let named = |body: &robot::Body| options.feet.values().any(|name| *name == body.name);
         model.bodies.iter().any(|body| named(body) && links.contains(&body.link))
     };
-    let joints = model.joints.iter().enumerate();
+    let is_of_leg = |joint: usize| {
+        let legs = roles.into_iter().flat_map(|roles| &roles.limbs).filter(|limb| limb.kind == LimbKind::Leg);
+        let mut own = legs.flat_map(|leg| &leg.joints);
+        own.any(|own| own.joint == joint && own.slot.role != Role::Toe)
+    };
+    let joints = model.joints.iter().enumerate().filter(|(joint, _)| !is_of_leg(*joint));
     joints
         .map(|(joint, own)| (joint, own, share(joint)))
         .filter(|(joint, own, share)| *share < LINKAGE && !is_named(&own.name) && !carries_foot(*joint))
