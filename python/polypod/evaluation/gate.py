@@ -1,9 +1,9 @@
 """The published gate of nanoG1 (kingjulio8238/nanoG1, RESULTS.md, 17 June 2026), measured here: `eval --gate`.
 
 A battery of six commands, each held for 20 s by four envs, counts falls and scores how well commands are followed. A
-walk ahead at 0.5 m/s for 40 s tells how smooth the motion is. `BOUNDS` are nanoG1's. Two figures are not the same
-thing in both projects: the score's formula is not published, so the one here is `measures.tracking`; actions are in the
-units of the policy, and the jerk grows with the action scale.
+walk ahead at 0.5 m/s for 40 s tells how smooth the motion is. `BOUNDS` are nanoG1's; commands and times are those of a
+public reimplementation. Two figures differ between the projects: the score's formula is not published, so the one here
+is `measures.tracking`; actions are in the units of the policy, and the jerk grows with the action scale.
 """
 
 import dataclasses
