@@ -55,7 +55,7 @@ VARIANTS = {
     "joints_without_statistics": {"actor": {**JOINTS, "obs_normalization": False, "joint_dim": 24, "num_heads": 5}},
     "joints_critic": {"actor": JOINTS, "critic": {**JOINTS, "activation": "tanh"}},
     "joints_mirror_images": {"actor": JOINTS, "run": {"symmetry": True}},
-    "masked_joints": {"actor": {**JOINTS, "init_std": 1.8}, "critic": {**JOINTS, "joint_dim": 8}},
+    "masked_joints": {"actor": {**JOINTS, "init_std": 1.5}, "critic": {**JOINTS, "joint_dim": 8}},
     "masked_joints_entropy": {"actor": {**JOINTS, "init_std": 1.5}, "algorithm": {"entropy_coef": 0.5}},
     # a critic that sees more than the policy, which remembers
     "groups": {"run": {"task": "velocity_flat_any_legged"}, "actor": JOINTS, "obs_groups": GROUPS},
