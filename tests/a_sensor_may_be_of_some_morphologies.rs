@@ -141,7 +141,7 @@ fn humanoids_have_a_sensor_and_the_others_are_as_without() {
         for (env, sensor) in world.query::<(&EnvId, &ArmSwing)>().iter(world) {
             sensors[env.0 as usize] = Some(sensor.clone());
         }
-        let mut speeds = vec![0.0; ENVS];
+        let mut speeds = [0.0; ENVS];
         for (env, tag, joints) in world.query::<(&EnvId, &Morphology, &JointState)>().iter(world) {
             let models = world.resource::<polypod::morphology::Morphologies>();
             speeds[env.0 as usize] = swing(models.get(*tag), joints);

@@ -40,12 +40,8 @@ _ODD = (
     "WRIST_YAW",
 )
 """Roles whose angles change sign in a mirror."""
-_KINDS = {
-    "quadruped": ("quadruped", "quadruped8"),
-    "biped": ("biped",),
-    "humanoid": ("humanoid",),
-    "hexapod": ("hexapod",),
-}
+_OTHERS = ("biped", "humanoid", "hexapod")
+"""Classes of which one kind is drawn."""
 
 Numbers = dict[str, float]
 """Value by name, such as `front KFE effort`."""
@@ -128,10 +124,10 @@ def outside(robots: Sequence[str], count: int = DRAWN, seed: int = 0, wide: bool
 
 
 def _kind(kind: str, numbers: Numbers) -> str | None:
-    """Of `bodies.KINDS`; None for a class that is not drawn."""
+    """Kind of `bodies.KINDS`; None for a class that is not drawn."""
     if kind.startswith("quadruped"):
         return "quadruped" if any("HAA" in name.split() for name in numbers) else "quadruped8"
-    return _KINDS.get(kind)
+    return kind if kind in _OTHERS else None
 
 
 def _compare(numbers: Numbers, known: Sequence[Numbers]) -> list[Outside]:

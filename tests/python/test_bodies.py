@@ -204,13 +204,19 @@ def test_wide_quadrupeds_reach_around_the_librarys():
         assert not numbers, (robot, list(map(str, numbers)))
 
 
-def test_what_lies_outside_is_named():
+def test_numbers_outside_are_named():
     (numbers,) = bodies_coverage.outside(["unitree_go1"], count=20, wide=False).values()
     names = {number.name for number in numbers}
     # all bodies that are not wide have the same limits
     assert {"front HAA upper", "hind KFE speed"} <= names
     assert not any("position" in name for name in names), names
     assert "drawn 0.9 to 0.9" in str(next(number for number in numbers if number.name == "front HAA upper"))
+
+
+def test_a_robot_is_compared_with_bodies_of_its_class():
+    """The knees of Bolt bend backwards, those of drawn bipeds forwards."""
+    (numbers,) = bodies_coverage.outside(["bolt"], count=4).values()
+    assert "KNEE default" in {number.name for number in numbers}
 
 
 def test_bodies_that_are_not_wide_stay_those_of_the_bundled_policy(tmp_path):

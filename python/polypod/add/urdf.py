@@ -203,7 +203,8 @@ Inertial = tuple[float, Array, Array]
 def _sum(one: Inertial, other: Inertial) -> Inertial:
     mass = one[0] + other[0]
     com = (one[0] * one[1] + other[0] * other[1]) / mass if mass > 0.0 else np.zeros(3)
-    return mass, com, sum(part[2] + part[0] * of_point(part[1] - com) for part in (one, other))
+    first, second = (part[2] + part[0] * of_point(part[1] - com) for part in (one, other))
+    return mass, com, first + second
 
 
 def _inertial(link: ElementTree.Element) -> Inertial:
