@@ -131,7 +131,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--mujoco-envs": COUNTS, "--steps": COUNTS}
         | {"--conditions": [*NAMES, "frction", "nominal,x"], "--simulators": [*NAMES, "polypod,x"]}
         | {"--condims": [*COUNTS, "3,", "3,x"], "--threads": COUNTS, "--json": OUTPUTS, "--picture": OUTPUTS}
-        | {"--robot": NAMES},
+        | {"--robot": NAMES, "--model": FILES, "--map": FILES, "--actuators": NAMES, "--contact": NAMES},
     ),
     "train": (
         ("--num-envs", "64", "--max-iterations", "1", "--logger", "none", "--robots", "spot"),
@@ -218,7 +218,7 @@ _POLYPOD_SWITCHES = {
     "add": ("--force", "--no-force"),
     "sim2sim": ("--soft-contact", "--no-soft-contact", "--differences", "--no-differences"),
     "robot": ("--force", "--no-force"),
-    "bodies": ("--force", "--no-force"),
+    "bodies": ("--force", "--no-force", "--wide", "--no-wide"),
     "bench": ("--quick", "--no-quick", "--learner", "--no-learner", "--walk", "--no-walk"),
 }
 _SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {

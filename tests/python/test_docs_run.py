@@ -23,6 +23,7 @@ from common import FLAT_POLICY
 from polypod import _core, bodies, cli
 from polypod.compat import tomllib
 from polypod.export import export_checkpoint
+from polypod.sim2sim.mapping import Given
 from polypod.training import config, sweep
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -154,6 +155,9 @@ def test_toml_is_accepted(block, tmp_path):
         loaded = config.load(str(file)).as_dict()
         for table in tables.keys() & TRAIN_TABLES:
             assert tables[table].items() <= loaded[table].items()
+    elif "joints" in tables:
+        file.write_text(block.text)
+        assert len(Given.read(file).joints) == len(tables["joints"])
     else:
         pytest.fail(f"{block} is neither of a task nor of a train config; test_docs_run.py has to learn how to load it")
 
@@ -236,6 +240,8 @@ def check_command(words: list[str], page: str) -> None:
             assert all((ROOT / file).is_file() for file in arguments), shlex.join(words)
         case "cp" | "mkdir" | "tar" | "ray" | "pip" | "uvx" | "podman" | ".venv/bin/tensorboard":
             pass
+        case ".venv/bin/python" | "python" if words[1] == "-m":
+            assert importlib.util.find_spec(words[2]) is not None, shlex.join(words)
         case ".venv/bin/python" | "python":
             check_example(words[1], words[2:])
         case _:

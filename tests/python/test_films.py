@@ -119,8 +119,8 @@ def test_a_push_moves_the_robots_and_is_shown(tmp_path, titles, monkeypatch):
 def test_polypod_beside_mujoco(tmp_path, titles, monkeypatch):
     """Both halves start equally and stay nearly equal."""
     shown = []
-    replay = stories._replay
-    monkeypatch.setattr(stories, "_replay", lambda player, states: shown.append(states) or replay(player, states))
+    replay = stories.replay
+    monkeypatch.setattr(stories, "replay", lambda *args: shown.append(args[-1]) or replay(*args))
     frames = film(tmp_path, "mujoco", "--robots", "spot", "--warm-up", "0")
     assert len(frames) == 4
     assert titles[:1] == ["polypod"]

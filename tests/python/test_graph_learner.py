@@ -60,10 +60,11 @@ def runner(kind, variant, folder, device="cpu", **run):
     settings = VARIANTS[variant]
     made_of = train_config(variant, **run)
     overrides = ["sim.episode_length_s=0.1", *settings.get("overrides", [])]
-    env = polypod.make(TASK, ENVS, robots=settings.get("robots", ROBOTS), seed=11, overrides=overrides)
+    robots = settings.get("robots", ROBOTS)
+    env = polypod.make(TASK, ENVS, robots=robots, seed=11, overrides=overrides)
     torch.manual_seed(3)
     folder.mkdir(exist_ok=True)
-    run_dir.write_params(folder, env.sim, made_of, None, [], "a test")
+    run_dir.write_params(folder, env.sim, made_of, robots, [], "a test")
     made = kind(VecEnv(env, device, log_extras=False), made_of, folder, device, Reporter(quiet=True))
     made.alg.train_mode()
     return made

@@ -45,7 +45,7 @@ def test_an_asymmetric_critic(tmp_path):
     assert state["actor_state_dict"]["mlp.0.weight"].shape == (16, 48)
     assert state["critic_state_dict"]["mlp.0.weight"].shape == (16, 48 + WIDTH)
     manifest = run_dir.read_manifest(path)
-    assert manifest["train_config"]["run"]["learner"] == "rsl_rl"
+    assert manifest["train_config"]["run"]["learner"] == "native"
     assert manifest["train_config"]["obs_groups"]["critic"] == ["policy", "critic"]
     assert manifest["policy"]["num_obs"] == 48
     assert evaluate_checkpoint(path, num_envs=4, steps=5, threads=1).robots.keys() == {"spot", "unitree_a1"}

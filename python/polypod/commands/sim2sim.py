@@ -26,14 +26,14 @@ class Sim2sim:
     """Envs per robot. Default: 32, with --model 20."""
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
-    commands: Literal["walking", "task", "phases"] | None = None
+    commands: Annotated[Literal["walking", "task", "phases"] | None, arg(metavar="{walking,task,phases}")] = None
     """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; commands as the
     task draws them; or --phases. Default: walking, with --model phases."""
     command: Velocity = None
     """Instead, one forward and left velocity (m/s) and yaw rate (rad/s) for all envs."""
     dt: Annotated[float | None, arg(metavar="S")] = None
     """MuJoCo's physics step, s. Default: the task's, on terrain 0.002; with --model the file's."""
-    integrator: Literal["implicitfast", "RK4"] | None = None
+    integrator: Annotated[Literal["implicitfast", "RK4"] | None, arg(metavar="{implicitfast,RK4}")] = None
     """Integrator of MuJoCo. Default: implicitfast; with --model the file's."""
     friction: Annotated[float | None, arg(metavar="MU")] = None
     """Friction coefficient of the ground in MuJoCo, with --model of all contacts. Default: the task's static friction,
