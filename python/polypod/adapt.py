@@ -41,7 +41,7 @@ _OF_POLICY = ("task", "task_changes", "symmetry", "normalize_reward_per_robot", 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to adapt to what."""
+    """Robot, policy and budget of an adaptation."""
 
     robot: str
     """Name of a robot, path of its TOML, or path of a URDF."""
@@ -215,7 +215,7 @@ def _changes(
     manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
 ) -> list[str]:
     """`key=value` pairs of the task: those of the policy, the reward set for a robot that the task does not know."""
-    trained = [change for change in manifest["overrides"] if not change.startswith("env_shares.")]
+    trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
     if robot.endswith(".toml") and nearest:
         # a draft names a set of another task; the robot that is described most like it has this task's
@@ -231,7 +231,7 @@ def _train_config(options: Options, manifest: Mapping[str, Any], shares: Sequenc
     _, of_training = config.split_overrides(options.overrides)
     tables, policy = config.load(options.train_config).as_dict(), manifest["train_config"]
     kept = {key: policy["run"][key] for key in _OF_POLICY if key in policy["run"]}
-    changes = [change for change in kept.get("task_changes", []) if not change.startswith("env_shares.")]
+    changes = descriptions.without_shares(kept.get("task_changes", []))
     tables["run"] = {**tables["run"], **kept, "task_changes": [*changes, *shares], "task": manifest["task"]}
     for section in ("actor", "critic", "obs_groups"):
         if section in policy:
