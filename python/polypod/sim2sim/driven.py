@@ -46,7 +46,7 @@ class FoldedPolicy(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Observed:
-    """What one control step showed, per env."""
+    """Motion and falls of one control step, per env."""
 
     velocity: Array
     """[envs, 2], of the base's centre of mass, base axes, m/s."""
@@ -70,7 +70,7 @@ class Body(Protocol):
 
 
 class Driven:
-    """`num_envs` robots of one kind, each in a world of its own."""
+    """`num_envs` robots of one kind, each in a separate world."""
 
     def __init__(
         self,
@@ -186,7 +186,7 @@ class Driven:
         return Observed(velocity[:, :2] + (rate @ self.interface.lever())[:, :2], rate[:, 2], fell)
 
     def refresh(self) -> None:
-        """Computes what MuJoCo derives from the model's numbers anew, after some of them were changed."""
+        """Recomputes the constants that MuJoCo derives from the model, after some of its numbers changed."""
         model = self.reference.model
         self._mj.mj_setConst(model, self._mj.MjData(model))
 
@@ -262,7 +262,7 @@ class Driven:
             self._read(env)
             self._watch(env, ranges[env])
             fell[env] |= self._touches_with_base(data)
-        # nor is a state that is none any more a stand
+        # a state that is not finite is a fall
         fell |= ~np.isfinite(self.qpos).all(axis=1)
 
     def _drive(self, data: Any, targets: Array, ranges: Array) -> None:

@@ -39,7 +39,7 @@ class Physics:
 
 
 class Twin(Driven):
-    """`num_envs` robots of one kind, each in a world of its own."""
+    """`num_envs` robots of one kind, each in a separate world."""
 
     def __init__(
         self,
