@@ -141,7 +141,7 @@ where
 }
 
 impl ObservationTerm {
-    /// Observes an env's numbers: `write` is handed those of its robot, in a batch of so many columns of joints. `row` holds the
+    /// Observes an env's numbers, or keeps those that last an episode: `write` is handed those of its robot, in a batch of so many columns of joints. `row` holds the
     /// term's numbers as they were observed in the step before. What a new episode remembers is its first numbers.
     ///
     /// `treat` is called from here and from no closure, so that it is compiled for the instruction set of its caller.
@@ -155,6 +155,9 @@ impl ObservationTerm {
         write: impl FnOnce(&mut [f32]),
     ) {
         let size = self.size / self.history;
+        if self.error > 0.0 && !is_new {
+            return;
+        }
         if self.history > 1 {
             row.copy_within(size.., 0);
         }
@@ -177,9 +180,14 @@ impl ObservationTerm {
         }
     }
 
-    /// Adds noise to what was written, limits and scales it.
+    /// Adds errors and noise to what was written, limits and scales it.
     #[inline(always)]
     fn treat(&self, numbers: &mut [f32], rng: &mut EnvRng) {
+        if self.error > 0.0 {
+            for x in &mut *numbers {
+                *x *= rng.uniform([1.0 - self.error, 1.0 + self.error]);
+            }
+        }
         if self.noise > 0.0 {
             rng.add_uniform([-self.noise, self.noise], numbers);
         }

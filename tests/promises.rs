@@ -7,6 +7,7 @@ mod passive;
 mod trees;
 
 mod a_broken_state_ends_only_its_own_episode;
+mod a_description_may_be_wrong;
 mod a_drafted_robot_stands_level;
 mod a_fall_costs_what_the_task_says;
 mod a_makers_sign_does_not_reach_the_policy;

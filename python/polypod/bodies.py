@@ -601,6 +601,7 @@ def toml(body: Body, seed: int) -> str:
     lines += ["", "[commands.base_velocity]      # what such a body can be asked for, m/s"]
     lines += [f"{key} = [{_real(low)}, {_real(high)}]" for key, (low, high) in _commands(body).items()]
     tenth = _real(0.1 * body.mass)
+    lightest = _real(min(0.1 * body.mass, 0.9 * body.links[0].mass))
     lever = _real(0.05 * body.leg_length)
     lines += [
         "",
@@ -613,7 +614,7 @@ def toml(body: Body, seed: int) -> str:
         "[randomization]",
         "static_friction = [0.5, 1.25]",
         "dynamic_friction = [0.4, 1.0]",
-        f"base_mass_offset = [-{tenth}, {tenth}]             # kg",
+        f"base_mass_offset = [-{lightest}, {tenth}]             # kg",
         f"base_com_offset = {{ x = [-{lever}, {lever}], y = [-{lever}, {lever}], z = [-{lever}, {lever}] }}   # m",
         'stiffness = { operation = "scale", distribution_params = [0.9, 1.1] }',
         'damping = { operation = "scale", distribution_params = [0.9, 1.1] }',

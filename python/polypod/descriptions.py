@@ -90,7 +90,7 @@ def describe(robots: Sequence[str], task: str = TASK, overrides: Sequence[str] =
         ConfigError: for a robot or a task that cannot be used.
     """
     play = _core.play_task(task)
-    sim = _core.VecSim(play, len(robots), robots=list(robots), seed=0, threads=1, overrides=without_shares(overrides))
+    sim = _core.VecSim(play, len(robots), robots=list(robots), seed=0, threads=1, overrides=for_one_env_each(overrides))
     start = 0
     for term in terms_of(sim):
         if term.term == TERM:
@@ -111,8 +111,13 @@ def describe(robots: Sequence[str], task: str = TASK, overrides: Sequence[str] =
 
 
 def without_shares(overrides: Sequence[str]) -> list[str]:
-    """`key=value` pairs of a task that hold for one env of each robot, too."""
+    """`key=value` pairs of a task without those that share out its envs."""
     return [change for change in overrides if not change.startswith("env_shares.")]
+
+
+def for_one_env_each(overrides: Sequence[str]) -> list[str]:
+    """`key=value` pairs with which a task has one env of each robot, whatever shares the task or the pairs ask for."""
+    return [*without_shares(overrides), "env_shares=null"]
 
 
 class Training:

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from polypod import _core, bundled
-from polypod.descriptions import without_shares
+from polypod.descriptions import for_one_env_each
 from polypod.evaluation.policies import NetworkPolicy, load_network
 from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
@@ -145,7 +145,7 @@ def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str
     name = _core.play_task(task or manifest["task"])
 
     def batch(of: list[str]) -> _core.VecSim:
-        return _core.VecSim(name, len(of), robots=of, threads=1, overrides=without_shares(manifest["overrides"]))
+        return _core.VecSim(name, len(of), robots=of, threads=1, overrides=for_one_env_each(manifest["overrides"]))
 
     sim = batch(sources)
     if name == _core.play_task(manifest["task"]):

@@ -111,7 +111,9 @@ fn write(node: &mut Value, key: &str, value: Option<Value>, walked: &mut Vec<Str
             walked.push(key.to_owned());
         }
         (Value::Table(table), None) => {
-            if table.remove(key).is_none() {
+            let may_lack =
+                (walked.is_empty() && OPEN.contains(&key)) || OPTIONAL.contains(&dotted(walked, key).as_str());
+            if table.remove(key).is_none() && !may_lack {
                 return Err(unknown(key, table.keys().map(String::as_str), walked));
             }
             walked.push(key.to_owned());
@@ -200,6 +202,8 @@ mod tests {
     #[test]
     fn null_removes() {
         assert!(!set("sim=null").unwrap().contains_key("sim"));
+        assert!(set("env_shares=null").is_ok(), "which tasks need not have");
+        assert!(set("env_share=null").is_err());
         assert!(set("policy.0=~").unwrap()["policy"].as_array().is_some_and(|a| a.len() == 1));
         assert_eq!(set("simm=~").unwrap_err().remedy, "did you mean `sim`?");
     }

@@ -96,8 +96,8 @@ impl TaskConfig {
     #[must_use]
     pub fn disturbances(&self) -> Vec<String> {
         let observations = &self.observations;
-        let is_noisy =
-            observations.enable_noise && observations.groups().any(|(_, terms)| terms.iter().any(|t| t.noise > 0.0));
+        let is_noisy = observations.enable_noise
+            && observations.groups().any(|(_, terms)| terms.iter().any(|t| t.noise > 0.0 || t.error > 0.0));
         let events = self.events.iter().filter(|(name, event)| event.enabled && !BEGINNINGS.contains(&name.as_str()));
         is_noisy
             .then(|| "observations.enable_noise".to_owned())

@@ -359,6 +359,10 @@ pub struct ObservationTerm {
     /// Half width of the uniform noise on each element, in the term's units. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<Noise, _, _>")]
     pub noise: f64,
+    /// Largest relative error of each element, drawn uniformly at the beginning of each episode. For terms that describe the
+    /// robot: they keep their numbers until the episode ends. Default: 0.
+    #[serde(default, deserialize_with = "values::fraction", skip_serializing_if = "values::is_zero")]
+    pub error: f64,
     /// Limits of the noisy numbers, in the term's units. Default: no limits.
     #[serde(
         default,
@@ -378,7 +382,7 @@ pub struct ObservationTerm {
 }
 
 fn observation_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
-    params_beside(deserializer, &["term", "noise", "clip", "scale", "history_length"])
+    params_beside(deserializer, &["term", "noise", "error", "clip", "scale", "history_length"])
 }
 
 /// One randomisation or disturbance.

@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::super::view::RobotView;
 use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
-use super::spec::{TermKind, TermSpec};
+use super::spec::{TermKind, TermSource, TermSpec};
 use crate::bounds::MAX_BUCKETS;
 use crate::config::quantities::{FrictionCoefficient, FrictionLength, SpeedLimit};
 use crate::config::values;
@@ -50,6 +50,8 @@ pub struct ObservationTerm {
     pub offset: f32,
     /// Half width of its uniform noise; 0 without.
     pub noise: f32,
+    /// Largest relative error of its numbers, which an episode keeps; 0 without.
+    pub error: f32,
     /// Limits of the noisy numbers.
     pub clip: Option<[f32; 2]>,
     /// Factor of the limited numbers.
@@ -232,6 +234,13 @@ impl CompiledTask {
                     let remedy = "use the term `joint_descriptors`, or other robots";
                     return Err(ConfigError::invalid(file, element, problem, remedy));
                 }
+                if term.error > 0.0 && (registered.spec.source != TermSource::RobotConstant || term.history_length > 1)
+                {
+                    let problem =
+                        format!("the term `{}` does not describe the robot by one number for an episode", term.term);
+                    let remedy = "remove it, or give `noise`, which is drawn in every control step";
+                    return Err(ConfigError::invalid(file, format!("{element}.error"), problem, remedy));
+                }
                 let built = (registered.build)(file, &element, &term.params)?;
                 let history = term.history_length as usize;
                 width += size * history;
@@ -240,6 +249,7 @@ impl CompiledTask {
                     size: size * history,
                     history,
                     noise: if config.observations.enable_noise { term.noise as f32 } else { 0.0 },
+                    error: if config.observations.enable_noise { term.error as f32 } else { 0.0 },
                     clip: term.clip.map(|range| range.map(|x| x as f32)),
                     scale: term.scale as f32,
                     spec: registered.spec,
@@ -389,9 +399,9 @@ impl CompiledTask {
         })
     }
 
-    /// Whether any term remembers more than the present control step.
+    /// Whether an observation holds numbers of the one before: of a term that remembers, or whose error lasts an episode.
     pub fn has_history(&self) -> bool {
-        self.observations.iter().any(|term| term.history > 1)
+        self.observations.iter().any(|term| term.history > 1 || term.error > 0.0)
     }
 
     /// Numbers in a row of all groups.

@@ -47,6 +47,13 @@ def test_more_bodies_change_none(tmp_path):
     assert few == more[:6]
 
 
+def test_light_bases_keep_a_mass(tmp_path, monkeypatch):
+    """A tenth of the robot's mass may be more than its base has: what is taken off leaves some of it."""
+    bodies.generate(tmp_path / "legs", 80, seed=31, kinds=["biped", "humanoid", "biped", "humanoid", "hexapod"])
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "legs"))
+    polypod.make(bodies.TASK, 80)
+
+
 def test_the_librarys_quadrupeds_lie_within_what_is_drawn():
     """Mass, height, drive and action scale of each, in shares of weight and leg length."""
     rng = np.random.default_rng(0)

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from polypod import _core
-from polypod.descriptions import without_shares
+from polypod.descriptions import for_one_env_each
 from polypod.observation import terms_of
 
 FIRST_LAYER = "mlp.0.weight"
@@ -74,7 +74,7 @@ def numbers_of_run(manifest: Mapping[str, Any], groups: Sequence[str]) -> list[N
             len(robots),
             robots=list(robots),
             threads=1,
-            overrides=without_shares(manifest["overrides"]),
+            overrides=for_one_env_each(manifest["overrides"]),
         )
         return numbers_of(sim, groups)
     except _core.PolypodError:
