@@ -1,7 +1,7 @@
 //! Blocks: all entities of one morphology and one kind (envs, robots, a sensor), in the order of their envs.
 //!
 //! A block is a table of Bevy's: its components are slices, row `i` belonging to env `first + i`. Systems ask for the blocks of a
-//! kind with [`Blocks`], join them with those of other kinds by [`BlockList::zip`], and work on them in chunks.
+//! kind with [`Blocks`], join them with those of other kinds by [`BlockIter::zip`], and work on them in chunks.
 //!
 //! Each morphology has tables of its own, so that its entities may have components that others lack, and a kind may be missing
 //! for whole morphologies: see [`RowKind::is_on`]. Within a block all entities have the same components. Each time that blocks are
@@ -48,11 +48,38 @@ impl BlockSizes {
             (Morphology(morphology as u16), first..next)
         })
     }
+}
+
+/// Finds the block that a table is, without a search where tables come in the order of their envs.
+struct BlockFinder<'a> {
+    sizes: &'a [usize],
+    /// The morphology that the search goes on from.
+    morphology: usize,
+    /// Its first env.
+    first: usize,
+}
+
+impl<'a> BlockFinder<'a> {
+    fn new(sizes: &'a BlockSizes) -> Self {
+        Self { sizes: &sizes.0, morphology: 0, first: 0 }
+    }
 
     /// The block that rows with these env ids are: the morphology whose envs they all are, in their order.
-    fn of(&self, ids: &[EnvId]) -> Option<(Morphology, Range<usize>)> {
-        let first = ids.first()?.0;
-        self.iter().find(|(_, envs)| envs.start == first as usize && envs.len() == ids.len() && in_order(ids, first))
+    #[inline]
+    fn find(&mut self, ids: &[EnvId]) -> Option<(Morphology, Range<usize>)> {
+        let EnvId(id) = *ids.first()?;
+        let first = id as usize;
+        if first < self.first {
+            (self.morphology, self.first) = (0, 0);
+        }
+        let mut count = *self.sizes.get(self.morphology)?;
+        while self.first + count <= first {
+            self.first += count;
+            self.morphology += 1;
+            count = *self.sizes.get(self.morphology)?;
+        }
+        let is_block = self.first == first && count == ids.len() && in_order(ids, id);
+        is_block.then(|| (Morphology(self.morphology as u16), first..first + count))
     }
 }
 
@@ -86,14 +113,14 @@ impl RowKind for HeightScan {
     const NAME: &'static str = "height scanner";
 }
 
-/// Morphology and envs of tables, in the order in which Bevy has these.
-type Places = Vec<(Morphology, Range<usize>)>;
+/// All entities of a kind.
+type Entities<'w, 's, K> = Query<'w, 's, (Entity, &'static EnvId, Option<&'static Morphology>), With<K>>;
 
 /// System parameter: components `D` of the entities of kind `K`, such as `Blocks<(&'static BasePose, &'static mut Feet), Robot>`.
 #[derive(SystemParam)]
 pub struct Blocks<'w, 's, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: RowKind> {
     rows: Query<'w, 's, (&'static EnvId, D), With<K>>,
-    all: Query<'w, 's, (Entity, &'static EnvId, Option<&'static Morphology>), With<K>>,
+    all: Entities<'w, 's, K>,
     sizes: Res<'w, BlockSizes>,
 }
 
@@ -107,7 +134,7 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
     where
         <D::ReadOnly as ContiguousQueryData>::Contiguous<'a, 's>: IntoSlices,
     {
-        Ok(self.read_from(self.places(true)?))
+        self.read_blocks(true)
     }
 
     /// The blocks of the morphologies that have entities of this kind with these components.
@@ -119,7 +146,7 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
     where
         <D::ReadOnly as ContiguousQueryData>::Contiguous<'a, 's>: IntoSlices,
     {
-        Ok(self.read_from(self.places(false)?))
+        self.read_blocks(false)
     }
 
     /// The blocks of all morphologies, to write. Bevy's change detection does not see it.
@@ -131,8 +158,7 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
     where
         D::Contiguous<'a, 's>: IntoSlices,
     {
-        let places = self.places(true)?;
-        Ok(self.write_to(places))
+        self.write_blocks(true)
     }
 
     /// The blocks of the morphologies that have entities of this kind with these components, to write. Bevy's change detection does
@@ -145,106 +171,88 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
     where
         D::Contiguous<'a, 's>: IntoSlices,
     {
-        let places = self.places(false)?;
-        Ok(self.write_to(places))
+        self.write_blocks(false)
     }
 
-    fn read_from<'a>(&'a self, places: Places) -> BlockList<Slices<'a, 's, D::ReadOnly>>
+    #[inline]
+    fn read_blocks<'a>(&'a self, all: bool) -> Result<BlockList<Slices<'a, 's, D::ReadOnly>>, Error>
     where
         <D::ReadOnly as ContiguousQueryData>::Contiguous<'a, 's>: IntoSlices,
     {
-        let tables = self.rows.contiguous_iter().into_iter().flatten().filter(|(ids, _)| !ids.is_empty());
-        BlockList::new(places, tables.map(|(_, data)| data.into_slices()))
+        let tables = self.rows.contiguous_iter().into_iter().flatten();
+        let tables = tables.map(|(ids, data)| (ids, data.into_slices()));
+        BlockList::of_tables(tables, &self.sizes, all).map_err(|ids| fault(&self.all, &self.sizes, &ids, all))
     }
 
-    fn write_to<'a>(&'a mut self, places: Places) -> BlockList<Slices<'a, 's, D>>
+    #[inline]
+    fn write_blocks<'a>(&'a mut self, all: bool) -> Result<BlockList<Slices<'a, 's, D>>, Error>
     where
         D::Contiguous<'a, 's>: IntoSlices,
     {
-        let tables = self.rows.contiguous_iter_mut().into_iter().flatten().filter(|(ids, _)| !ids.is_empty());
-        BlockList::new(places, tables.map(|(_, data)| data.into_slices()))
+        let tables = self.rows.contiguous_iter_mut().into_iter().flatten();
+        let tables = tables.map(|(ids, data)| (ids, data.into_slices()));
+        BlockList::of_tables(tables, &self.sizes, all).map_err(|ids| fault(&self.all, &self.sizes, &ids, all))
     }
+}
 
-    /// Which block each table is that has rows: of `all` morphologies, or of some.
-    fn places(&self, all: bool) -> Result<Places, Error> {
-        let mut places = Vec::with_capacity(self.sizes.0.len());
-        let mut is_there = vec![false; self.sizes.0.len()];
-        for (ids, _) in self.rows.contiguous_iter().into_iter().flatten().filter(|(ids, _)| !ids.is_empty()) {
-            match self.sizes.of(ids) {
-                Some(block) if !std::mem::replace(&mut is_there[usize::from(block.0.0)], true) => places.push(block),
-                _ => return Err(self.fault(all)),
+/// Why tables with these env ids are not the blocks of `all` morphologies, or of some.
+#[cold]
+fn fault<K: RowKind>(entities: &Entities<K>, sizes: &BlockSizes, tables: &[Vec<EnvId>], all: bool) -> Error {
+    let error = |problem: String, remedy: &str| Error::Rows { kind: K::NAME, problem, remedy: remedy.into() };
+    let n = sizes.num_envs();
+    let mut of_env = vec![None; n];
+    let mut tags = vec![None; n];
+    for (entity, EnvId(env), tag) in entities {
+        match of_env.get_mut(*env as usize) {
+            None => {
+                return error(format!("entity {entity} has the env id {env}, and there are {n} envs"), "despawn it");
             }
-        }
-        let is_missing = |(count, is_there): (&usize, &bool)| *count > 0 && !is_there;
-        if all && self.sizes.0.iter().zip(&is_there).any(is_missing) {
-            return Err(self.fault(all));
-        }
-        Ok(places)
-    }
-
-    /// What is wrong with the blocks.
-    #[cold]
-    fn fault(&self, all: bool) -> Error {
-        let error = |problem: String, remedy: &str| Error::Rows { kind: K::NAME, problem, remedy: remedy.into() };
-        let n = self.sizes.num_envs();
-        let mut of_env = vec![None; n];
-        let mut tags = vec![None; n];
-        for (entity, EnvId(env), tag) in &self.all {
-            match of_env.get_mut(*env as usize) {
-                None => {
-                    return error(
-                        format!("entity {entity} has the env id {env}, and there are {n} envs"),
-                        "despawn it",
-                    );
-                }
-                Some(Some(other)) => {
-                    return error(
-                        format!("entities {other} and {entity} are both of env {env}"),
-                        "give the second one a component of its own",
-                    );
-                }
-                Some(place) => *place = Some(entity),
-            }
-            tags[*env as usize] = tag.copied();
-        }
-        let tables: Vec<&[EnvId]> = self.rows.contiguous_iter().into_iter().flatten().map(|(ids, _)| ids).collect();
-        for (morphology, envs) in self.sizes.iter() {
-            let entities = &of_env[envs.clone()];
-            if entities.iter().all(Option::is_none) && !all {
-                continue;
-            }
-            if let Some(row) = entities.iter().position(Option::is_none) {
-                let env = envs.start + row;
-                let remedy = "keep the entities that the simulation has spawned";
-                return error(format!("env {env} has none any more"), remedy);
-            }
-            let named = |env: usize| of_env[env].map_or_else(String::new, |entity| entity.to_string());
-            if let Some(env) = envs.clone().find(|&env| tags[env] != Some(morphology)) {
-                let problem = format!("entity {} of env {env} is not tagged with the env's morphology", named(env));
-                return error(problem, "spawn it with the Morphology of its env");
-            }
-            let of_block = |ids: &&&[EnvId]| ids.iter().filter(|id| envs.contains(&(id.0 as usize))).count();
-            let usual: &[EnvId] = tables.iter().max_by_key(of_block).copied().unwrap_or_default();
-            if !usual.iter().any(|id| envs.contains(&(id.0 as usize))) {
-                if all && !envs.is_empty() {
-                    let problem = format!("entity {} of env {} lacks a component", named(envs.start), envs.start);
-                    return error(problem, "give it to all morphologies, or ask for the blocks of some: read_some()");
-                }
-                continue;
-            }
-            if let Some(env) = envs.clone().find(|&env| !usual.contains(&EnvId(env as u32))) {
+            Some(Some(other)) => {
                 return error(
-                    format!("entity {} of env {env} has other components than those of most envs", named(env)),
-                    "give a component to all entities of a morphology, or let it have \
-                     #[component(storage = \"SparseSet\")]",
+                    format!("entities {other} and {entity} are both of env {env}"),
+                    "give the second one a component of its own",
                 );
             }
+            Some(place) => *place = Some(entity),
         }
-        error(
-            "components were inserted or removed in the middle of a control step".into(),
-            "do so between control steps: their order is restored at the beginning of the next one",
-        )
+        tags[*env as usize] = tag.copied();
     }
+    for (morphology, envs) in sizes.iter() {
+        let entities = &of_env[envs.clone()];
+        if entities.iter().all(Option::is_none) && !all {
+            continue;
+        }
+        if let Some(row) = entities.iter().position(Option::is_none) {
+            let env = envs.start + row;
+            let remedy = "keep the entities that the simulation has spawned";
+            return error(format!("env {env} has none any more"), remedy);
+        }
+        let named = |env: usize| of_env[env].map_or_else(String::new, |entity| entity.to_string());
+        if let Some(env) = envs.clone().find(|&env| tags[env] != Some(morphology)) {
+            let problem = format!("entity {} of env {env} is not tagged with the env's morphology", named(env));
+            return error(problem, "spawn it with the Morphology of its env");
+        }
+        let of_block = |ids: &&Vec<EnvId>| ids.iter().filter(|id| envs.contains(&(id.0 as usize))).count();
+        let usual: &[EnvId] = tables.iter().max_by_key(of_block).map_or(&[], Vec::as_slice);
+        if !usual.iter().any(|id| envs.contains(&(id.0 as usize))) {
+            if all && !envs.is_empty() {
+                let problem = format!("entity {} of env {} lacks a component", named(envs.start), envs.start);
+                return error(problem, "give it to all morphologies, or ask for the blocks of some: read_some()");
+            }
+            continue;
+        }
+        if let Some(env) = envs.clone().find(|&env| !usual.contains(&EnvId(env as u32))) {
+            return error(
+                format!("entity {} of env {env} has other components than those of most envs", named(env)),
+                "give a component to all entities of a morphology, or let it have \
+                 #[component(storage = \"SparseSet\")]",
+            );
+        }
+    }
+    error(
+        "components were inserted or removed in the middle of a control step".into(),
+        "do so between control steps: their order is restored at the beginning of the next one",
+    )
 }
 
 /// Whether env ids ascend by one from `first` on.
@@ -265,110 +273,183 @@ pub struct Block<R> {
     pub rows: R,
 }
 
-/// Blocks in the order of their envs, each of another morphology.
+/// Blocks in the order of their envs, each of another morphology; `I` makes one after the other.
 #[derive(Clone, Debug)]
-pub struct BlockList<R>(Vec<Block<R>>);
+pub struct BlockIter<I> {
+    blocks: I,
+    /// Number of envs that the blocks have at most.
+    most_envs: usize,
+}
+
+/// Blocks that are all there.
+pub type BlockList<R> = BlockIter<std::vec::IntoIter<Block<R>>>;
 
 impl<R> BlockList<R> {
-    fn new(places: Places, rows: impl Iterator<Item = R>) -> Self {
-        let block = |((morphology, envs), rows)| Block { morphology, envs, rows };
-        let mut blocks: Vec<Block<R>> = places.into_iter().zip(rows).map(block).collect();
-        // tables are in the order in which they were made, which is this one unless components were inserted since
-        blocks.sort_by_key(|block| block.morphology);
-        Self(blocks)
+    /// The blocks that tables with these env ids are, of `all` morphologies or of some.
+    ///
+    /// # Errors
+    /// The tables' env ids, where they are not one block each.
+    #[inline]
+    fn of_tables<'a>(
+        tables: impl Iterator<Item = (&'a [EnvId], R)>,
+        sizes: &BlockSizes,
+        all: bool,
+    ) -> Result<Self, Vec<Vec<EnvId>>> {
+        let mut blocks: Vec<Block<R>> = Vec::with_capacity(sizes.0.len());
+        let (mut finder, mut others) = (BlockFinder::new(sizes), Vec::new());
+        for (ids, rows) in tables.filter(|(ids, _)| !ids.is_empty()) {
+            match finder.find(ids) {
+                Some((morphology, envs)) => blocks.push(Block { morphology, envs, rows }),
+                None => others.push(ids.to_vec()),
+            }
+        }
+        let ascend = |blocks: &[Block<R>]| blocks.is_sorted_by(|a, b| a.morphology < b.morphology);
+        let mut are_blocks = ascend(&blocks);
+        if !are_blocks {
+            // tables are in the order in which they were made, which is that of the envs unless components were inserted since
+            blocks.sort_by_key(|block| block.morphology);
+            are_blocks = ascend(&blocks);
+        }
+        let wanted = if all { sizes.0.iter().filter(|count| **count > 0).count() } else { blocks.len() };
+        if are_blocks && others.is_empty() && blocks.len() == wanted {
+            return Ok(Self::new(blocks));
+        }
+        let ids = |block: &Block<R>| block.envs.clone().map(|env| EnvId(env as u32)).collect();
+        others.extend(blocks.iter().map(ids));
+        Err(others)
+    }
+
+    fn new(blocks: Vec<Block<R>>) -> Self {
+        let most_envs = blocks.iter().map(|block| block.envs.len()).sum();
+        Self { blocks: blocks.into_iter(), most_envs }
     }
 
     /// The block of the first morphology, which has these envs.
     pub(crate) fn of_one(envs: Range<usize>, rows: R) -> Self {
-        Self(vec![Block { morphology: Morphology(0), envs, rows }])
+        Self::new(vec![Block { morphology: Morphology(0), envs, rows }])
     }
 
     /// The blocks.
     pub fn iter(&self) -> impl Iterator<Item = &Block<R>> {
-        self.0.iter()
+        self.blocks.as_slice().iter()
     }
 
     /// Number of envs that the blocks have.
     pub fn num_envs(&self) -> usize {
-        self.0.iter().map(|block| block.envs.len()).sum()
+        self.most_envs
     }
 
     /// The rows of an env's block, and which of them is the env's.
     pub fn at(&self, env: usize) -> Option<(&R, usize)> {
-        let place = self.0.partition_point(|block| block.envs.end <= env);
-        let block = self.0.get(place).filter(|block| block.envs.start <= env)?;
+        let blocks = self.blocks.as_slice();
+        let place = blocks.partition_point(|block| block.envs.end <= env);
+        let block = blocks.get(place).filter(|block| block.envs.start <= env)?;
         Some((&block.rows, env - block.envs.start))
     }
 
     /// The same, to write.
     pub fn at_mut(&mut self, env: usize) -> Option<(&mut R, usize)> {
-        let place = self.0.partition_point(|block| block.envs.end <= env);
-        let block = self.0.get_mut(place).filter(|block| block.envs.start <= env)?;
+        let blocks = self.blocks.as_mut_slice();
+        let place = blocks.partition_point(|block| block.envs.end <= env);
+        let block = blocks.get_mut(place).filter(|block| block.envs.start <= env)?;
         Some((&mut block.rows, env - block.envs.start))
+    }
+}
+
+impl<R, I: Iterator<Item = Block<R>>> BlockIter<I> {
+    /// Makes all blocks.
+    pub fn collect(self) -> BlockList<R> {
+        BlockList::new(self.blocks.collect())
     }
 
     /// Joins the blocks of the morphologies that are in both lists.
     #[must_use]
-    pub fn zip<T>(self, other: BlockList<T>) -> BlockList<(R, T)> {
-        let mut others = other.0.into_iter().peekable();
-        let joined = self.0.into_iter().filter_map(|Block { morphology, envs, rows }| {
-            while others.next_if(|other| other.morphology < morphology).is_some() {}
-            let other = others.next_if(|other| other.morphology == morphology)?;
-            Some(Block { morphology, envs, rows: (rows, other.rows) })
-        });
-        BlockList(joined.collect())
+    pub fn zip<T, J: Iterator<Item = Block<T>>>(
+        self,
+        other: BlockIter<J>,
+    ) -> BlockIter<impl Iterator<Item = Block<(R, T)>>> {
+        let mut others = Ahead { blocks: other.blocks, next: None };
+        let join = move |Block { morphology, envs, rows }| {
+            let other = others.of(morphology)?;
+            Some(Block { morphology, envs, rows: (rows, other) })
+        };
+        BlockIter { blocks: self.blocks.filter_map(join), most_envs: self.most_envs.min(other.most_envs) }
     }
 
     /// Joins the blocks with those of another list, where that has the morphology.
     #[must_use]
-    pub fn zip_some<T>(self, other: BlockList<T>) -> BlockList<(R, Option<T>)> {
-        let mut others = other.0.into_iter().peekable();
-        let joined = self.0.into_iter().map(|Block { morphology, envs, rows }| {
-            while others.next_if(|other| other.morphology < morphology).is_some() {}
-            let other = others.next_if(|other| other.morphology == morphology);
-            Block { morphology, envs, rows: (rows, other.map(|other| other.rows)) }
-        });
-        BlockList(joined.collect())
+    pub fn zip_some<T, J: Iterator<Item = Block<T>>>(
+        self,
+        other: BlockIter<J>,
+    ) -> BlockIter<impl Iterator<Item = Block<(R, Option<T>)>>> {
+        let mut others = Ahead { blocks: other.blocks, next: None };
+        let join = move |Block { morphology, envs, rows }| {
+            let other = others.of(morphology);
+            Block { morphology, envs, rows: (rows, other) }
+        };
+        BlockIter { blocks: self.blocks.map(join), most_envs: self.most_envs }
     }
 
     /// Joins the blocks with their rows of what has a row for every env of the simulation, such as an array of the
     /// [`Batch`](crate::batch::Batch).
     #[must_use]
-    pub fn zip_envs<T: SplitRows>(self, rows: T) -> BlockList<(R, T)> {
+    pub fn zip_envs<T: SplitRows>(self, rows: T) -> BlockIter<impl Iterator<Item = Block<(R, T)>>> {
         let (mut rest, mut next) = (Some(rows), 0);
-        let joined = self.0.into_iter().filter_map(|Block { morphology, envs, rows }| {
+        let join = move |Block { morphology, envs, rows }: Block<R>| {
             let (_, from) = rest.take()?.split_rows(envs.start - next);
             let (own, more) = from.split_rows(envs.len());
             (rest, next) = (Some(more), envs.end);
             Some(Block { morphology, envs, rows: (rows, own) })
-        });
-        BlockList(joined.collect())
+        };
+        BlockIter { blocks: self.blocks.filter_map(join), most_envs: self.most_envs }
     }
 
     /// The same blocks with other rows.
     #[must_use]
-    pub fn map<T>(self, mut f: impl FnMut(Morphology, R) -> T) -> BlockList<T> {
-        let block = |Block { morphology, envs, rows }| Block { morphology, envs, rows: f(morphology, rows) };
-        BlockList(self.0.into_iter().map(block).collect())
+    pub fn map<T>(self, mut f: impl FnMut(Morphology, R) -> T) -> BlockIter<impl Iterator<Item = Block<T>>> {
+        let block = move |Block { morphology, envs, rows }| Block { morphology, envs, rows: f(morphology, rows) };
+        BlockIter { blocks: self.blocks.map(block), most_envs: self.most_envs }
     }
 }
 
-impl<R> IntoIterator for BlockList<R> {
+/// Blocks that are asked for by morphology, in rising order.
+struct Ahead<I: Iterator> {
+    blocks: I,
+    /// The next one, where it was asked for too early.
+    next: Option<I::Item>,
+}
+
+impl<T, I: Iterator<Item = Block<T>>> Ahead<I> {
+    /// The rows of a morphology, where there are such.
+    #[inline]
+    fn of(&mut self, morphology: Morphology) -> Option<T> {
+        loop {
+            let block = self.next.take().or_else(|| self.blocks.next())?;
+            if block.morphology == morphology {
+                return Some(block.rows);
+            }
+            if block.morphology > morphology {
+                self.next = Some(block);
+                return None;
+            }
+        }
+    }
+}
+
+impl<R, I: Iterator<Item = Block<R>>> IntoIterator for BlockIter<I> {
     type Item = Block<R>;
-    type IntoIter = std::vec::IntoIter<Block<R>>;
+    type IntoIter = I;
 
-    fn into_iter(self) -> Self::IntoIter {
-        self.0.into_iter()
+    fn into_iter(self) -> I {
+        self.blocks
     }
 }
 
-impl<R: SplitRows> BlockList<R> {
+impl<R: SplitRows, I: Iterator<Item = Block<R>>> BlockIter<I> {
     /// Calls `f` on chunks of the blocks that together are all their rows, in parallel.
     pub fn for_each_chunk(self, workers: &Workers, f: impl Fn(Block<R>) + Sync) {
-        let len = self.num_envs();
-        let blocks =
-            self.0.into_iter().map(|Block { morphology, envs, rows }| ((morphology, envs.start), envs.len(), rows));
-        workers.for_each_chunk_of(blocks, len, |(morphology, start), first, n, rows| {
+        let piece = |Block { morphology, envs, rows }: Block<R>| ((morphology, envs.start), envs.len(), rows);
+        workers.for_each_chunk_of(self.blocks.map(piece), self.most_envs, |(morphology, start), first, n, rows| {
             f(Block { morphology, envs: start + first..start + first + n, rows });
         });
     }
@@ -498,9 +579,26 @@ mod tests {
     use super::*;
 
     fn list<R>(rows: impl IntoIterator<Item = (u16, R)>, sizes: &BlockSizes) -> BlockList<R> {
-        let (places, rows): (Vec<_>, Vec<R>) =
-            rows.into_iter().map(|(tag, rows)| (sizes.iter().nth(usize::from(tag)).unwrap(), rows)).unzip();
-        BlockList::new(places, rows.into_iter())
+        let (tags, rows): (Vec<u16>, Vec<R>) = rows.into_iter().unzip();
+        let envs = |tag: &u16| sizes.iter().nth(usize::from(*tag)).unwrap().1;
+        let ids: Vec<Vec<EnvId>> = tags.iter().map(|tag| envs(tag).map(|env| EnvId(env as u32)).collect()).collect();
+        BlockList::of_tables(ids.iter().map(Vec::as_slice).zip(rows), sizes, false).unwrap()
+    }
+
+    #[test]
+    fn tables_that_are_no_blocks_are_refused() {
+        let sizes = BlockSizes(vec![2, 0, 1]);
+        let is_block = |tables: &[&[u32]], all: bool| {
+            let ids: Vec<Vec<EnvId>> = tables.iter().map(|ids| ids.iter().copied().map(EnvId).collect()).collect();
+            BlockList::of_tables(ids.iter().map(|ids| (ids.as_slice(), ())), &sizes, all).is_ok()
+        };
+        assert!(is_block(&[&[0, 1], &[], &[2]], true) && is_block(&[&[2], &[0, 1]], true));
+        assert!(is_block(&[&[2]], false) && is_block(&[], false) && !is_block(&[&[2]], true));
+        let wrong: [&[&[u32]]; 6] =
+            [&[&[0]], &[&[1, 0]], &[&[0, 1, 2]], &[&[2], &[2]], &[&[0, 1], &[3]], &[&[0, 1], &[1]]];
+        for tables in wrong {
+            assert!(!is_block(tables, false), "{tables:?}");
+        }
     }
 
     #[test]
@@ -515,10 +613,12 @@ mod tests {
         let joined = robots().zip_some(sensors()).zip_envs(&mut batch[..]);
         let expected: [(&str, Option<&str>, &[usize]); 3] =
             [("a", None, &[0, 1, 2]), ("c", Some("C"), &[3, 4]), ("d", None, &[5, 6, 7, 8])];
-        for (block, (robot, sensor, own)) in joined.iter().zip(expected) {
+        for (block, (robot, sensor, own)) in joined.into_iter().zip(expected) {
             assert_eq!((block.rows.0, &*block.rows.1), ((robot, sensor), own));
         }
-        assert_eq!(joined.num_envs(), 9);
+        assert_eq!((robots().num_envs(), sensors().num_envs()), (9, 2));
+        let both = list([(0, 1), (3, 2)], &sizes).zip(list([(2, 3), (3, 4)], &sizes)).collect();
+        assert_eq!(both.iter().map(|block| (block.envs.clone(), block.rows)).collect::<Vec<_>>(), [(5..9, (2, 4))]);
         let own: Vec<_> = sensors().zip_envs(&mut batch[..]).into_iter().map(|block| block.rows.1.to_vec()).collect();
         assert_eq!(own, [[3, 4]]);
         let at = |env| robots().at(env).map(|(rows, row)| (*rows, row));

@@ -18,6 +18,10 @@ use crate::sync::{
     pause, yield_now,
 };
 
+/// Number of tasks that memory is asked for at once. The tasks of a job are written one after the other, and are moved whenever the
+/// memory for them grows.
+const MOST_ROOM: usize = 64;
+
 /// The caller's thread and helpers, which work on one job at a time.
 pub(crate) struct ThreadTeam {
     pool: Pool,
@@ -94,7 +98,10 @@ impl ThreadTeam {
 
     /// Runs `f(task)` on every task, on at most `threads` threads. Threads take one task after the other.
     pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, threads: usize, f: impl Fn(T) + Sync) {
-        let tasks: Vec<Mutex<Option<T>>> = tasks.map(|task| Mutex::new(Some(task))).collect();
+        let room = tasks.size_hint().1.unwrap_or_default().min(MOST_ROOM);
+        let mut queue: Vec<Mutex<Option<T>>> = Vec::with_capacity(room);
+        queue.extend(tasks.map(|task| Mutex::new(Some(task))));
+        let tasks = queue;
         let next = CachePadded(AtomicUsize::new(0));
         let job = || {
             while let Some(task) = tasks.get(next.0.fetch_add(1, Ordering::Relaxed)) {

@@ -143,7 +143,7 @@ impl Workers {
     }
 
     /// Calls `f(piece, first row, number of rows, rows)` on chunks of pieces, each given with its number of rows; these add up to
-    /// `len`. No chunk has rows of two pieces.
+    /// at most `len`. No chunk has rows of two pieces.
     pub fn for_each_chunk_of<P: Copy + Send, R: SplitRows>(
         &self,
         pieces: impl Iterator<Item = (P, usize, R)>,
@@ -154,19 +154,7 @@ impl Workers {
         let Some(team) = self.team.as_ref().filter(|_| len > MIN_CHUNK) else {
             return pieces.for_each(|(piece, n, rows)| f(piece, 0, n, rows));
         };
-        let (mut pieces, mut rest, mut left) = (pieces, None, len);
-        let chunks = std::iter::from_fn(|| {
-            let next = || pieces.next().map(|(piece, n, rows)| (piece, 0, n, rows));
-            let (piece, first, n, rows): (P, usize, usize, R) = rest.take().or_else(next)?;
-            let taken = share(left, MIN_CHUNK, threads).min(n);
-            left -= taken;
-            if taken == n {
-                return Some((piece, first, n, rows));
-            }
-            let (part, more) = rows.split_rows(taken);
-            rest = Some((piece, first + taken, n - taken, more));
-            Some((piece, first, taken, part))
-        });
+        let chunks = Chunks { pieces, rest: None, left: len, threads };
         team.for_each(chunks, threads, |(piece, first, n, part)| f(piece, first, n, part));
     }
 
@@ -176,6 +164,40 @@ impl Workers {
             Some(team) => team.for_each(tasks, self.threads, f),
             None => tasks.for_each(f),
         }
+    }
+}
+
+/// Cuts pieces into chunks: their piece, first row, number of rows, and the rows.
+struct Chunks<I, P, R> {
+    pieces: I,
+    /// Rows of a piece that are left.
+    rest: Option<(P, usize, usize, R)>,
+    /// Number of rows that are left, at most.
+    left: usize,
+    threads: usize,
+}
+
+impl<P: Copy, R: SplitRows, I: Iterator<Item = (P, usize, R)>> Iterator for Chunks<I, P, R> {
+    type Item = (P, usize, usize, R);
+
+    #[inline]
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = || self.pieces.next().map(|(piece, n, rows)| (piece, 0, n, rows));
+        let (piece, first, n, rows) = self.rest.take().or_else(next)?;
+        let taken = share(self.left, MIN_CHUNK, self.threads).min(n);
+        self.left -= taken;
+        if taken == n {
+            return Some((piece, first, n, rows));
+        }
+        let (part, more) = rows.split_rows(taken);
+        self.rest = Some((piece, first + taken, n - taken, more));
+        Some((piece, first, taken, part))
+    }
+
+    /// Each chunk ends its piece, or has [`MIN_CHUNK`] rows.
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let cuts = self.left / MIN_CHUNK + usize::from(self.rest.is_some());
+        (0, self.pieces.size_hint().1.map(|pieces| pieces + cuts))
     }
 }
 

@@ -21,8 +21,8 @@ impl Plugin for ActPlugin {
     }
 }
 
-/// `target = default + scale * sign * action`, from slots to physical joints; the targets before become history. Columns of slots
-/// that a robot lacks are not read.
+/// `target = default + scale * sign * action`, from slots to physical joints; the targets before become history. Actions in columns
+/// of slots that a robot lacks become zero.
 ///
 /// The first action after a reset fills the whole history, so that a delayed actuator does not see an older episode.
 pub(super) fn apply_actions(
@@ -54,12 +54,18 @@ impl Kernel<f32> for ActionRows<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { morphology, stances, actions, targets, mut raw } = self;
+        let absent: Vec<usize> = (morphology.action_mask(raw.width).iter().enumerate())
+            .filter_map(|(column, is_there)| (!is_there).then_some(column))
+            .collect();
         for (i, stance) in stances.iter().enumerate() {
             let action = &mut actions[i];
             std::mem::swap(&mut action.current, &mut action.previous);
             let raw = raw.row(i);
             for (current, slot) in action.current.iter_mut().zip(&morphology.slots) {
                 *current = raw[slot.column()];
+            }
+            for &column in &absent {
+                raw[column] = 0.0;
             }
             let target = &mut targets[i];
             target.history.rotate_right(1);

@@ -88,10 +88,10 @@ pub(super) fn describe_broken_states(
 ) -> Result {
     let broken = &mut *broken;
     if !broken.evidence.is_empty() {
-        let own = robots.read()?.zip(envs.read()?);
+        let (robots, envs) = (robots.read()?, envs.read()?);
         let described = broken.evidence.drain(..).filter_map(
             |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, after }| {
-                let ((bodies, episodes), row) = own.at(env)?;
+                let ((bodies, row), (episodes, _)) = (robots.at(env)?, envs.at(env)?);
                 let state = BrokenState {
                     env: EnvId(env as u32),
                     step: broken.step,

@@ -103,7 +103,8 @@ pub(super) fn step_physics(
     mut robots: Blocks<RobotColumns, Robot>,
     envs: Blocks<&'static EnvOrigin, Env>,
 ) -> Result {
-    let blocks = robots.write()?.zip(envs.read()?).map(|_, (robots, origins)| RobotSlices::new(robots, origins));
+    let blocks =
+        robots.write()?.zip(envs.read()?).map(|_, (robots, origins)| RobotSlices::new(robots, origins)).collect();
     let steps = task.config.sim.decimation as usize;
     let run = Run { steps, gains: true, limits: &task.limits, watched: broken.watched() };
     let records = engine.0.step(&workers, blocks, run);

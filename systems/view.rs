@@ -3,7 +3,7 @@
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 
-use crate::blocks::{BlockList, Blocks};
+use crate::blocks::{Block, BlockIter, Blocks};
 use crate::components::{
     Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactSensor, Env, EnvOrigin, Episode,
     ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, Robot, Stance,
@@ -96,10 +96,10 @@ type RobotColumns = (
 );
 
 impl ViewParam<'_, '_> {
-    pub(super) fn views(&self, step_dt: f32) -> Result<BlockList<Views<'_>>, Error> {
+    pub(super) fn views(&self, step_dt: f32) -> Result<BlockIter<impl Iterator<Item = Block<Views<'_>>>>, Error> {
         let of_all = self.robots.read()?.zip(self.envs.read()?).zip(self.imus.read()?).zip(self.contacts.read()?);
         let blocks = of_all.zip_some(self.scans.read_some()?).zip_some(self.descriptors.read_some()?);
-        Ok(blocks.map(|morphology, (((((robots, envs), imus), contacts), scans), descriptors)| {
+        Ok(blocks.map(move |morphology, (((((robots, envs), imus), contacts), scans), descriptors)| {
             let (poses, velocities, joints, efforts, actions, feet, bodies, stances) = robots;
             let (commands, origins) = envs;
             Views {

@@ -114,28 +114,10 @@ impl Sim {
             ));
         }
         self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
-        self.clear_absent_actions();
         self.world.resource_mut::<ResetRequest>().0 = false;
         run(&mut self.world, ControlStep)?;
         self.dump_broken_states();
         Ok(())
-    }
-
-    /// Sets the actions of joints that robots lack to zero.
-    fn clear_absent_actions(&mut self) {
-        self.world.resource_scope(|world, mut batch: Mut<Batch>| {
-            let width = batch.num_actions;
-            let morphologies = world.resource::<Morphologies>();
-            for (morphology, envs) in world.resource::<BlockSizes>().iter() {
-                let robot = morphologies.get(morphology);
-                if robot.slots.len() < width {
-                    let mask = robot.action_mask(width);
-                    for row in batch.actions[envs.start * width..envs.end * width].chunks_exact_mut(width) {
-                        row.iter_mut().zip(&mask).filter(|(_, has)| !**has).for_each(|(action, _)| *action = 0.0);
-                    }
-                }
-            }
-        });
     }
 
     /// Which actions each env has, row-major `[num_envs, num_actions]`: its robot has a joint there.
