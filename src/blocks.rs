@@ -50,36 +50,28 @@ impl BlockSizes {
     }
 }
 
-/// Finds the block that a table is, without a search where tables come in the order of their envs.
+/// Finds the block that a table is.
 struct BlockFinder<'a> {
     sizes: &'a [usize],
-    /// The morphology that the search goes on from.
-    morphology: usize,
-    /// Its first env.
-    first: usize,
+    /// First env of each morphology.
+    starts: Vec<usize>,
 }
 
 impl<'a> BlockFinder<'a> {
-    fn new(sizes: &'a BlockSizes) -> Self {
-        Self { sizes: &sizes.0, morphology: 0, first: 0 }
+    fn new(BlockSizes(sizes): &'a BlockSizes) -> Self {
+        let starts = sizes.iter().scan(0, |next, count| Some(std::mem::replace(next, *next + count)));
+        Self { sizes, starts: starts.collect() }
     }
 
     /// The block that rows with these env ids are: the morphology whose envs they all are, in their order.
     #[inline]
-    fn find(&mut self, ids: &[EnvId]) -> Option<(Morphology, Range<usize>)> {
+    fn find(&self, ids: &[EnvId]) -> Option<(Morphology, Range<usize>)> {
         let EnvId(id) = *ids.first()?;
         let first = id as usize;
-        if first < self.first {
-            (self.morphology, self.first) = (0, 0);
-        }
-        let mut count = *self.sizes.get(self.morphology)?;
-        while self.first + count <= first {
-            self.first += count;
-            self.morphology += 1;
-            count = *self.sizes.get(self.morphology)?;
-        }
-        let is_block = self.first == first && count == ids.len() && in_order(ids, id);
-        is_block.then(|| (Morphology(self.morphology as u16), first..first + count))
+        // morphologies without envs come before the one that begins with the same env
+        let morphology = self.starts.partition_point(|start| *start <= first).checked_sub(1)?;
+        let is_block = self.starts[morphology] == first && self.sizes[morphology] == ids.len() && in_order(ids, id);
+        is_block.then(|| (Morphology(morphology as u16), first..first + ids.len()))
     }
 }
 
@@ -282,7 +274,31 @@ pub struct BlockIter<I> {
 }
 
 /// Blocks that are all there.
-pub type BlockList<R> = BlockIter<std::vec::IntoIter<Block<R>>>;
+pub type BlockList<R> = BlockIter<OrderedBlocks<R>>;
+
+/// Iterator over blocks in the order of their envs. They lie in the order of Bevy's tables, which is any, and are not moved to be put
+/// in order.
+#[derive(Clone, Debug)]
+pub struct OrderedBlocks<R> {
+    /// A block that has been returned is absent.
+    blocks: Vec<Option<Block<R>>>,
+    /// Where the blocks that are left lie, in the order of their envs.
+    order: std::vec::IntoIter<usize>,
+}
+
+impl<R> Iterator for OrderedBlocks<R> {
+    type Item = Block<R>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Block<R>> {
+        let place = self.order.next()?;
+        self.blocks.get_mut(place)?.take()
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.order.size_hint()
+    }
+}
 
 impl<R> BlockList<R> {
     /// The blocks that tables with these env ids are, of `all` morphologies or of some.
@@ -295,43 +311,49 @@ impl<R> BlockList<R> {
         sizes: &BlockSizes,
         all: bool,
     ) -> Result<Self, Vec<Vec<EnvId>>> {
-        let mut blocks: Vec<Block<R>> = Vec::with_capacity(sizes.0.len());
-        let (mut finder, mut others) = (BlockFinder::new(sizes), Vec::new());
+        const ABSENT: usize = usize::MAX;
+        let (finder, mut others) = (BlockFinder::new(sizes), Vec::new());
+        let mut blocks: Vec<Option<Block<R>>> = Vec::with_capacity(sizes.0.len());
+        let mut order = vec![ABSENT; sizes.0.len()];
+        let mut most_envs = 0;
         for (ids, rows) in tables.filter(|(ids, _)| !ids.is_empty()) {
-            match finder.find(ids) {
-                Some((morphology, envs)) => blocks.push(Block { morphology, envs, rows }),
+            let free = finder.find(ids).filter(|(morphology, _)| order[usize::from(morphology.0)] == ABSENT);
+            match free {
+                Some((morphology, envs)) => {
+                    order[usize::from(morphology.0)] = blocks.len();
+                    most_envs += envs.len();
+                    blocks.push(Some(Block { morphology, envs, rows }));
+                }
                 None => others.push(ids.to_vec()),
             }
         }
-        let ascend = |blocks: &[Block<R>]| blocks.is_sorted_by(|a, b| a.morphology < b.morphology);
-        let mut are_blocks = ascend(&blocks);
-        if !are_blocks {
-            // tables are in the order in which they were made, which is that of the envs unless components were inserted since
-            blocks.sort_by_key(|block| block.morphology);
-            are_blocks = ascend(&blocks);
-        }
-        let wanted = if all { sizes.0.iter().filter(|count| **count > 0).count() } else { blocks.len() };
-        if are_blocks && others.is_empty() && blocks.len() == wanted {
-            return Ok(Self::new(blocks));
+        if others.is_empty() && (!all || most_envs == sizes.num_envs()) {
+            order.retain(|place| *place != ABSENT);
+            return Ok(Self { blocks: OrderedBlocks { blocks, order: order.into_iter() }, most_envs });
         }
         let ids = |block: &Block<R>| block.envs.clone().map(|env| EnvId(env as u32)).collect();
-        others.extend(blocks.iter().map(ids));
+        others.extend(blocks.iter().flatten().map(ids));
         Err(others)
     }
 
-    fn new(blocks: Vec<Block<R>>) -> Self {
-        let most_envs = blocks.iter().map(|block| block.envs.len()).sum();
-        Self { blocks: blocks.into_iter(), most_envs }
+    /// Blocks that are in order.
+    fn new(blocks: impl Iterator<Item = Block<R>>) -> Self {
+        let mut most_envs = 0;
+        let count = |block: &Block<R>| most_envs += block.envs.len();
+        let blocks: Vec<Option<Block<R>>> = blocks.inspect(count).map(Some).collect();
+        let order: Vec<usize> = (0..blocks.len()).collect();
+        Self { blocks: OrderedBlocks { blocks, order: order.into_iter() }, most_envs }
     }
 
     /// The block of the first morphology, which has these envs.
     pub(crate) fn of_one(envs: Range<usize>, rows: R) -> Self {
-        Self::new(vec![Block { morphology: Morphology(0), envs, rows }])
+        Self::new(std::iter::once(Block { morphology: Morphology(0), envs, rows }))
     }
 
     /// The blocks.
     pub fn iter(&self) -> impl Iterator<Item = &Block<R>> {
-        self.blocks.as_slice().iter()
+        let OrderedBlocks { blocks, order } = &self.blocks;
+        order.as_slice().iter().filter_map(|place| blocks.get(*place)?.as_ref())
     }
 
     /// Number of envs that the blocks have.
@@ -341,25 +363,30 @@ impl<R> BlockList<R> {
 
     /// The rows of an env's block, and which of them is the env's.
     pub fn at(&self, env: usize) -> Option<(&R, usize)> {
-        let blocks = self.blocks.as_slice();
-        let place = blocks.partition_point(|block| block.envs.end <= env);
-        let block = blocks.get(place).filter(|block| block.envs.start <= env)?;
-        Some((&block.rows, env - block.envs.start))
+        let block = self.blocks.blocks.get(self.place_of(env)?)?.as_ref()?;
+        Some((&block.rows, env.checked_sub(block.envs.start)?))
     }
 
     /// The same, to write.
     pub fn at_mut(&mut self, env: usize) -> Option<(&mut R, usize)> {
-        let blocks = self.blocks.as_mut_slice();
-        let place = blocks.partition_point(|block| block.envs.end <= env);
-        let block = blocks.get_mut(place).filter(|block| block.envs.start <= env)?;
-        Some((&mut block.rows, env - block.envs.start))
+        let place = self.place_of(env)?;
+        let block = self.blocks.blocks.get_mut(place)?.as_mut()?;
+        Some((&mut block.rows, env.checked_sub(block.envs.start)?))
+    }
+
+    /// Where the block lies that has an env; another one, if none has it.
+    fn place_of(&self, env: usize) -> Option<usize> {
+        let OrderedBlocks { blocks, order } = &self.blocks;
+        let ends_before = |place: &usize| blocks[*place].as_ref().is_some_and(|block| block.envs.end <= env);
+        let order = order.as_slice();
+        order.get(order.partition_point(ends_before)).copied()
     }
 }
 
 impl<R, I: Iterator<Item = Block<R>>> BlockIter<I> {
     /// Makes all blocks.
     pub fn collect(self) -> BlockList<R> {
-        BlockList::new(self.blocks.collect())
+        BlockList::new(self.blocks)
     }
 
     /// Joins the blocks of the morphologies that are in both lists.
