@@ -19,7 +19,7 @@ use super::state::{LinkState, State, Workspace};
 
 /// A body (or a pack of bodies) in a state, to be asked for its dynamics.
 pub struct Dynamics<'a, S: Real> {
-    /// What the lanes share.
+    /// Topology that the lanes share.
     pub topology: &'a Topology,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
@@ -351,7 +351,7 @@ impl<S: Real> Dynamics<'_, S> {
         self.work.links.iter().enumerate().map(inertia)
     }
 
-    /// Centre of mass in base axes about the base's origin, likewise.
+    /// Centre of mass in base axes about the base's origin, in the present pose.
     fn base_com(&self) -> Vec3<S> {
         let moment = self.link_inertias().fold([S::zero(); 3], |sum, (_, inertia)| add(&sum, &inertia.moment));
         scale(&moment, S::one() / self.parameters.total_mass())

@@ -1,4 +1,4 @@
-//! What the lanes of a pack must have in common: the [`Topology`].
+//! The [`Topology`]: the structure that all lanes of a pack share.
 
 use super::blocks::{BLOCK, Block, Blocks, PathPart};
 
@@ -157,14 +157,14 @@ pub struct ColliderTopology {
 pub struct PairTopology {
     /// Colliders: a capsule, then a capsule or a box.
     pub colliders: [usize; 2],
-    /// Parts of the capsule's axis, whose ends are -1 and 1: each part is a contact of its own, so that links can lie
+    /// Parts of the capsule's axis, whose ends are -1 and 1: each part is a separate contact, so that links can lie
     /// against each other.
     pub spans: &'static [[f64; 2]],
     /// Contact bodies of the two.
     pub(super) bodies: [usize; 2],
     /// The first of its impulses.
     pub(super) first_impulse: usize,
-    /// Which path holds the joints on the ways from both links to the base; and the side of each of its joints: 1 carries the
+    /// Path that holds the joints on the ways from both links to the base; and the side of each of its joints: 1 carries the
     /// first link only, -1 the second only, 0 both.
     pub(super) path: usize,
     pub(super) side: Vec<[f64; BLOCK]>,
@@ -204,7 +204,7 @@ pub struct Topology {
     pub sites: Vec<usize>,
     /// Whether any actuator delays its target.
     pub has_delay: bool,
-    /// What friction with the ground resists. Rows of torsional and rolling friction are built where it asks for them, whatever the
+    /// Directions in which friction with the ground resists. Rows of torsional and rolling friction are built where it asks for them, whatever the
     /// coefficients.
     pub friction: ContactFriction,
     blocks: Blocks,

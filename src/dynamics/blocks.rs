@@ -1,6 +1,6 @@
 //! The joints of a tree in blocks of three.
 //!
-//! What couples joints with each other (the mass matrix, its factors, constraint rows) is laid out by blocks of a fixed size and
+//! The coupling of joints (the mass matrix, its factors, constraint rows) is laid out by blocks of a fixed size and
 //! worked on block by block: loops over a block are unrolled, and indices are computed once for nine numbers. A leg of three
 //! joints is one block. A block of fewer joints has places left over: the joints that are not there have the mass one, no
 //! coupling and no velocity, and change nothing.

@@ -1,4 +1,4 @@
-//! What a gap asks for: whether two things can touch in a step, and how fast they may or must part.
+//! Gaps between two things: whether they can touch in a step, and how fast they may or must part.
 
 use super::lanes::Real;
 use super::settings::ContactSettings;

@@ -1,4 +1,4 @@
-//! Which points of a robot touch the ground in a physics step, and what their constraints ask for.
+//! Points of a robot that touch the ground in a physics step, and the targets of their constraints.
 
 use super::articulation::Topology;
 use super::gaps::{reach_in_step, separation};

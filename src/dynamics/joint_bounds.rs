@@ -1,4 +1,4 @@
-//! Which position limits, velocity limits and dry frictions act on the joints in a physics step, and what they ask for.
+//! Position limits, velocity limits and dry frictions that act on the joints in a physics step, and their targets.
 
 use super::articulation::Topology;
 use super::blocks::BLOCK;

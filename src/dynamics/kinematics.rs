@@ -10,7 +10,7 @@ use super::math::{
 use super::parameters::BodyNumbers;
 use super::state::{LinkDynamics, LinkState, Workspace};
 
-/// Rotation matrix `r` followed by a turn of `angle` about one of its own axes, and that axis in the outer frame.
+/// Rotation matrix `r` followed by a turn of `angle` about one of its axes, and that axis in the outer frame.
 #[inline(always)]
 fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
     // a turn about a coordinate axis mixes the two other columns

@@ -227,7 +227,7 @@ impl<S: Real> SpatialInertia<S> {
         Self { mass: S::zero(), moment: [S::zero(); 3], inertia: [S::zero(); 6] }
     }
 
-    /// Of a body with mass, centre of mass `c` and inertia about `c`, all in base axes.
+    /// Spatial inertia of a body with mass, centre of mass `c` and inertia about `c`, all in base axes.
     #[inline(always)]
     pub fn new(mass: S, c: &Vec3<S>, about_com: &Sym3<S>) -> Self {
         let h = scale(c, mass);

@@ -89,7 +89,7 @@ pub enum Instruction {
     },
     /// A function of every feature.
     Map {
-        /// Which one.
+        /// Function of one number.
         function: Function,
         /// Inputs.
         from: Span,
@@ -98,7 +98,7 @@ pub enum Instruction {
     },
     /// A function of every pair of features.
     Combine {
-        /// Which one.
+        /// Operation on two numbers.
         operation: Operation,
         /// Its first argument.
         a: Span,
@@ -127,7 +127,7 @@ pub enum Instruction {
     },
 }
 
-/// What a network computes for a joint, from its inputs to one output.
+/// Computation of a network for a joint, from its inputs to one output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkProgram {
     inputs: usize,
@@ -172,14 +172,14 @@ impl NetworkProgram {
     }
 }
 
-/// What one input of a network is.
+/// One input of a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NetworkInput {
     /// Whether it is the joint's velocity, rad/s, or how far its target is above its position, rad.
     pub is_velocity: bool,
     /// How many physics steps ago.
     pub age: usize,
-    /// What it is multiplied by.
+    /// Factor on the input.
     pub scale: f32,
 }
 
@@ -243,20 +243,20 @@ impl ActuatorNetwork {
 
 /// Evaluates networks at the beginning of a physics step.
 pub struct NetworkStep<'a, S: Real> {
-    /// What the lanes share.
+    /// Topology that the lanes share.
     pub topology: &'a Topology,
     /// Step sizes.
     pub settings: &'a StepSettings,
     /// The networks.
     pub networks: &'a [ActuatorNetwork],
-    /// Which physics step of the control step it is.
+    /// Physics step within the control step.
     pub substep: usize,
     /// Where the robots are.
     pub state: &'a State<S>,
     /// Has the targets, and is given the networks' efforts as feed-forward. An effort that is not finite leaves no finite force on the
     /// base, so that the state breaks.
     pub drive: &'a mut Drive<S>,
-    /// What the networks remember, one after the other: [`ActuatorNetwork::num_remembered`] each.
+    /// Memory of the networks, one after the other: [`ActuatorNetwork::num_remembered`] each.
     pub memory: &'a mut [S],
     /// Scratch memory, which grows.
     pub features: &'a mut Vec<S>,
@@ -342,7 +342,7 @@ fn drive_joints<S: Real>(
     }
 }
 
-/// The same of the `C` joints from joint `block` of the network on. Features are `[features, C]`.
+/// Torques of the `C` joints from joint `block` of the network on. Features are `[features, C]`.
 #[inline(always)]
 fn drive_block<S: Real, const C: usize>(
     network: &ActuatorNetwork,

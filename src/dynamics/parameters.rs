@@ -156,9 +156,9 @@ macro_rules! parameters {
 /// common are held once, not once per lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UniformParameters<'a, S> {
-    /// What they have in common.
+    /// Parameters of the morphology, which the bodies share.
     pub(super) kind: &'a Parameters<f32>,
-    /// What each has of its own; the rest is not looked at.
+    /// Parameters that differ between bodies; the rest is not read.
     pub(super) own: &'a Parameters<S>,
 }
 
@@ -166,9 +166,9 @@ pub(super) struct UniformParameters<'a, S> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TurningParameters<'a, S>(pub(super) &'a Parameters<S>);
 
-/// Of a list of links' numbers, [`UniformParameters`] bodies have those of the base of their own: the first.
+/// Number of entries of per-link lists that differ between [`UniformParameters`] bodies: the base's, the first.
 const BASE: usize = 1;
-/// Of other lists they have none.
+/// Number of entries of other lists that differ between them.
 const NONE: usize = 0;
 
 /// Visits of a list of numbers.

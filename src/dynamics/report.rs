@@ -1,4 +1,4 @@
-//! What a physics step leaves behind: impulses for the next warm start, contact forces, and positions of the sites.
+//! Report of a physics step: impulses for the next warm start, contact forces, and positions of the sites.
 
 use super::articulation::Topology;
 use super::ground::{Plane, splat_frame};

@@ -108,7 +108,7 @@ impl<S: Real> BoundRow<S> {
 
 /// The bounds of a block's joints.
 ///
-/// Which joints share a block is the topology's matter, not that of the moment: the order of operations in a lane must not
+/// The topology decides which joints share a block, not the present state: the order of operations in a lane must not
 /// depend on its neighbours.
 #[derive(Clone, Debug)]
 pub(super) struct BoundBlock<S: Real> {
@@ -119,7 +119,7 @@ pub(super) struct BoundBlock<S: Real> {
     pub(super) rows: UnitRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
-    /// What a change of one row's friction impulse takes from a later row's while neither slides: 0-1, 0-2, 1-2.
+    /// Change of a later row's friction impulse per change of an earlier row's while neither slides: 0-1, 0-2, 1-2.
     pub(super) friction_coupling: [S; 3],
     pub(super) joints: [BoundRow<S>; BLOCK],
 }
@@ -137,7 +137,7 @@ pub struct ContactWork<S: Real> {
     pub(super) bounds: Vec<BoundBlock<S>>,
     /// Number of blocks after the first that rows have room for.
     pub(super) stride: usize,
-    /// The fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
+    /// Fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
     pub(super) violation: S,
     /// Compliance of the whole robot, one over its mass, 1/kg.
     pub(super) compliance: S,
@@ -147,9 +147,9 @@ pub struct ContactWork<S: Real> {
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
     /// Joint parts of the contact rows in the blocks after the first: `[contact * stride + p]`, `p` along the path.
     pub(super) contact_further: Vec<JointRows<S>>,
-    /// The same of torsional and rolling friction.
+    /// Joint parts of the rows of torsional and rolling friction, in the same layout.
     pub(super) spin_further: Vec<JointRows<S>>,
-    /// The same of the joint bounds.
+    /// Joint parts of the rows of the joint bounds, in the same layout.
     pub(super) bound_further: Vec<JointRows<S>>,
     /// The sparse velocity `y`.
     pub base: [S; 6],

@@ -4,11 +4,11 @@ use super::ground::Plane;
 
 /// Usual number of Gauss-Seidel sweeps per physics step.
 ///
-/// What they leave is a fifth to a half of the error of a physics step of 5 ms (`polypod accuracy`, table "Error of the contact
+/// Their error is a fifth to a half of the error of a physics step of 5 ms (`polypod accuracy`, table "Error of the contact
 /// solver"). Eight sweeps halve that and cost a ninth of a control step.
 pub const SWEEPS: usize = 4;
 
-/// What all packs of a simulation share.
+/// Settings that all packs of a simulation share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepSettings {
     /// Physics step, s.
@@ -21,7 +21,7 @@ pub struct StepSettings {
     pub contact: ContactSettings,
 }
 
-/// What a task or a caller decides about contacts and joint bounds.
+/// Settings of contacts and joint bounds by a task or a caller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactSettings {
     /// Gauss-Seidel sweeps per physics step: fewer where they change little, more where links are jammed.
@@ -32,7 +32,7 @@ pub struct ContactSettings {
     pub max_depenetration_velocity: f64,
     /// Approach speed from which restitution acts, m/s.
     pub bounce_threshold: f64,
-    /// What robots stand on; nothing without.
+    /// Ground below the robots; None for none.
     pub ground: Option<Plane>,
     /// The tuned constants.
     pub solver: SolverSettings,
@@ -57,7 +57,7 @@ impl Default for ContactSettings {
 /// a simulation knows them. The kernels read a field where they used a literal: the bits are the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolverSettings {
-    // Which constraints take part in a physics step. Each costs all lanes of a pack.
+    // Bounds for constraints to take part in a physics step. Each constraint costs all lanes of a pack.
     /// Largest gap at which a ground contact takes part, m. A larger gap finds faster approaches in time and builds more
     /// rows. 2 cm is what a point at 4 m/s moves in 5 ms.
     pub ground_margin: f64,
@@ -68,7 +68,7 @@ pub struct SolverSettings {
     /// Gap at which a pair of links takes part whatever its velocity, m; otherwise as `ground_reach`. Less, since
     /// many links of a robot are always near each other. Chosen by hand.
     pub pair_reach: f64,
-    /// What the coarse tests of pairs add to every distance, m. It exceeds the rounding error of `f32` positions a few metres
+    /// Margin of the coarse tests of pairs, m. It exceeds the rounding error of `f32` positions a few metres
     /// long, so that a coarse test never rejects what the exact one accepts.
     pub pair_rounding: f64,
     /// Distance from a position limit at which it takes part whatever the joint's velocity, rad or m. The joint's way in two

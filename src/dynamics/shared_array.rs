@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A list of fixed length. Clones share its memory; the first change of one gives that one memory of its own.
+/// A list of fixed length. Clones share its memory; the first change of a clone copies it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharedArray<T>(Arc<[T]>);
 

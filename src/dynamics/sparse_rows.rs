@@ -188,7 +188,7 @@ impl<S: Real, const UNITS: bool> SparseRows<S, UNITS> {
         }
     }
 
-    /// What eliminating the joints changes in the base's part, of which `D^-1/2 G^-1` follows; and `D^-1/2` of the blocks after
+    /// Change of the base's part by the elimination of the joints, from which `D^-1/2 G^-1` follows; and `D^-1/2` of the blocks after
     /// the first. A first block that is not given is done with.
     #[inline(always)]
     fn solve_base(
@@ -345,7 +345,7 @@ fn eliminate_inner<S: Real>(factor: &Factor<S>, part: &PathPart, rows: &JointRow
     x
 }
 
-/// What eliminating a block's joints changes in the base's part of one of three rows.
+/// Change of the base's part of one of three rows by the elimination of a block's joints.
 #[inline(always)]
 fn eliminate_base<S: Real>(factor: &Factor<S>, part: &PathPart, x: &JointRows<S>, row: usize, base: &mut [S; 6]) {
     let own = &factor.blocks[part.joints.block].base;
@@ -356,7 +356,7 @@ fn eliminate_base<S: Real>(factor: &Factor<S>, part: &PathPart, x: &JointRows<S>
     }
 }
 
-/// What eliminating a block's joints changes in the parts of the path that carry it; none of them is the path's first.
+/// Change of the parts of the path that carry a block by the elimination of its joints; none of them is the path's first.
 #[inline(always)]
 fn pass_on<S: Real>(
     topology: &Topology,

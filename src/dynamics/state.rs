@@ -27,13 +27,13 @@ pub struct State<S> {
     /// pairs]`, then with torsional or rolling friction the angular ones about these axes, N m s, `[contacts]`; they warm-start the
     /// next one.
     pub impulse: Vec<[S; 3]>,
-    /// Which of them are not zero in every lane: all others must be.
+    /// Contacts whose impulse is not zero in every lane: all others must be zero.
     pub pressing: Vec<u32>,
     /// Impulses of the joints' limits and dry friction in the last physics step, N m s, `[joints]`; they warm-start the next one.
     pub bound_impulse: Vec<S>,
 }
 
-/// What the actuators are asked for during one control step.
+/// Targets of the actuators during one control step.
 #[derive(Clone, Debug)]
 pub struct Drive<S> {
     /// Position targets, rad: `targets[age][joint]`, age in control steps, 0 the present one.
@@ -48,7 +48,7 @@ pub struct Drive<S> {
     pub base_torque: Vec3<S>,
 }
 
-/// What one control step reports.
+/// Report of one control step.
 #[derive(Clone, Debug)]
 pub struct Report<S> {
     /// Actuator effort of the last physics step, N m, `[joints]`.
@@ -61,7 +61,7 @@ pub struct Report<S> {
     pub normal_force: Vec<Vec<S>>,
     /// Bodies that had a contact in some lane and physics step: forces on all others are zero, `[bodies]`.
     pub touched: Vec<bool>,
-    /// What the last physics step had to deal with, one or else zero each: bodies near the ground or another link, `[bodies]`, joints
+    /// Demands of the last physics step, one or else zero each: bodies near the ground or another link, `[bodies]`, joints
     /// near a limit, `[blocks]`, and anything that was to be pushed out.
     pub demands: Vec<S>,
     /// Site positions in the env's frame, m, `[sites]`.
@@ -144,7 +144,7 @@ pub struct LinkState<S> {
     pub axis: Spatial<S>,
 }
 
-/// What the motion of a link asks for, in base axes about the base origin.
+/// Forces that the motion of a link needs, in base axes about the base origin.
 #[derive(Clone, Debug)]
 pub(super) struct LinkDynamics<S> {
     /// Velocity-product acceleration.
@@ -162,7 +162,7 @@ pub struct Workspace<S: Real> {
     pub(super) base_rotation: Mat3<S>,
     /// `[links]`.
     pub links: Vec<LinkState<S>>,
-    /// Of the base and of one tree that it carries, which the next one takes the place of, `[slots]`.
+    /// Links of the base and of one tree that it carries; the next tree takes the place of the last, `[slots]`.
     pub(super) dynamics: Vec<LinkDynamics<S>>,
     /// Generalised bias force: base (6, base axes) and joints.
     pub(super) bias_base: [S; 6],
@@ -176,13 +176,13 @@ pub struct Workspace<S: Real> {
     pub(super) rhs_joint: Vec<[S; BLOCK]>,
     /// Actuator effort before the implicit correction, N m.
     pub(super) effort: Vec<S>,
-    /// What the actuator loses per unit of velocity change; zero when saturated.
+    /// Loss of the actuator per unit of velocity change; zero when saturated.
     pub(super) effort_slope: Vec<S>,
     /// Target position of each joint in the current physics step.
     pub(super) target: Vec<S>,
     /// Where the colliders are.
     pub(super) colliders: Vec<PlacedCollider<S>>,
-    /// What holds all colliders of a link, `[links]`; of no meaning for a link without any.
+    /// Boxes around all colliders of a link, `[links]`; without meaning for a link without colliders.
     pub(super) collider_boxes: Vec<ColliderBox<S>>,
     /// Rows of active contacts and joint bounds.
     pub(super) contact: ContactWork<S>,

@@ -24,7 +24,7 @@ use super::terrain::Terrain;
 
 /// One control step, or some of its physics steps.
 pub struct ControlStep<'a, S: Real> {
-    /// What the lanes share.
+    /// Topology that the lanes share.
     pub topology: &'a Topology,
     /// Step sizes and solver settings.
     pub settings: &'a StepSettings,
@@ -32,11 +32,11 @@ pub struct ControlStep<'a, S: Real> {
     pub terrain: Option<Terrain<'a, S>>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
-    /// The morphology's body, if all bodies are [alike](Parameters::is_alike) it. The step is then faster, and its bits are the same.
+    /// Parameters of the morphology, if all bodies are [uniform](Parameters::is_alike). The step is then faster, and its bits are the same.
     pub kind: Option<&'a Parameters<f32>>,
-    /// What is asked of the actuators.
+    /// Targets of the actuators.
     pub drive: &'a Drive<S>,
-    /// Which of the `decimation` physics steps are made. The first one begins the report, the last one completes it.
+    /// Physics steps of the `decimation` ones that are made. The first one begins the report, the last one completes it.
     pub substeps: Range<usize>,
     /// Moves forward by these physics steps.
     pub state: &'a mut State<S>,

@@ -55,7 +55,7 @@ struct Squares {
     highest: Vec<f32>,
 }
 
-/// What the robots of a pack stand on.
+/// Ground below the robots of a pack.
 #[derive(Clone, Copy, Debug)]
 pub struct Terrain<'a, S> {
     /// The heights.
@@ -135,7 +135,7 @@ impl HeightGrid {
         Squares { stride, num, highest }
     }
 
-    /// Of the first `n` places of a group: no height within `reach` is larger than this, m.
+    /// Height, m, that no height within `reach` exceeds, for the first `n` places of a group.
     #[inline(always)]
     fn bound_group(
         &self,
@@ -264,7 +264,7 @@ impl HeightGrid {
     }
 }
 
-/// What is found below a group of places: heights, and rises from one point to the next along x and y, m.
+/// Samples below a group of places: heights, and rises from one point to the next along x and y, m.
 struct Samples<const N: usize> {
     height: [f32; N],
     along_x: [f32; N],
@@ -273,7 +273,7 @@ struct Samples<const N: usize> {
     place: [[f32; N]; 2],
     /// Heights of the cell's corners at its smaller x, by y.
     near: [[f32; N]; 2],
-    /// Those at its larger x.
+    /// Heights of the cell's corners at its larger x, by y.
     far: [[f32; N]; 2],
 }
 
@@ -318,7 +318,7 @@ fn lanes<S: Real>(group: &[f32; GROUP]) -> S {
 }
 
 impl<S: Real> Terrain<'_, S> {
-    /// What is found below places of the envs.
+    /// Samples below places of the envs.
     #[inline(always)]
     fn sample(&self, x: S, y: S) -> Samples<GROUP> {
         let (x, y) = (x + self.origin[0], y + self.origin[1]);

@@ -1,4 +1,4 @@
-//! Which instruction sets a machine has, and the way into code that is compiled for one.
+//! Instruction sets of the machine, and calls of code that is compiled for one of them.
 
 #![allow(unsafe_code)]
 
@@ -66,7 +66,7 @@ pub fn prefetch<T>(value: &T) {
 pub struct SimdError(String, String);
 
 impl Simd {
-    /// The way into code on single numbers that is compiled for this instruction set, as far as this machine has it.
+    /// Dispatch to code on single numbers that is compiled for this instruction set, as far as this machine has it.
     pub fn dispatch(self) -> SimdDispatch {
         #[cfg(target_arch = "x86_64")]
         let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
@@ -75,7 +75,7 @@ impl Simd {
         SimdDispatch { avx2: avx2 && matches!(self, Simd::Avx512 | Simd::Avx2) }
     }
 
-    /// Those this machine has, fastest first.
+    /// Instruction sets of this machine, fastest first.
     pub fn available() -> Vec<Simd> {
         let mut found = Vec::new();
         #[cfg(target_arch = "x86_64")]

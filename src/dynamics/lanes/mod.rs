@@ -218,7 +218,7 @@ impl_scalar!(f64, u64, i64, f64::sin_cos);
 
 /// A computation over lanes of type `S`, with its arguments.
 pub trait Kernel<S: Real> {
-    /// What it returns.
+    /// Result of the kernel.
     type Output;
     /// The computation; must be `#[inline(always)]`, as must all it calls.
     fn run(self) -> Self::Output;

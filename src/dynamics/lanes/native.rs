@@ -128,12 +128,12 @@ macro_rules! native_lanes {
             }
             #[inline(always)]
             fn lane_f32(&self, lane: usize) -> f32 {
-                // SAFETY: the registers are so many consecutive f32
+                // SAFETY: the registers are `$registers * $width` consecutive f32
                 (unsafe { &*std::ptr::from_ref(self).cast::<[f32; $registers * $width]>() })[lane]
             }
             #[inline(always)]
             fn set_lane_f32(&mut self, lane: usize, value: f32) {
-                // SAFETY: the registers are so many consecutive f32
+                // SAFETY: the registers are `$registers * $width` consecutive f32
                 let lanes = unsafe { &mut *std::ptr::from_mut(self).cast::<[f32; $registers * $width]>() };
                 lanes[lane] = value;
             }
@@ -145,14 +145,14 @@ macro_rules! native_lanes {
             #[inline(always)]
             fn load(from: &[f32]) -> Self {
                 let mut out = Self::zero();
-                // SAFETY: the registers are so many consecutive f32
+                // SAFETY: the registers are `$registers * $width` consecutive f32
                 let lanes = unsafe { &mut *std::ptr::from_mut(&mut out).cast::<[f32; $registers * $width]>() };
                 lanes.copy_from_slice(&from[..$registers * $width]);
                 out
             }
             #[inline(always)]
             fn store(self, to: &mut [f32]) {
-                // SAFETY: the registers are so many consecutive f32
+                // SAFETY: the registers are `$registers * $width` consecutive f32
                 let lanes = unsafe { &*std::ptr::from_ref(&self).cast::<[f32; $registers * $width]>() };
                 to[..$registers * $width].copy_from_slice(lanes);
             }

@@ -36,7 +36,7 @@ impl Neg for Portable {
     }
 }
 
-/// `a * b + c`, rounded once. A function of its own: where the machine has no such instruction, every lane is a call. Thousands of them
+/// `a * b + c`, rounded once. A separate function: where the machine has no such instruction, every lane is a call. Thousands of them
 /// in line would make a kernel many times as large.
 #[inline(never)]
 fn fused_multiply_add(a: &Portable, b: &Portable, c: &Portable) -> Portable {
