@@ -225,9 +225,9 @@ impl MorphologyModel {
         self.topology.has_delay |= most > 0;
     }
 
-    /// Lets the ground's friction resist more than the sliding of the robot's contacts.
+    /// Lets the ground's friction resist more than the sliding of the robot's contacts; it resists what the robot's surfaces do, too.
     pub(crate) fn allow_friction(&mut self, friction: ContactFriction) {
-        self.topology.friction = friction;
+        self.topology.friction = friction.max(self.topology.friction);
     }
 
     /// Names of the slots' joints in the URDF.
@@ -302,6 +302,9 @@ impl ConfiguredRobot {
             options.locked_joints.entry(joint.clone()).or_insert(*position);
         }
         let mut model = robot::load_str(&loaded.urdf_text, &loaded.urdf_path, &options)?;
+        let names: Vec<&str> = model.bodies.iter().map(|body| body.name.as_str()).collect();
+        let surfaces = config.surfaces_of(&names)?;
+        model.bodies.iter_mut().zip(surfaces).for_each(|(body, surface)| body.surface = surface);
         let roles = robot::detect(&model, &config.joint_roles, &config.feet)
             .map_err(|error| robot::naming_causes(error, &model))?;
         agreement::narrow_limits(loaded, &mut model, &roles)?;
@@ -320,6 +323,10 @@ impl ConfiguredRobot {
             feet.map(|(&body, &position)| Site { link: model.bodies[body].link, position }).collect();
         let reference = self_collision.unwrap_or(config.self_collisions).then_some(&default_position[..]);
         let mut articulation = Articulation::new(&model, floating, &sites, reference);
+        if actuators.iter().any(|(_, actuator)| actuator.spring_stiffness > 0.0) {
+            articulation.topology.has_springs = true;
+            articulation.parameters.spring = vec![[0.0; 2]; model.joints.len()].into();
+        }
         for (slot, &j) in roles.joint_of_slot.iter().enumerate() {
             let is_turned = roles.sign_of_slot[slot] < 0.0;
             let joint = &mut articulation.topology.joints[j];
@@ -447,6 +454,11 @@ fn apply_actuator(
     }
     if let Some(damping) = actuator.joint_damping {
         p.joint_damping[j] = damping;
+    }
+    if let Some(spring) = p.spring.get_mut(j) {
+        // without a negative zero
+        let rest = if is_turned { -actuator.spring_reference } else { actuator.spring_reference };
+        *spring = [actuator.spring_stiffness, rest + 0.0];
     }
     // files that know no speed write 0
     let in_urdf = if in_urdf.velocity > 0.0 { in_urdf.velocity.min(FASTEST) } else { FASTEST };

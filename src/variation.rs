@@ -155,6 +155,7 @@ impl BodyScales {
             // infinity, no limit, stays infinity
             list.iter_mut().for_each(|x| *x *= factor);
         }
+        p.spring.iter_mut().for_each(|[stiffness, _]| *stiffness *= torque);
     }
 
     /// How each link is stretched, and the factor of its mass, `[links]`.
@@ -226,6 +227,10 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: 
         p.contact_position[i] = mul_vec(&maps[contact.link].0, &p.contact_position[i]);
         p.contact_radius[i] *= size;
         p.contact_rim[i] *= size;
+    }
+    for [_, torsional, rolling] in &mut p.contact_friction {
+        *torsional *= size;
+        *rolling *= size;
     }
     for (i, collider) in topology.colliders.iter().enumerate() {
         let map = &maps[collider.link].0;

@@ -108,7 +108,8 @@ fn load_into(world: &mut World) -> Result<(), Error> {
                 "the engine {name} has no torsional and rolling friction, which {} has here",
                 morphology.name()
             );
-            let remedy = "set physics.engine = \"articulated\", or leave torsional_friction and rolling_friction out";
+            let remedy = "set physics.engine = \"articulated\", or leave torsional_friction and rolling_friction of ground, \
+                          robot_material and [surfaces] out";
             return Err(ConfigError::invalid(task.config.name.clone(), "physics.engine", problem, remedy).into());
         }
         morphology.allow_friction(friction);

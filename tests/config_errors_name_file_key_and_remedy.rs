@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use polypod::config::{ConfigError, ConfigErrorKind, Library, parse_params};
+use polypod::{Sim, SimOptions};
 
 /// A separate root for each test, below cargo's folder for such files.
 struct Root(PathBuf);
@@ -205,6 +206,40 @@ fn actuators_that_make_no_sense_are_refused() {
     let file = root.write("configs/robots/bare.toml", text);
     let error = root.library().robot("bare").unwrap_err();
     assert_error(&error, &file, "default_pose", "no angle for LH_HAA, RF_HAA", "in rad");
+}
+
+#[test]
+fn springs_and_surfaces_that_cannot_be_are_refused() {
+    let root = Root::new("surfaces");
+    for (text, element, problem, remedy) in [
+        ("[actuators.knees]\nspring_stiffness = -1.0", "actuators.knees.spring_stiffness", "", "N m/rad"),
+        (
+            "[actuators.knees]\nspring_reference = 0.5",
+            "actuators.knees.spring_reference",
+            "without a spring",
+            "stiffness",
+        ),
+        ("[surfaces.feet]\nfriction = 0.5", "surfaces.feet", "key `bodies` is missing", "add `bodies`"),
+        ("[surfaces.feet]\nbodies = []", "surfaces.feet.bodies", "is empty", "name links"),
+        ("[surfaces.feet]\nbodies = [\"*\"]\nfriction = -0.5", "surfaces.feet.friction", "", ""),
+        ("[surfaces.feet]\nbodies = [\"*\"]\nfrction = 0.5", "surfaces.feet.frction", "unknown key", "`friction`"),
+        ("[surfaces.feet]\nbodies = [\"*\"]\ncontact_margin = 0.2", "surfaces.feet.contact_margin", "0.1 m", "in m"),
+        ("[surfaces.feet]\nbodies = [\"*\"]\nrolling_friction = 11.0", "surfaces.feet.rolling_friction", "", " m"),
+    ] {
+        let (error, file) = root.robot_error("spot", text);
+        assert_error(&error, &file, element, problem, remedy);
+    }
+    // what the URDF decides is said when the robot is loaded
+    let of_robot = |surfaces: &str| {
+        let overrides = vec![format!("robot_overrides.spot.surfaces={surfaces}")];
+        let options =
+            SimOptions { robots: Some(vec!["spot".into()]), overrides, ..SimOptions::new("velocity_flat", 1) };
+        Sim::new(&options).err().unwrap().to_string()
+    };
+    let error = of_robot("{feet={bodies=[\"*_fot\"]}}");
+    assert!(error.contains("surfaces.feet.bodies[0]: `*_fot` matches no link with a collision shape"), "{error}");
+    let error = of_robot("{a={bodies=[\"*\"]}, b={bodies=[\"*\"]}}");
+    assert!(error.contains("surfaces.b.bodies[0]: ") && error.contains("is in surfaces.a, too"), "{error}");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use polypod::dynamics::{
     ContactSettings, ControlStep, Drive, Parameters, Plane, Report, Scalar, State, StepSettings, Workspace,
 };
-use polypod::robot::{Articulation, Body, Geometry, Link, Model, Pose, Shape};
+use polypod::robot::{Articulation, Body, BodySurface, Geometry, Link, Model, Pose, Shape};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -230,6 +230,7 @@ fn articulation(geometry: &Geometry, origin: &Pose, mass: f64, com: DVec3, inert
             name: "body".into(),
             link: 0,
             shapes: vec![Shape { geometry: geometry.clone(), origin: *origin }],
+            surface: BodySurface::default(),
         }],
         locked: Vec::new(),
         warnings: Vec::new(),

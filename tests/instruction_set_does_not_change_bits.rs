@@ -5,13 +5,14 @@ use std::process::Output;
 use polypod::dynamics::lanes::Simd;
 use polypod::{Sim, SimOptions};
 
-use crate::common::{ROBOTS, assert_all_same, busy, ended, step, turning};
+use crate::common::{ROBOTS, assert_all_same, busy, ended, sprung, step, turning};
 
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
     // eleven envs per robot: one pack or several, and the last one is not full
     same_bits(&busy(&ROBOTS, 88));
     same_bits(&turning(busy(&["anymal_d", "unitree_go2"], 22)));
+    same_bits(&sprung(busy(&["anymal_d", "unitree_go2"], 22)));
 }
 
 fn same_bits(options: &SimOptions) {

@@ -74,6 +74,7 @@ mod shared_dependencies_are_built_once;
 mod shares_are_rows_of_the_whole;
 mod simulation_api;
 mod snapshot_round_trip_is_exact;
+mod springs_and_surfaces_act;
 mod tasks_run_on_avian;
 mod terminations_have_a_bit_each;
 mod terms_describe_themselves;

@@ -30,7 +30,7 @@ use crate::world::Ground;
 
 const KIND: &str = "polypod dump of a broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 7;
+const FORMAT: u32 = 8;
 
 /// A control step that broke a state, and the robot and task it happened to.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -18,7 +18,7 @@ use crate::systems::{
 
 const KIND: &str = "polypod snapshot of a task";
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 12;
+const FORMAT: u32 = 13;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {

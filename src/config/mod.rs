@@ -13,6 +13,7 @@ mod randomization;
 mod robot;
 mod scene;
 mod suggest;
+mod surfaces;
 mod task;
 mod terrain;
 pub mod values;
@@ -31,6 +32,7 @@ pub use robot::{
 pub(crate) use robot::{matches, table_steps};
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub(crate) use suggest::did_you_mean;
+pub use surfaces::SurfaceConfig;
 pub use task::{
     AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig, EventMode, HeightScannerConfig,
     MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig,

@@ -16,6 +16,7 @@ use super::quantities::{
 };
 use super::randomization::{RandomizationConfig, VariationConfig};
 use super::suggest::did_you_mean;
+use super::surfaces::SurfaceConfig;
 use super::task::VelocityCommandConfig;
 use super::values;
 
@@ -70,6 +71,9 @@ pub struct RobotConfig {
     /// does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub feet: BTreeMap<String, String>,
+    /// Surfaces of links that differ from the rest of the robot where they touch the ground, by a name for people.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub surfaces: BTreeMap<String, SurfaceConfig>,
     /// Links of the URDF by group of bodies, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BodiesConfig::is_empty")]
     pub bodies: BodiesConfig,
@@ -142,6 +146,16 @@ pub struct ActuatorConfig {
         skip_serializing_if = "Option::is_none"
     )]
     pub joint_damping: Option<f64>,
+    /// Stiffness of the joint's passive spring, N m / rad. Default: 0, no spring.
+    #[serde(
+        default,
+        deserialize_with = "values::number_of::<Stiffness, _, _>",
+        skip_serializing_if = "values::is_zero"
+    )]
+    pub spring_stiffness: f64,
+    /// Joint angle at which the spring is at rest, in the canonical direction, rad. Default: 0.
+    #[serde(default, deserialize_with = "values::number_of::<Angle, _, _>", skip_serializing_if = "values::is_zero")]
+    pub spring_reference: f64,
     /// Let the gains act on the beginning of each physics step, as a motor controller at its rate would. Default: on
     /// its end, which stays stable with any gains.
     #[serde(default)]
@@ -482,6 +496,7 @@ impl RobotConfig {
         for (group, actuator) in &self.actuators {
             self.validate_actuator(&format!("actuators.{group}"), actuator)?;
         }
+        self.validate_surfaces()?;
         let mut slots: Vec<Slot> = self.default_pose.keys().filter_map(|name| Slot::parse(name)).collect();
         slots.sort_unstable();
         self.actuators_by_slot(&slots)?;
@@ -550,6 +565,10 @@ impl RobotConfig {
                 "only model \"delayed_pd\" delays its targets".into(),
                 "remove it, or set model = \"delayed_pd\"",
             );
+        }
+        if actuator.spring_stiffness == 0.0 && actuator.spring_reference != 0.0 {
+            let problem = "a joint without a spring has no angle at which it is at rest".to_owned();
+            return self.invalid(&format!("{at}.spring_reference"), problem, "add `spring_stiffness`, or remove it");
         }
         self.validate_effort_table(&format!("{at}.effort_table"), &actuator.effort_table)
     }

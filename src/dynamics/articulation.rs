@@ -204,6 +204,10 @@ pub struct Topology {
     pub sites: Vec<usize>,
     /// Whether any actuator delays its target.
     pub has_delay: bool,
+    /// Whether any joint has a passive spring.
+    pub has_springs: bool,
+    /// Whether contacts with the ground differ in friction.
+    pub has_surfaces: bool,
     /// Directions in which friction with the ground resists. Rows of torsional and rolling friction are built where it asks for them, whatever the
     /// coefficients.
     pub friction: ContactFriction,
@@ -248,6 +252,8 @@ impl Topology {
             num_bodies,
             sites,
             has_delay,
+            has_springs: false,
+            has_surfaces: false,
             friction: ContactFriction::Sliding,
             blocks,
             paths,

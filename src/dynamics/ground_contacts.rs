@@ -1,6 +1,6 @@
 //! Points of a robot that touch the ground in a physics step, and the targets of their constraints.
 
-use super::articulation::Topology;
+use super::articulation::{ContactFriction, Topology};
 use super::gaps::{reach_in_step, separation};
 use super::ground::{candidate, on_terrain, splat_frame, world_place};
 use super::lanes::Real;
@@ -120,7 +120,7 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
                 bounce = S::select(S::and(elastic, bounces), -(approach * parameters.restitution()), bounce);
             }
             rows.add(near, target, bounce, &state.impulse[c]);
-            if B::RESISTS_TURNING {
+            if B::FULL_FRICTION && topology.friction != ContactFriction::Sliding {
                 let warm_start = &state.impulse[topology.spin_impulse(c)];
                 rows.add_spin(topology, solver, factor, links, axes_here, c, near, warm_start);
             }

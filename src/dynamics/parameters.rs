@@ -23,8 +23,9 @@ macro_rules! parameters {
 
         /// The numbers of the bodies in a pack as kernels read them.
         pub trait BodyNumbers<S: Real>: Copy {
-            /// Whether torsional and rolling friction act. Kernels without them are compiled without their rows.
-            const RESISTS_TURNING: bool = false;
+            /// Whether torsional and rolling friction act, and surfaces of contacts differ. Kernels without them are compiled without
+            /// their rows and numbers.
+            const FULL_FRICTION: bool = false;
             $(
                 /// See [`Parameters`].
                 fn $name(self, i: usize) -> $t;
@@ -50,8 +51,8 @@ macro_rules! parameters {
             )*
         }
 
-        impl<S: Real> BodyNumbers<S> for TurningParameters<'_, S> {
-            const RESISTS_TURNING: bool = true;
+        impl<S: Real> BodyNumbers<S> for FullFrictionParameters<'_, S> {
+            const FULL_FRICTION: bool = true;
             $(
                 #[inline(always)]
                 fn $name(self, i: usize) -> $t {
@@ -162,9 +163,9 @@ pub(super) struct UniformParameters<'a, S> {
     pub(super) own: &'a Parameters<S>,
 }
 
-/// Bodies that torsional and rolling friction act on.
+/// Bodies that torsional and rolling friction act on, or whose contacts differ in friction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct TurningParameters<'a, S>(pub(super) &'a Parameters<S>);
+pub(super) struct FullFrictionParameters<'a, S>(pub(super) &'a Parameters<S>);
 
 /// Number of entries of per-link lists that differ between [`UniformParameters`] bodies: the base's, the first.
 const BASE: usize = 1;
@@ -244,6 +245,9 @@ parameters! {
         joint_damping: S, list, NONE;
         /// Coulomb friction, N m, `[joints]`.
         joint_friction: S, list, NONE;
+        /// Stiffness, N m/rad, and position at rest, rad, of a joint's passive spring, `[joints]`; empty without
+        /// [`has_springs`](Topology::has_springs).
+        spring: [S; 2], arrays, NONE;
         /// Lower position limit, rad, `[joints]`.
         lower: S, list, NONE;
         /// Upper position limit, rad, `[joints]`.
@@ -256,6 +260,9 @@ parameters! {
         contact_radius: S, list, NONE;
         /// Rim radius of a contact candidate, m, `[contacts]`.
         contact_rim: S, list, NONE;
+        /// Surface of a contact candidate on the ground: the factor on the coefficients of sliding friction, and the least coefficients of
+        /// torsional and rolling friction, m, `[contacts]`; empty without [`has_surfaces`](Topology::has_surfaces).
+        contact_friction: Vec3<S>, arrays, NONE;
         /// The box along a link's axes that holds all its contact candidates and colliders: its centre in the link's frame, then half edge
         /// lengths, m, `[links]`. One list, since a list costs every env 16 bytes.
         link_box: [S; 6], arrays, NONE;
@@ -301,12 +308,14 @@ impl<S: Real> Parameters<S> {
             armature: vec![z; joints].into(),
             joint_damping: vec![z; joints].into(),
             joint_friction: vec![z; joints].into(),
+            spring: vec![[z; 2]; if topology.has_springs { joints } else { 0 }].into(),
             lower: vec![z; joints].into(),
             upper: vec![z; joints].into(),
             velocity_limit: vec![z; joints].into(),
             contact_position: vec![[z; 3]; contacts].into(),
             contact_radius: vec![z; contacts].into(),
             contact_rim: vec![z; contacts].into(),
+            contact_friction: vec![[z; 3]; if topology.has_surfaces { contacts } else { 0 }].into(),
             link_box: vec![[z; 6]; links].into(),
             collider_centre: vec![[z; 3]; topology.colliders.len()].into(),
             collider_half: vec![[z; 3]; topology.colliders.len()].into(),

@@ -189,6 +189,9 @@ pub(super) const STIFFNESS_LOOK_AHEAD: f64 = 0.2;
 /// Share of `dt^2 kp` that joins the diagonal: the least that keeps every stiffness and step stable. Newmark's beta
 /// over his gamma = 1/2 + `STIFFNESS_LOOK_AHEAD`, `(gamma + 1/2)^2 / 4`.
 pub(super) const IMPLICIT_STIFFNESS: f64 = (1.0 + STIFFNESS_LOOK_AHEAD) * (1.0 + STIFFNESS_LOOK_AHEAD) / 4.0;
+/// Share of `dt^2 k` of a joint's spring that joins the diagonal: Newmark's method with average acceleration (`gamma = 1/2`). It is stable for
+/// every stiffness and damps nothing: a spring loses no energy to the step.
+pub(super) const SPRING_STIFFNESS: f64 = 0.25;
 /// Halvings in the search for the point of a segment that is nearest to a box. They leave 1/256 of the segment.
 pub(super) const SEGMENT_HALVINGS: usize = 9;
 /// Squared length below which a vector between two shapes has no direction, m^2: 10 micrometres, which `f32` resolves.

@@ -13,11 +13,11 @@ use super::lanes::{Kernel, Lanes, Real};
 use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
-use super::parameters::{BodyNumbers, Parameters, TurningParameters, UniformParameters};
+use super::parameters::{BodyNumbers, FullFrictionParameters, Parameters, UniformParameters};
 use super::report::{report_contacts, report_sites};
 use super::rows::ContactWork;
 use super::self_contact::build_pairs;
-use super::settings::StepSettings;
+use super::settings::{SPRING_STIFFNESS, StepSettings};
 use super::solver::solve;
 use super::state::{Drive, Report, State, Workspace};
 use super::terrain::Terrain;
@@ -57,8 +57,8 @@ impl<L: Lanes> ControlStep<'_, L> {
     /// Makes the step in code that is compiled where this is called: [`kernels`](super::kernels) calls it once per lane type.
     pub(super) fn compute(self) {
         let parameters = self.parameters;
-        if self.topology.friction != ContactFriction::Sliding {
-            return L::vectorize(StepOf { parameters: TurningParameters(parameters), step: self });
+        if self.topology.friction != ContactFriction::Sliding || self.topology.has_surfaces {
+            return L::vectorize(StepOf { parameters: FullFrictionParameters(parameters), step: self });
         }
         match self.kind {
             Some(kind) if L::READS_ALIKE => {
@@ -137,7 +137,7 @@ fn update_kinematics<S: Real, B: BodyNumbers<S>>(
     kinematics::equations_of_motion(topology, parameters, position, velocity, &state.angular_velocity, &gravity, work);
 }
 
-/// Factorises the mass matrix, with the damping of joints and the implicit share of the actuators on its diagonal.
+/// Factorises the mass matrix, with the damping of joints and the implicit shares of springs and actuators on its diagonal.
 #[inline(always)]
 fn factorise<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -146,10 +146,14 @@ fn factorise<S: Real, B: BodyNumbers<S>>(
     work: &mut Workspace<S>,
 ) {
     let dt = S::splat(settings.dt);
+    let share = dt * S::splat(SPRING_STIFFNESS);
     for (b, block) in topology.blocks().iter().enumerate() {
         for place in 0..block.len {
             let j = block.joints[place];
-            let slope = work.effort_slope[j] + parameters.joint_damping(j);
+            let mut slope = work.effort_slope[j] + parameters.joint_damping(j);
+            if topology.has_springs {
+                slope = parameters.spring(j)[0].mul_add(share, slope);
+            }
             let diagonal = &mut work.factor.blocks[b].diagonal[place];
             *diagonal = slope.mul_add(dt, *diagonal);
         }
@@ -175,7 +179,11 @@ fn find_free_velocity<S: Real, B: BodyNumbers<S>>(
         work.rhs_joint[b] = [z; BLOCK];
         for place in 0..block.len {
             let j = block.joints[place];
-            let passive = parameters.joint_damping(j) * state.joint_velocity[j];
+            let mut passive = parameters.joint_damping(j) * state.joint_velocity[j];
+            if topology.has_springs {
+                let [stiffness, rest] = parameters.spring(j);
+                passive = stiffness.mul_add(state.joint_position[j] - rest, passive);
+            }
             work.rhs_joint[b][place] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
         }
     }

@@ -3,8 +3,10 @@
 use glam::{DMat3, DVec3};
 
 use super::colliders::add_pairs;
-use super::model::{Geometry, JointKind, Model, Shape};
-use crate::dynamics::{Axis, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology};
+use super::model::{BodySurface, Geometry, JointKind, Model, Shape};
+use crate::dynamics::{
+    Axis, ContactFriction, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology,
+};
 
 /// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it by impulses that
 /// may be zero.
@@ -27,7 +29,7 @@ pub struct Site {
 pub struct Articulation {
     /// Topology that robots of the kind share.
     pub topology: Topology,
-    /// Their numbers: those of the URDF, no gains, no friction with the ground.
+    /// Their numbers: those of the URDF, no gains, no friction with the ground but that of the surfaces.
     pub parameters: Parameters<f64>,
     /// Turns a link's own axes into base-aligned ones, `[links]`.
     pub align: Vec<DMat3>,
@@ -85,6 +87,11 @@ impl Articulation {
             false,
         );
 
+        topology.has_surfaces = !model.bodies.iter().all(|body| body.surface.has_friction_of_robot());
+        let most = |coefficient: fn(&BodySurface) -> f64| {
+            model.bodies.iter().map(|body| coefficient(&body.surface)).fold(0.0, f64::max)
+        };
+        topology.friction = ContactFriction::of(most(|s| s.torsional_friction), most(|s| s.rolling_friction));
         let mut p = Parameters::<f64>::zeros(&topology);
         for (l, link) in model.links.iter().enumerate() {
             p.mass[l] = link.mass;
@@ -105,8 +112,12 @@ impl Articulation {
         }
         for (i, c) in candidates.iter().enumerate() {
             p.contact_position[i] = c.position.to_array();
-            p.contact_radius[i] = c.radius;
+            p.contact_radius[i] = c.radius + model.bodies[c.topology.body].surface.margin;
             p.contact_rim[i] = c.rim;
+        }
+        for (friction, c) in p.contact_friction.iter_mut().zip(&candidates) {
+            let surface = &model.bodies[c.topology.body].surface;
+            *friction = [surface.friction, surface.torsional_friction, surface.rolling_friction];
         }
         for (s, site) in sites.iter().enumerate() {
             p.site_position[s] = (align[site.link] * site.position).to_array();

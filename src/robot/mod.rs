@@ -39,7 +39,7 @@ pub(crate) use hull::triangles as hull_triangles;
 pub use limbs::{Foot, Limb, LimbJoint, LimbKind, Place, Role, Roles, Side, Slot};
 pub(crate) use mesh::{Surface, read_surface};
 pub use missing::naming_causes;
-pub use model::{Body, Geometry, Joint, JointKind, Link, LockedJoint, Model, Shape};
+pub use model::{Body, BodySurface, Geometry, Joint, JointKind, Link, LockedJoint, Model, Shape};
 pub use pose::Pose;
 pub use quadruped::{CANONICAL_JOINT_NAMES, LEGS, ROLES};
 pub use roles::{BodyGroup, body_groups, detect};

@@ -126,6 +126,34 @@ pub struct Body {
     pub link: usize,
     /// At least one.
     pub shapes: Vec<Shape>,
+    /// Surface where it touches the ground; a URDF says nothing of it.
+    pub surface: BodySurface,
+}
+
+/// Surface of a contact body where it touches the ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodySurface {
+    /// Factor on the coefficients of sliding friction of robot and ground.
+    pub friction: f64,
+    /// Least coefficient of torsional friction, m.
+    pub torsional_friction: f64,
+    /// Least coefficient of rolling friction, m.
+    pub rolling_friction: f64,
+    /// Distance from the ground at which contact begins, m.
+    pub margin: f64,
+}
+
+impl Default for BodySurface {
+    fn default() -> Self {
+        Self { friction: 1.0, torsional_friction: 0.0, rolling_friction: 0.0, margin: 0.0 }
+    }
+}
+
+impl BodySurface {
+    /// Whether friction is that of the rest of the robot.
+    pub(crate) fn has_friction_of_robot(&self) -> bool {
+        Self { margin: 0.0, ..*self } == Self::default()
+    }
 }
 
 /// A collision shape.

@@ -9,7 +9,7 @@ use super::error::{Topic, Warning};
 use super::hull_cache::{self, Taken};
 use super::merge::MAX_EXTENT;
 use super::mesh;
-use super::model::{Body, Geometry, Joint, Shape};
+use super::model::{Body, BodySurface, Geometry, Joint, Shape};
 use super::plausible::LARGEST_LENGTH;
 use super::pose::Pose;
 use super::urdf::LoadOptions;
@@ -62,7 +62,8 @@ pub(super) fn bodies(
             }
         }
         if !shapes.is_empty() {
-            bodies.push((index, Body { name: link.name.clone(), link: merged, shapes }));
+            bodies
+                .push((index, Body { name: link.name.clone(), link: merged, shapes, surface: BodySurface::default() }));
         } else if link.collision.iter().any(|collision| matches!(collision.geometry, urdf_rs::Geometry::Mesh { .. })) {
             bare.push(index);
         }
@@ -79,7 +80,7 @@ pub(super) fn bodies(
             let remedy = "put the files there, or write a <collision> with a sphere, box, cylinder or capsule";
             warnings.push(Warning::new(file, format!("link \"{name}\""), problem, remedy));
             let shapes = vec![Shape { origin: place * shape.origin, ..shape }];
-            bodies.push((index, Body { name: name.clone(), link: merged, shapes }));
+            bodies.push((index, Body { name: name.clone(), link: merged, shapes, surface: BodySurface::default() }));
         }
     }
     bodies.sort_by_key(|(index, _)| *index);

@@ -61,7 +61,12 @@ impl Robot {
         [robot.nominal.static_friction, robot.nominal.dynamic_friction] = options.friction;
         robot.nominal.torsional_friction = options.torsional_friction;
         robot.nominal.rolling_friction = options.rolling_friction;
-        robot.topology.friction = ContactFriction::of(options.torsional_friction, options.rolling_friction);
+        if options.is_avian() && robot.topology.friction != ContactFriction::Sliding {
+            let problem = "its [surfaces] have torsional_friction or rolling_friction, which the engine avian has not";
+            return Err(Error::argument("robot", problem, "use engine \"articulated\", or leave these two keys out"));
+        }
+        let friction = ContactFriction::of(options.torsional_friction, options.rolling_friction);
+        robot.topology.friction = friction.max(robot.topology.friction);
         robot.nominal.restitution = options.restitution;
         Ok(robot)
     }

@@ -13,7 +13,7 @@ use crate::sealed::{self, Header};
 
 const KIND: &str = "polypod snapshot of a simulation";
 /// Changes whenever the layout of a snapshot does.
-const FORMAT: u32 = 8;
+const FORMAT: u32 = 9;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {

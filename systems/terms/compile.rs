@@ -379,6 +379,7 @@ impl CompiledTask {
             most(ground.torsional_friction, robot.torsional_friction, drawn[0]),
             most(ground.rolling_friction, robot.rolling_friction, drawn[1]),
         )
+        .max(morphology.topology.friction)
     }
 
     /// Terms of a group.

@@ -49,6 +49,21 @@ pub fn turning(mut options: SimOptions) -> SimOptions {
     options
 }
 
+/// The same task with a spring at each joint, and front legs that touch the ground otherwise than the rest.
+pub fn sprung(mut options: SimOptions) -> SimOptions {
+    for robot in options.robots.iter().flatten() {
+        let own = format!("robot_overrides.{robot}");
+        options.overrides.extend([
+            format!("{own}.actuators.legs.spring_stiffness=8.0"),
+            format!("{own}.actuators.legs.spring_reference=0.4"),
+            format!(
+                "{own}.surfaces={{front={{bodies=[\"*F*\"], friction=0.5, torsional_friction=0.01, contact_margin=0.002}}}}"
+            ),
+        ]);
+    }
+    options
+}
+
 /// The path of a task file that extends another task by these lines; `name` tells it from those of other tests.
 pub fn extended_task(name: &str, extends: &str, lines: &str) -> String {
     let folder = std::env::temp_dir().join(format!("polypod-tests-{}", std::process::id()));

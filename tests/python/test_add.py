@@ -208,7 +208,7 @@ HELD = {
             "trunk": '<body pos="0 0 .1"><joint name="wag" stiffness="3"/><geom size=".03" mass=".2"/></body>',
             "key": HOME + " 0.2",
         },
-        ["joint wag: no actuator acts on it: locked", "joint wag: a spring pulls it: left out"],
+        ["joint wag: no actuator acts on it: locked", "joint wag: a spring pulls it: left out, as it is locked"],
     ),
     "balls": (
         {
@@ -250,7 +250,7 @@ HELD = {
     ),
     "ellipsoids": (
         {"trunk": '<geom name="egg" type="ellipsoid" size=".1 .05 .05" mass="0.1" pos="0 0 .1"/>'},
-        ["geom egg: an ellipsoid: replaced by a convex hull"],
+        ["geom egg: an ellipsoid: replaced by a convex hull of 32 points, which is at most 4 mm off"],
     ),
     "no actuators": ({"drives": ""}, ["the file has no actuators: replaced by position actuators"]),
     "the medium": ({"more": '<option density="1000"/>'}, ["the medium's density, viscosity and wind: left out"]),
@@ -270,6 +270,106 @@ def test_what_cannot_be_held_is_named(tmp_path, written, what):
     if what == "ties":
         locked = tomllib.loads(added.new.path.read_text())["locked_joints"]
         assert locked == {"wag": pytest.approx(0.1)}
+
+
+SPRUNG = {
+    '<joint axis="0 1 0" damping="0.3"': '<joint axis="0 1 0" damping="0.3" stiffness="7" springref="0.25"',
+    'mass="0.05" priority="1"/>': 'mass="0.05" priority="1" condim="6" friction="1.2 .03 .01"/>',
+    'size="0.02" mass="0.8"/>': 'size="0.02" mass="0.8" condim="4" friction="0.6 .02" margin=".003"/>',
+    'type="plane" size="0 0 1"': 'type="plane" size="0 0 1" friction="0.7 .005 .1"',
+}
+"""Changes of a fox: springs, feet that decide alone, thighs that are mixed with the ground, the ground."""
+
+
+def test_springs_and_surfaces_are_those_of_the_file(tmp_path, written):
+    file = written()
+    text = file.read_text()
+    for before, after in SPRUNG.items():
+        assert before in text
+        text = text.replace(before, after)
+    file.write_text(text)
+    added = add(str(file), tmp_path / "mine")
+    assert added.errors["float64"].worst() < judge.BOUNDS["float64"]
+    assert added.errors["float32"].worst() < judge.BOUNDS["float32"]
+    assert not [note for note in added.notes if "spring" in note or "friction" in note]
+    config = tomllib.loads(added.new.path.read_text())
+    signs = polypod.make("velocity_flat_legged_play", 1, robots=[str(added.new.path)]).sim.robot_info()
+    (info,) = json.loads(signs).values()
+    slots = dict(zip(info["slots"], info["slot_signs"], strict=True))
+    for group in config["actuators"].values():
+        assert group["spring_stiffness"] == 7.0
+        (reference,) = {slots[slot] * group["spring_reference"] for slot in group["joints"]}
+        assert reference == 0.25
+    feet, thighs = (
+        next(each for each in config["surfaces"].values() if body in each["bodies"])
+        for body in ("lf_shank_foot", "lf_hip")
+    )
+    assert {key: feet[key] for key in feet if key != "bodies"} == {
+        "friction": 1.2,
+        "torsional_friction": 0.03,
+        "rolling_friction": 0.01,
+    }
+    # the larger of 0.6 and 0.7, of 0.02 and 0.005
+    assert {key: thighs[key] for key in thighs if key != "bodies"} == {
+        "friction": 0.7,
+        "torsional_friction": 0.02,
+        "contact_margin": 0.003,
+    }
+    # the others touch it as all robots do: the ground's rolling friction has no part in contacts of condim 3
+    assert len(config["surfaces"]) == 2
+
+
+def test_the_comparison_sees_a_wrong_spring(tmp_path, written):
+    file = written()
+    file.write_text(file.read_text().replace('damping="0.3"', 'damping="0.3" stiffness="7" springref="0.25"'))
+    added = add(str(file), tmp_path / "mine")
+    made, robot = mjcf.read(file)
+    text = added.new.path.read_text()
+    for key, wrong in (("spring_stiffness = 7.0", "spring_stiffness = 7.01"), ("= 0.25 ", "= 0.2501 ")):
+        assert key in text
+        added.new.path.write_text(text.replace(key, wrong))
+        assert judge.compare(added.new.path, robot, made.model, made.base).physics_step > 1e-6
+
+
+def test_geoms_of_a_body_that_differ_in_friction_become_links(tmp_path, written):
+    file = written(trunk='<geom name="belly" size=".04" mass="0.1" pos="0 0 -.07" friction="0.3" priority="1"/>')
+    added = add(str(file), tmp_path / "mine")
+    _, robot = mjcf.read(file)
+    shapes = {link.name: [shape.kind for shape in link.shapes] for link in robot.links}
+    assert (shapes["trunk"], shapes["trunk_surface"]) == (["box"], ["sphere"])
+    surfaces = tomllib.loads(added.new.path.read_text())["surfaces"]
+    assert surfaces == {"trunk_surface": {"bodies": ["trunk_surface"], "friction": 0.3}}
+    assert added.errors["float64"].worst() < judge.BOUNDS["float64"]
+
+
+def test_a_pair_of_an_mjcf_file_decides_how_its_geoms_touch(tmp_path, written):
+    pairs = "".join(
+        f'<pair geom1="floor" geom2="{name}_foot" condim="4" friction="0.4 0.4 0.02 0.1 0.1" margin="0.002"/>'
+        for name, _, _ in CORNERS
+    )
+    added = add(str(written(more=f"<contact>{pairs}</contact>")), tmp_path / "mine")
+    (feet,) = tomllib.loads(added.new.path.read_text())["surfaces"].values()
+    assert feet == {
+        "bodies": [f"{name}_shank_foot" for name, _, _ in CORNERS],
+        "friction": 0.4,
+        "torsional_friction": 0.02,
+        "contact_margin": 0.002,
+    }
+
+
+def test_a_polyhedron_stands_for_an_ellipsoid_within_its_bound():
+    size = np.array([0.3, 0.1, 0.05])
+    corners, faces = mjcf.ball(size)
+    assert (len(corners), len(faces)) == (mjcf.BALL_POINTS, 60)
+    directions = np.random.default_rng(0).standard_normal((200_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    exact = np.linalg.norm(directions * size, axis=1)
+    share = (directions @ corners.T).max(axis=1) / exact - 1.0
+    assert np.abs(share).max() < mjcf.BALL_ERROR < 1.05 * np.abs(share).max()
+    assert mjcf.BALL_ERROR < 0.041
+    # faces look outwards
+    first, second, third = (corners[faces[:, corner]] for corner in range(3))
+    assert (np.einsum("fk,fk->f", np.cross(second - first, third - first), first) > 0.0).all()
 
 
 def test_height_fields_and_pictures_of_a_scene_may_be_missing(tmp_path, written):

@@ -9,13 +9,15 @@ Settings that differ from MuJoCo's defaults, and the reasons:
   another order, which is matched by name.
 - Position actuators with the gains of the robot's config, its armature, and their limits of effort. The URDF's own
   `effort` becomes a limit of the joint in MuJoCo; it is taken off, since a robot's config may state another.
-- Joint damping and dry friction: those of the URDF, as in polypod, unless the robot's config states others.
+- Joint damping and dry friction: those of the URDF, as in polypod, unless the robot's config states others. Springs:
+  those of the config.
 - Dry friction is a soft constraint in MuJoCo: with default settings a joint at rest creeps (up to 8 mrad in a second).
   Its time constant is set to two steps and its impedance to 0.9999, which makes it Coulomb's.
 - Limits of effort, position limits and speed limits, where `bounded`: see `polypod.accuracy.limits`.
 - Shapes touch the ground alone, not each other.
 - Contacts with elliptic cones, the same coefficients on both sides, in three directions (`condim` 3), with torsional
-  friction in four, with rolling friction in six. The contact is made as stiff as the step allows: time constant 2
+  friction in four, with rolling friction in six. A surface of the config has a priority above the ground's, and the
+  coefficients that polypod combines. The contact is made as stiff as the step allows: time constant 2
   steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal direction (`impratio`). With default
   settings a standing robot's feet creep apart and it sinks by centimetres.
 - `inertiafromgeom` is off in the URDFs themselves: else MuJoCo would give the massless feet the mass of their spheres.
@@ -26,6 +28,7 @@ Settings that differ from MuJoCo's defaults, and the reasons:
 import dataclasses
 import math
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
@@ -34,7 +37,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod._core import ConfigError
 from polypod.accuracy.limits import Limits
-from polypod.accuracy.robot import Actuators, Array, Robot
+from polypod.accuracy.robot import Actuators, Array, Robot, Surface
 from polypod.extras import package
 
 Integrator = Literal["implicitfast", "RK4"]
@@ -134,6 +137,7 @@ class Reference:
         ground: Ground | None = None,
         gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
         locked_joints: Mapping[str, float] | None = None,
+        surfaces: tuple[Surface, ...] = (),
         bounded: bool = False,
     ) -> None:
         """Compiles the model.
@@ -148,6 +152,7 @@ class Reference:
             ground: what the robot can touch; None: nothing.
             gravity: m/s^2, world axes.
             locked_joints: joints of the URDF that do not move, and their positions, rad or m.
+            surfaces: of links that differ from the rest of the robot where they touch the ground.
             bounded: whether `step` holds the limits of the actuators and of the joints.
         """
         mj = mujoco()
@@ -159,6 +164,8 @@ class Reference:
         if not fixed_base:
             root.add_freejoint()
         _add_ground(mj, spec, ground, dt)
+        if ground is not None:
+            _add_surfaces(spec, ground, surfaces)
         if actuators is not None:
             _add_actuators(spec, joint_names, actuators)
         spec.option.timestep = dt
@@ -168,6 +175,9 @@ class Reference:
         """`mujoco.MjSpec` of the model."""
         self.model = spec.compile()
         self.data = mj.MjData(self.model)
+        of_geom = [surface_of(self.model.body(body).name, surfaces) for body in self.model.geom_bodyid]
+        self.friction_factor = np.array([1.0 if surface is None else surface.friction for surface in of_geom])
+        """[geoms], on the coefficient of sliding friction of robot and ground."""
         self.root = root.name
         self.actuators = actuators
         self._mj = mj
@@ -191,6 +201,7 @@ class Reference:
             joint_names=robot.joint_names,
             actuators=robot.actuators,
             locked_joints=robot.locked_joints,
+            surfaces=robot.surfaces,
             **options,
         )
 
@@ -304,6 +315,28 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
     spec.option.impratio = 100.0  # feet do not creep
 
 
+def surface_of(link: str, surfaces: tuple[Surface, ...]) -> Surface | None:
+    """The surface of a link, if it differs from the rest of the robot."""
+    found = (each for each in surfaces if any(fnmatchcase(link, pattern) for pattern in each.bodies))
+    return next(found, None)
+
+
+def _add_surfaces(spec: Any, ground: Ground, surfaces: tuple[Surface, ...]) -> None:
+    """Gives geoms the surfaces of their links. Each decides alone: the ground's numbers are in its own already."""
+    for geom in spec.geoms:
+        surface = surface_of(geom.parent.name, surfaces)
+        if surface is None:
+            continue
+        combined = dataclasses.replace(
+            ground,
+            friction=surface.friction * ground.friction,
+            torsional_friction=max(surface.torsional_friction, ground.torsional_friction),
+            rolling_friction=max(surface.rolling_friction, ground.rolling_friction),
+        )
+        geom.friction = [combined.friction, combined.torsional_friction, combined.rolling_friction]
+        geom.condim, geom.priority, geom.margin = combined.condim, 1, surface.contact_margin
+
+
 def _height_field(mj: Any, spec: Any, heights: Heights) -> Any:
     half = 0.5 * heights.cell * (np.array(heights.heights.shape) - 1)
     lowest = float(heights.heights.min())
@@ -324,6 +357,15 @@ def _turn_z_to(normal: Array) -> Array:
     return quaternion / np.linalg.norm(quaternion)
 
 
+def _set_linear(joint: Any, key: str, value: float) -> None:
+    """Sets a number of a joint that is a polynomial in MuJoCo 4, whose first number is the linear one."""
+    numbers = getattr(joint, key)
+    if np.ndim(numbers):
+        numbers[0] = value
+    else:
+        setattr(joint, key, value)
+
+
 def _add_actuators(spec: Any, joint_names: tuple[str, ...], actuators: Actuators) -> None:
     mj = mujoco()
     for index, name in enumerate(joint_names):
@@ -331,8 +373,12 @@ def _add_actuators(spec: Any, joint_names: tuple[str, ...], actuators: Actuators
         joint.armature = actuators.armature[index]
         joint.actfrclimited = mj.mjtLimited.mjLIMITED_FALSE
         if not np.isnan(actuators.joint_damping[index]):
-            joint.damping = actuators.joint_damping[index]
+            _set_linear(joint, "damping", actuators.joint_damping[index])
         if not np.isnan(actuators.friction[index]):
             joint.frictionloss = actuators.friction[index]
+        stiffness, rest = actuators.spring[index]
+        if stiffness > 0.0:
+            _set_linear(joint, "stiffness", stiffness)
+            joint.springref = rest
         actuator = spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=actuators.stiffness[index], kv=actuators.damping[index])

@@ -39,6 +39,8 @@ class Actuators:
     """Viscous friction of the joint, N m s/rad; NaN: the URDF's."""
     friction: Array
     """Dry friction of the joint, N m; NaN: the URDF's."""
+    spring: Array
+    """Stiffness, N m/rad, and angle at rest, rad, of the joint's passive spring, [joints, 2]."""
     effort_limit: Array
     """N m."""
     saturation_effort: Array
@@ -71,6 +73,21 @@ class Actuators:
 
 
 @dataclasses.dataclass(frozen=True)
+class Surface:
+    """Surface of some links where they touch the ground."""
+
+    bodies: tuple[str, ...]
+    """Patterns on names of links."""
+    friction: float = 1.0
+    """Factor on the coefficient of sliding friction."""
+    torsional_friction: float = 0.0
+    rolling_friction: float = 0.0
+    """Least coefficients, m."""
+    contact_margin: float = 0.0
+    """Distance from the ground at which contact begins, m."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Robot:
     """A robot of the library."""
 
@@ -88,6 +105,7 @@ class Robot:
     actuators: Actuators
     locked_joints: dict[str, float]
     """Joints of the URDF that are held for good, by name, and where, rad or m."""
+    surfaces: tuple[Surface, ...] = ()
 
     @property
     def num_joints(self) -> int:
@@ -172,6 +190,9 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
             velocity_limit=_limits(info["velocity_limit"], np.inf),
         ),
         locked_joints=config.get("locked_joints", {}),
+        surfaces=tuple(
+            Surface(**{**table, "bodies": tuple(table["bodies"])}) for table in config.get("surfaces", {}).values()
+        ),
     )
 
 
@@ -257,6 +278,7 @@ def _actuators(
         armature=column("armature", 0.0),
         joint_damping=column("joint_damping", np.nan),
         friction=column("friction", np.nan),
+        spring=np.stack([column("spring_stiffness", 0.0), signs * column("spring_reference", 0.0)], axis=-1),
         effort_limit=effort_limit,
         saturation_effort=np.where(motor, column("saturation_effort", np.inf), np.inf),
         no_load_speed=np.where(motor, velocity_limit, np.inf),

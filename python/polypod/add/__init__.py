@@ -305,14 +305,14 @@ def _table(described: Description) -> list[str]:
     """The joints as the file has them."""
     lines = ["## Joints of the file", ""]
     lines += [
-        "| joint | range | kp | kd | effort | armature | damping | friction |",
-        "|---|---|---|---|---|---|---|---|",
+        "| joint | range | kp | kd | effort | armature | damping | friction | spring |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for joint in described.joints:
         drive = joint.drive
         cells: list[Any] = [f"{joint.lower:.4g} to {joint.upper:.4g}"]
         cells += [None, None, None] if drive is None else [drive.stiffness, drive.damping, drive.effort]
-        cells += [joint.armature, joint.damping, joint.friction]
+        cells += [joint.armature, joint.damping, joint.friction, joint.stiffness]
         shown = ("" if cell is None else cell if isinstance(cell, str) else f"{cell:.6g}" for cell in cells)
         lines.append(f"| {_escaped(joint.name)} | " + " | ".join(shown) + " |")
     return [*lines, ""]

@@ -11,6 +11,19 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
+class Surface:
+    """How a shape touches the file's ground, by the file's own numbers."""
+
+    friction: float = 1.0
+    """Coefficient of sliding friction."""
+    torsional_friction: float = 0.0
+    rolling_friction: float = 0.0
+    """m."""
+    contact_margin: float = 0.0
+    """Distance from the ground at which contact begins, m."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Shape:
     """What a link touches the ground with."""
 
@@ -27,6 +40,7 @@ class Shape:
     """[n, 3], of a mesh, in the shape's axes, m."""
     faces: npt.NDArray[np.intp] | None = None
     """[n, 3], indices into the vertices."""
+    surface: Surface = Surface()
 
 
 @dataclasses.dataclass
@@ -65,6 +79,10 @@ class Joint:
     """Its place in MuJoCo's positions."""
     v: int
     """Its place in MuJoCo's velocities."""
+    stiffness: float = 0.0
+    """Of the joint's passive spring, N m/rad or N/m; 0: it has none."""
+    rest: float = 0.0
+    """Position at which the spring is at rest, rad or m."""
 
 
 @dataclasses.dataclass(frozen=True)

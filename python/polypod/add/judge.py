@@ -1,8 +1,8 @@
 """Whether a robot in polypod moves as MuJoCo's model of the file that it comes from.
 
 Compared at random states: masses, joint limits, mass matrix, bias forces, accelerations under random torques, and one
-physics step with the joints' damping and dry friction. What polypod leaves out is switched off in MuJoCo's model:
-contacts, equality constraints, springs, tendons, the medium, and what resists the free joint. Joints that polypod holds
+physics step with the joints' damping, springs and dry friction. What polypod leaves out is switched off in MuJoCo's
+model: contacts, equality constraints, tendons, the medium, and what resists the free joint. Joints that polypod holds
 carry an infinite rotor there.
 """
 
@@ -47,7 +47,7 @@ class Errors:
     bias_force: float
     forward_dynamics: float
     physics_step: float
-    """Of what one step with damping and dry friction adds to the velocity; in single precision, over the velocity."""
+    """Of what one step with damping, springs and dry friction adds to the velocity; over the velocity in float32."""
 
     def worst(self) -> float:
         """The largest of the errors."""
@@ -164,9 +164,15 @@ class _Reference:
         model.opt.integrator = int(self.mj.mjtIntegrator.mjINT_IMPLICITFAST)
         model.opt.tolerance, model.opt.iterations = 0.0, 200
         model.opt.solver = int(self.mj.mjtSolver.mjSOL_NEWTON)
-        model.jnt_stiffness[:] = 0.0
         model.body_gravcomp[:] = 0.0
-        for name in ("tendon_stiffness", "tendon_damping", "tendon_frictionloss", "tendon_armature", "dof_dampingpoly"):
+        for name in (
+            "tendon_stiffness",
+            "tendon_damping",
+            "tendon_frictionloss",
+            "tendon_armature",
+            "dof_dampingpoly",
+            "jnt_stiffnesspoly",
+        ):
             numbers = getattr(model, name, None)
             if numbers is not None:
                 numbers[:] = 0.0

@@ -7,13 +7,17 @@ compiled model has them all resolved. What is taken from it, and how:
   is taken off the body where it lies, in the anchor of the joint, so that anchors in one point change nothing.
 - A joint away from its body's origin moves the link's frame to the joint.
 - A joint's zero is MuJoCo's: where `ref` puts the written frames elsewhere, the link's frame is turned back by it.
+- Springs of joints are written down with the position at which they are at rest.
 - Geoms that a floor can touch become collision shapes: the file's own floor if it has one, or else one with `contype`
-  and `conaffinity` 1, and what `<pair>` names together with something of the scene.
+  and `conaffinity` 1, and what `<pair>` names together with something of the scene. Friction, `condim`, `priority`,
+  `margin` and `gap` are mixed with those of the ground by MuJoCo itself; shapes of one body that differ in the result
+  become links of their own.
 - Of the end of a limb with several shapes, those that stand on the ground become a link of their own, the foot.
 - Actuators at one joint are added up. Gains and limits are those at the joint: both count `gear`.
 """
 
 import dataclasses
+import functools
 import itertools
 import re
 import warnings
@@ -24,7 +28,7 @@ from typing import Any, Literal
 import numpy as np
 
 from polypod import _core
-from polypod.add.description import Array, Description, Drive, Joint, Link, Shape
+from polypod.add.description import Array, Description, Drive, Joint, Link, Shape, Surface
 from polypod.extras import package
 
 TOKEN = 1e-6
@@ -39,8 +43,10 @@ SOLE = 0.01
 """Shapes of a limb's end whose lowest points are this close to the lowest one stand on the ground, m."""
 ROUND = 1e-3
 """Relative difference up to which an ellipsoid is a sphere."""
-PLAIN = (1.0, 0.005, 0.0001)
-"""MuJoCo's default friction of a geom."""
+PLAIN = (3, (1.0, 0.005, 0.0001), 0.0, 0.0, 0)
+"""`condim`, friction, margin, gap and priority of MuJoCo's default geom."""
+CONE_DIMS = {1: 0, 3: 1, 4: 2, 6: 3}
+"""By `condim`: how many of sliding, torsional and rolling friction a contact has."""
 LISTED = 4
 """Names that a note lists; of more it states the number."""
 IMU = ("GYRO", "ACCELEROMETER", "FRAMEQUAT", "VELOCIMETER", "FRAMEANGVEL", "FRAMELINVEL", "MAGNETOMETER")
@@ -237,7 +243,8 @@ class Reader:
         self.inside = set(self.bodies)
         self.notes = list(made.notes)
         self._taken: set[str] = set()
-        self._ellipsoids: list[str] = []
+        self._ellipsoids: dict[str, float] = {}
+        self.ground = self._ground()
         self.data = mj.MjData(self.model)
         self.key, self.home = self._home()
         self.data.qpos[:] = self.home
@@ -249,6 +256,9 @@ class Reader:
         """The robot. Raises ConfigError."""
         drives = self._drives()
         held = self._held(drives)
+        springs = [name for joint, name in self.names.items() if name in held and self.model.jnt_stiffness[joint] > 0.0]
+        if springs:
+            self.notes.append(f"joint {listed(springs)}: a spring pulls it: left out, as it is locked")
         links = self._links(drives)
         self._left_out()
         return Description(self.made.name, links, self.key, held, self.notes)
@@ -426,7 +436,6 @@ class Reader:
         model = self.model
         links: list[Link] = []
         place: dict[int, tuple[int, Array]] = {}
-        floor = self._floor()
         balls = []
         for body in self.bodies:
             at, turn = np.array(model.body_pos[body]), matrix(model.body_quat[body])
@@ -457,7 +466,7 @@ class Reader:
                 links.append(Link(name, parent, at, turn, None))
             place[body] = (len(links) - 1, anchor)
             links[-1] = self._with_mass(links[-1], body, anchor, tokens)
-            self._touch(links, body, anchor, floor)
+            self._touch(links, body, anchor)
         if balls:
             names = listed([self.names[joint] for joint in balls])
             self.notes.append(f"ball joint {names}: locked where the file's frames are written down")
@@ -499,6 +508,8 @@ class Reader:
             home=self._within(joint, float(self.home[q])),
             q=q,
             v=v,
+            stiffness=float(model.jnt_stiffness[joint]),
+            rest=float(model.qpos_spring[q]),
         )
 
     def _actuators_of(self, joint: int) -> list[int]:
@@ -529,47 +540,70 @@ class Reader:
 
     # Shapes
 
-    def _floor(self) -> tuple[int, int]:
-        """`contype` and `conaffinity` of the file's ground; of a plane that touches everything, if it has none."""
+    def _ground(self) -> int | None:
+        """The geom that is the file's ground, if it has one."""
         model = self.model
         kinds = (int(self.mj.mjtGeom.mjGEOM_PLANE), int(self.mj.mjtGeom.mjGEOM_HFIELD))
         for geom in range(model.ngeom):
             is_ground = int(model.geom_type[geom]) in kinds and int(model.geom_bodyid[geom]) not in self.inside
             if is_ground and (model.geom_contype[geom] or model.geom_conaffinity[geom]):
-                return int(model.geom_contype[geom]), int(model.geom_conaffinity[geom])
-        return 1, 1
+                return geom
+        return None
 
-    def _touches(self, geom: int, floor: tuple[int, int]) -> bool:
-        model = self.model
-        if (int(model.geom_contype[geom]) & floor[1]) or (floor[0] & int(model.geom_conaffinity[geom])):
+    def _touches(self, geom: int) -> bool:
+        model, ground = self.model, self.ground
+        # without a ground of the file's, that of a plane that touches everything
+        contype, conaffinity = (
+            (1, 1) if ground is None else (model.geom_contype[ground], model.geom_conaffinity[ground])
+        )
+        if (int(model.geom_contype[geom]) & int(conaffinity)) or (int(contype) & int(model.geom_conaffinity[geom])):
             return True
-        for one, other in zip(model.pair_geom1, model.pair_geom2, strict=True):
+        return self._pair(geom) is not None
+
+    def _pair(self, geom: int) -> int | None:
+        """The `<pair>` of a geom and something of the scene, if there is one."""
+        model = self.model
+        for pair, (one, other) in enumerate(zip(model.pair_geom1, model.pair_geom2, strict=True)):
             if geom in (one, other):
                 partner = int(other if geom == one else one)
                 if int(model.geom_bodyid[partner]) not in self.inside:
-                    return True
-        return False
+                    return pair
+        return None
 
-    def _touch(self, links: list[Link], body: int, anchor: Array, floor: tuple[int, int]) -> None:
-        """Gives the body's last link its shapes, and the foot among them a link of its own."""
+    def _surface(self, geom: int) -> Surface:
+        """How a geom touches the ground: as MuJoCo mixes the two."""
+        model, ground, pair = self.model, self.ground, self._pair(geom)
+        if pair is not None:
+            numbers = ("dim", "friction", "margin", "gap")
+            return mixed(tuple(_plain(getattr(model, f"pair_{number}")[pair]) for number in numbers), None)
+        numbers = ("condim", "friction", "margin", "gap", "priority")
+        sides = [
+            tuple(_plain(getattr(model, f"geom_{number}")[each]) for number in numbers)
+            for each in (geom, ground)
+            if each is not None
+        ]
+        return mixed(sides[0], sides[1] if len(sides) > 1 else PLAIN)
+
+    def _touch(self, links: list[Link], body: int, anchor: Array) -> None:
+        """Gives the body's last link its shapes, and the foot and other surfaces among them links of their own."""
         model = self.model
         first = int(model.body_geomadr[body])
         geoms = [
-            geom
-            for geom in range(first, first + int(model.body_geomnum[body]))
-            if first >= 0 and self._touches(geom, floor)
+            geom for geom in range(first, first + int(model.body_geomnum[body])) if first >= 0 and self._touches(geom)
         ]
         shapes = [(geom, shape) for geom in geoms if (shape := self._shape(geom, anchor)) is not None]
         standing = self._standing([geom for geom, _ in shapes], body)
-        links[-1] = dataclasses.replace(
-            links[-1], shapes=tuple(shape for geom, shape in shapes if geom not in standing)
-        )
+        parent, name = len(links) - 1, links[-1].name
+        of_body, *others = by_surface([shape for geom, shape in shapes if geom not in standing])
+        links[-1] = dataclasses.replace(links[-1], shapes=of_body)
+        parts = [(f"{name}_surface", own) for own in others]
         if standing:
-            foot = self._unique(f"{links[-1].name}_foot", "body", body)
-            own = tuple(shape for geom, shape in shapes if geom in standing)
+            feet = by_surface([shape for geom, shape in shapes if geom in standing])
+            parts += [(f"{name}_foot", own) for own in feet]
+        for part, own in parts:
             at = own[0].at if len(own) == 1 else np.zeros(3)
             own = tuple(dataclasses.replace(shape, at=shape.at - at) for shape in own)
-            links.append(Link(foot, len(links) - 1, at, np.eye(3), None, shapes=own))
+            links.append(Link(self._unique(part, "body", body), parent, at, np.eye(3), None, shapes=own))
 
     def _standing(self, geoms: list[int], body: int) -> set[int]:
         """Those of a limb's end that stand on the ground, where they are not all of them."""
@@ -615,23 +649,24 @@ class Reader:
         at, turn = np.array(model.geom_pos[geom]) - anchor, matrix(model.geom_quat[geom])
         kind, size = int(model.geom_type[geom]), [float(edge) for edge in model.geom_size[geom]]
         name = self._named("GEOM", geom) or f"geom_{geom}"
+        surface = self._surface(geom)
         if kind == int(types.mjGEOM_SPHERE):
-            return Shape("sphere", (size[0],), at, turn)
+            return Shape("sphere", (size[0],), at, turn, surface=surface)
         if kind == int(types.mjGEOM_CAPSULE):
-            return Shape("capsule", (size[0], 2.0 * size[1]), at, turn)
+            return Shape("capsule", (size[0], 2.0 * size[1]), at, turn, surface=surface)
         if kind == int(types.mjGEOM_CYLINDER):
-            return Shape("cylinder", (size[0], 2.0 * size[1]), at, turn)
+            return Shape("cylinder", (size[0], 2.0 * size[1]), at, turn, surface=surface)
         if kind == int(types.mjGEOM_BOX):
-            return Shape("box", tuple(2.0 * edge for edge in size), at, turn)
+            return Shape("box", tuple(2.0 * edge for edge in size), at, turn, surface=surface)
         if kind == int(types.mjGEOM_ELLIPSOID):
             if max(size) - min(size) <= ROUND * max(size):
-                return Shape("sphere", (max(size),), at, turn)
-            self._ellipsoids.append(name)
-            vertices, faces = _ball(np.array(size))
-            return Shape("mesh", (), at, turn, _file_name(name), vertices, faces)
+                return Shape("sphere", (max(size),), at, turn, surface=surface)
+            self._ellipsoids[name] = BALL_ERROR * max(size)
+            vertices, faces = ball(np.array(size))
+            return Shape("mesh", (), at, turn, _file_name(name), vertices, faces, surface)
         if kind == int(types.mjGEOM_MESH):
             vertices, faces = self._vertices(geom)
-            return Shape("mesh", (), at, turn, _file_name(f"{name}_{geom}"), vertices, faces)
+            return Shape("mesh", (), at, turn, _file_name(f"{name}_{geom}"), vertices, faces, surface)
         self.notes.append(f"geom {name}: a plane, height field or distance field on the robot: left out")
         return None
 
@@ -680,20 +715,18 @@ class Reader:
         """Notes what has no place in a robot of polypod's."""
         model = self.model
         if self._ellipsoids:
-            self.notes.append(f"geom {listed(self._ellipsoids)}: an ellipsoid: replaced by a convex hull")
+            self.notes.append(
+                f"geom {listed(list(self._ellipsoids))}: an ellipsoid: replaced by a convex hull of "
+                f"{BALL_POINTS} points, which is at most {1e3 * max(self._ellipsoids.values()):.2g} mm off"
+            )
         first = int(model.jnt_dofadr[model.body_jntadr[self.made.base]])
         free = slice(first, first + 6)
         if model.dof_armature[free].any() or model.dof_damping[free].any() or model.dof_frictionloss[free].any():
             self.notes.append("armature, damping and friction of the free joint: left out")
         dofs = [int(model.jnt_dofadr[joint]) for joint in self.joints if self._moves(joint)]
-        springs = [
-            self.names[joint] for joint in self.joints if self._moves(joint) and model.jnt_stiffness[joint] > 0.0
-        ]
-        if springs:
-            self.notes.append(f"joint {listed(springs)}: a spring pulls it: left out")
-        touching = np.isin(model.geom_bodyid, self.bodies) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
-        if not np.allclose(model.geom_friction[touching], PLAIN) or (model.geom_condim[touching] != 3).any():
-            self.notes.append("friction and condim of geoms: left out: the task has those of the ground")
+        bent = getattr(model, "jnt_stiffnesspoly", None)
+        if bent is not None and np.any(np.asarray(bent)[self.joints]):
+            self.notes.append("springs whose force is no multiple of the way: left out but for its linear part")
         curved = getattr(model, "dof_dampingpoly", None)
         if curved is not None and np.any(np.asarray(curved)[dofs]):
             self.notes.append("damping that is no multiple of the speed: left out but for its linear part")
@@ -734,25 +767,75 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:80]
 
 
-def _ball(size: Array) -> tuple[Array, Any]:
-    """Corners and faces of an ellipsoid with these half axes."""
-    stacks, sides = 12, 16
-    polar = np.linspace(0.0, np.pi, stacks + 1)[1:-1]
-    around = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    rings = [
-        [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)]
-        for angle in polar
-        for turn in around
-    ]
-    points = np.array([[0.0, 0.0, 1.0], *rings, [0.0, 0.0, -1.0]]) * size
-    last = len(points) - 1
+def _plain(value: Any) -> Any:
+    """A number or a list of a model as Python has it, to be looked up by."""
+    return tuple(float(each) for each in value) if np.ndim(value) else value.item()
+
+
+@functools.cache
+def mixed(geom: tuple[Any, ...], ground: tuple[Any, ...] | None) -> Surface:
+    """How a geom touches the ground: MuJoCo mixes the two in a scene with a ball that has the geom's numbers.
+
+    Args:
+        geom: `condim`, friction, margin, gap and priority of one side; of a `<pair>` all but the priority.
+        ground: of the other side; None for a pair.
+    """
+    mj = mujoco()
+    spec = mj.MjSpec()
+    plane = spec.worldbody.add_geom(name="plane", type=mj.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 1.0])
+    # in the ground, whatever the margins
+    body = spec.worldbody.add_body(pos=[0.0, 0.0, 0.0])
+    body.add_freejoint()
+    ball = body.add_geom(name="ball", type=mj.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0.0, 0.0], mass=1.0)
+    if ground is None:
+        dim, friction, margin, gap = geom
+        spec.add_pair(geomname1="plane", geomname2="ball", condim=dim, friction=friction, margin=margin, gap=gap)
+    else:
+        for each, (dim, friction, margin, gap, priority) in ((ball, geom), (plane, ground)):
+            each.condim, each.friction, each.margin, each.gap, each.priority = dim, friction, margin, gap, priority
+    model = spec.compile()
+    data = mj.MjData(model)
+    mj.mj_forward(model, data)
+    contact = data.contact[0]
+    count = CONE_DIMS[int(contact.dim)]
+    sliding, _, torsional, rolling, _ = (float(number) for number in contact.friction)
+    numbers = [number if place < count else 0.0 for place, number in enumerate((sliding, torsional, rolling))]
+    return Surface(*numbers, contact_margin=max(float(contact.includemargin), 0.0))
+
+
+def by_surface(shapes: list[Shape]) -> list[tuple[Shape, ...]]:
+    """Shapes by what their surfaces are, most shapes first; one empty list without any."""
+    groups: dict[Surface, list[Shape]] = {}
+    for shape in shapes:
+        groups.setdefault(shape.surface, []).append(shape)
+    return [tuple(group) for group in sorted(groups.values(), key=len, reverse=True)] or [()]
+
+
+BALL_POINTS = 32
+"""Points that stand for an ellipsoid: the most that the loader keeps of a mesh."""
+_COSINE = 0.922602
+"""Cosine of the largest angle between a direction and the nearest of the points on a sphere."""
+BALL_ERROR = (1.0 - _COSINE) / (1.0 + _COSINE)
+"""Largest error of the height over the ground at which an ellipsoid touches it, as a share of the longest half axis."""
+
+
+def ball(size: Array) -> tuple[Array, Any]:
+    """Corners and faces of a polyhedron for an ellipsoid with these half axes: it is as far within as beyond it.
+
+    A linear map of a sphere keeps shares: the corners are those of an icosahedron and a dodecahedron on a sphere.
+    """
+    golden = 0.5 * (1.0 + np.sqrt(5.0))
+    signs = [-1.0, 1.0]
+    tips = [np.roll([0.0, a, b * golden], turn) for turn in range(3) for a in signs for b in signs]
+    rest = [np.array([a, b, c]) for a in signs for b in signs for c in signs]
+    rest += [np.roll([0.0, a * golden, b / golden], turn) for turn in range(3) for a in signs for b in signs]
+    points = np.array([point / np.linalg.norm(point) for point in (*tips, *rest)])
     faces = []
-    for side in range(sides):
-        following = (side + 1) % sides
-        faces.append([0, 1 + side, 1 + following])
-        for ring in range(len(polar) - 1):
-            a, b = 1 + ring * sides + side, 1 + ring * sides + following
-            faces += [[a, a + sides, b], [b, a + sides, b + sides]]
-        at = 1 + (len(polar) - 1) * sides
-        faces.append([at + side, last, at + following])
-    return points, np.array(faces)
+    for tip in range(len(tips)):
+        up = points[tip]
+        near = len(tips) + np.argsort(points[len(tips) :] @ up)[-5:]
+        along = np.cross(up, points[near[0]])
+        across = np.cross(up, along)
+        around = near[np.argsort(np.arctan2(points[near] @ across, points[near] @ along))]
+        faces += [[tip, int(one), int(next_one)] for one, next_one in zip(around, np.roll(around, -1), strict=True)]
+    return points * size * (2.0 / (1.0 + _COSINE)), np.array(faces)

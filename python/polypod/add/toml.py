@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from polypod.add.description import Description, Joint
+from polypod.add.description import Description, Joint, Surface
 from polypod.compat import tomllib
 
 _HEAD = "# Drafted by `polypod robot new`"
@@ -18,6 +18,8 @@ _UNITS = {
     "effort_limit": "N m",
     "velocity_limit": "rad/s",
     "armature": "kg m^2",
+    "spring_stiffness": "N m / rad",
+    "spring_reference": "rad",
 }
 
 
@@ -48,9 +50,12 @@ def refined(draft: str, robot: Description, slots: Slots, origin: str, *, posed:
             pieces = [(name, [_SOFT.sub("soft_limit_factor = 1.0", line) for line in lines]) for name, lines in pieces]
         comment = f"# Joint angles of the default pose, rad: the keyframe {json.dumps(robot.pose)} of the file."
         pieces = _replaced(pieces, ["default_pose"], [comment, "[default_pose]", *pose])
-    text = _actuators(config["actuators"], own)
+    text = _actuators(config["actuators"], own, slots.sign_of)
     if text:
         pieces = _replaced(pieces, [f"actuators.{group}" for group in config["actuators"]], text)
+    surfaces = _surfaces(robot)
+    if surfaces:
+        pieces.append(("surfaces", surfaces))
     return (
         "\n\n".join("\n".join(lines) for _, lines in pieces).replace(
             _HEAD + " from the URDF alone", f"# Added by `polypod add` from {json.dumps(origin)}"
@@ -102,9 +107,28 @@ def _replaced(sections: list[tuple[str, list[str]]], names: list[str], lines: li
     return out
 
 
-def _actuators(groups: Mapping[str, Any], own: Mapping[str, Joint]) -> list[str]:
+def _surfaces(robot: Description) -> list[str]:
+    """Tables of surfaces, of the links that do not touch the ground as all robots do."""
+    tables: dict[Surface, list[str]] = {}
+    for link in robot.links:
+        if link.shapes and link.shapes[0].surface != Surface():
+            tables.setdefault(link.shapes[0].surface, []).append(link.name)
+    lines: list[str] = []
+    for surface, members in tables.items():
+        lines += (
+            [""] if lines else ["# Surfaces on the file's ground. Friction is a factor in a task, whose ground has 1."]
+        )
+        lines.append(f"[surfaces.{re.sub(r'[^A-Za-z0-9_-]', '_', members[0])}]")
+        lines.append(f"bodies = [{', '.join(json.dumps(name) for name in members)}]")
+        lines.append(f"friction = {surface.friction!r}")
+        figures = {key: value for key, value in dataclasses.asdict(surface).items() if key != "friction" and value}
+        lines += [f"{key} = {value!r}   # m" for key, value in figures.items()]
+    return lines
+
+
+def _actuators(groups: Mapping[str, Any], own: Mapping[str, Joint], signs: Mapping[str, float]) -> list[str]:
     """Tables of actuators, where the file says anything of them; joints with the same figures are a group."""
-    if not any(joint.drive is not None or joint.armature for joint in own.values()):
+    if not any(joint.drive is not None or joint.armature or joint.stiffness for joint in own.values()):
         return []
     tables: dict[tuple[tuple[str, float], ...], list[str]] = {}
     for slot, joint in own.items():
@@ -118,8 +142,13 @@ def _actuators(groups: Mapping[str, Any], own: Mapping[str, Joint]) -> list[str]
             figures["effort_limit"] = joint.drive.effort
         if joint.armature:
             figures["armature"] = joint.armature
-        # armatures are kept to the last digit: accelerations follow from them
-        exact = {key: value if key == "armature" else float(f"{value:.9g}") for key, value in figures.items()}
+        if joint.stiffness:
+            figures["spring_stiffness"] = joint.stiffness
+            if joint.rest:
+                figures["spring_reference"] = signs[slot] * joint.rest
+        # rotors and springs are kept to the last digit: accelerations follow from them
+        kept = ("armature", "spring_stiffness", "spring_reference")
+        exact = {key: value if key in kept else float(f"{value:.9g}") for key, value in figures.items()}
         tables.setdefault(tuple(exact.items()), []).append(slot)
     lines = [
         "# Gains, limits of effort and rotors of the file's actuators; where it has none, by weight and leg length."

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from polypod.accuracy.reference import mujoco
+from polypod.accuracy.reference import Reference, mujoco
 from polypod.robustness.body import Body
 from polypod.sim2sim.driven import Driven
 
@@ -25,10 +25,12 @@ def nothing(twin: Driven, body: Body) -> None:
 
 
 def friction(coefficient: float) -> Change:
-    """Coulomb's coefficient of every contact."""
+    """Coulomb's coefficient of every contact; surfaces of a robot's config multiply it."""
 
     def change(twin: Driven, body: Body) -> None:
-        twin.reference.model.geom_friction[:, 0] = coefficient
+        reference = twin.reference
+        factor = reference.friction_factor if isinstance(reference, Reference) else 1.0
+        reference.model.geom_friction[:, 0] = coefficient * factor
 
     return change
 

@@ -373,16 +373,17 @@ def _joints(twin: Twin, model: Model) -> list[Item]:
         worst = int(change.argmax())
         texts = [f"{low:.2f} to {high:.2f}" for low, high in (ours[worst], mapped[worst])]
         found.append(Item(f"range, {twin.robot.joint_names[worst]} and others", texts[0], texts[1], limit))
-    stiffness = _first(other.jnt_stiffness[model.joints])
-    if np.any(stiffness > 0.0):
+    stiffness, own_stiffness = _first(other.jnt_stiffness[model.joints]), _first(mine.jnt_stiffness[ids])
+    rests = model.map.signs * other.qpos_spring[model.q[7:]] + model.map.offsets
+    is_like = np.isclose(rests, mine.qpos_spring[twin.reference.q[7:]], rtol=0.0, atol=0.01) | (stiffness == 0.0)
+    if not (np.isclose(stiffness, own_stiffness, rtol=0.01, atol=1e-6) & is_like).all():
 
         def spring(twin: Twin) -> None:
             of = twin.reference.model
             of.jnt_stiffness[ids] = other.jnt_stiffness[model.joints]
-            rests = other.qpos_spring[model.q[7:]]
-            of.qpos_spring[twin.reference.q[7:]] = model.map.signs * rests + model.map.offsets
+            of.qpos_spring[twin.reference.q[7:]] = rests
 
-        found.append(Item("joint springs", "0 N m/rad", f"{_span(stiffness)} N m/rad", spring))
+        found.append(Item("joint springs", f"{_span(own_stiffness)} N m/rad", f"{_span(stiffness)} N m/rad", spring))
     return found
 
 

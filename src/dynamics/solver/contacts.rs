@@ -21,10 +21,26 @@ pub(super) fn sweep_contacts<S: Real, B: BodyNumbers<S>>(
     let mut base = *y_base;
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
         if row.active {
+            let friction = sliding_friction(topology, parameters, row.contact, friction);
             solve_contact(topology, &friction, active, row, further, &mut base, y_joint);
         }
     }
     *y_base = base;
+}
+
+/// Static and dynamic coefficient of a contact; `friction` is that of the whole robot, which links of one robot have among themselves.
+#[inline(always)]
+pub(super) fn sliding_friction<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    parameters: B,
+    contact: usize,
+    friction: [S; 2],
+) -> [S; 2] {
+    if !B::FULL_FRICTION || !topology.has_surfaces || contact >= topology.contacts.len() {
+        return friction;
+    }
+    let factor = parameters.contact_friction(contact)[0];
+    [friction[0] * factor, friction[1] * factor]
 }
 
 /// Brings the velocity of one contact to its target and its impulse into the friction cone.

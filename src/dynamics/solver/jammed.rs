@@ -8,7 +8,7 @@ use crate::rows::{ContactRows, ContactWork};
 use crate::settings::SolverSettings;
 use crate::sparse_rows::JointRows;
 
-use super::contacts::sliding;
+use super::contacts::{sliding, sliding_friction};
 
 /// Lanes in which another sweep would change the velocity of a contact by more than the settings allow.
 #[inline(always)]
@@ -42,6 +42,7 @@ pub(super) fn sweep_jammed<S: Real, B: BodyNumbers<S>>(
     let mut base = *y_base;
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
         if row.active {
+            let friction = sliding_friction(topology, parameters, row.contact, friction);
             solve_jammed_contact(topology, solver, &friction, active, row, further, &mut base, y_joint);
         }
     }

@@ -21,7 +21,7 @@ pub(super) fn sweep_spins<S: Real, B: BodyNumbers<S>>(
     active: S::Mask,
     work: &mut ContactWork<S>,
 ) {
-    if !B::RESISTS_TURNING {
+    if !B::FULL_FRICTION {
         return;
     }
     let ContactWork { contacts, spins, num_spins, spin_further, stride, base: y_base, joints: y_joint, .. } = work;
@@ -31,10 +31,26 @@ pub(super) fn sweep_spins<S: Real, B: BodyNumbers<S>>(
     let spins = contacts.iter().zip(&mut spins[..*num_spins]);
     for ((row, spin), further) in spins.zip(spin_further.chunks_exact(*stride)) {
         if row.active {
+            let friction = spin_friction(topology, parameters, row.contact, friction);
             solve_spin(topology, &friction, active, row, spin, further, &mut base, y_joint);
         }
     }
     *y_base = base;
+}
+
+/// Torsional and rolling coefficient of a ground contact, m: the larger of its surface's and `friction`, that of robot and ground.
+#[inline(always)]
+fn spin_friction<S: Real, B: BodyNumbers<S>>(
+    topology: &Topology,
+    parameters: B,
+    contact: usize,
+    friction: [S; 2],
+) -> [S; 2] {
+    if !topology.has_surfaces {
+        return friction;
+    }
+    let [_, torsional, rolling] = parameters.contact_friction(contact);
+    [friction[0].max(torsional), friction[1].max(rolling)]
 }
 
 /// Stops the turning of one contact as far as the bounds let it.

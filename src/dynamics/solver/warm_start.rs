@@ -41,7 +41,7 @@ pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, 
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
     }
-    if B::RESISTS_TURNING {
+    if B::FULL_FRICTION {
         for (spin, further) in spins[..*num_spins].iter().zip(spin_further.chunks_exact(*stride)) {
             spin.apply(topology, further, &spin.impulse, moved_base, moved_joints);
         }
@@ -77,7 +77,7 @@ pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, 
             *x = *x * share;
         }
     }
-    if B::RESISTS_TURNING {
+    if B::FULL_FRICTION {
         for spin in &mut work.spins[..work.num_spins] {
             for x in &mut spin.impulse {
                 *x = *x * share;

@@ -17,6 +17,8 @@ use crate::dynamics::{EffortTable, Parameters, Topology};
 const TAKEN_BACK: f32 = 0.2;
 /// Share of a substep by which the stiffness looks ahead. From 1/4 on every stiffness is stable; 1 is backward Euler.
 const LOOK_AHEAD: f32 = 0.36;
+/// Share of `h^2 k` of a spring that acts as inertia: stable for every stiffness, without numerical damping.
+const AVERAGE_ACCELERATION: f32 = 0.25;
 /// Links that came apart return at no more than this, m/s or rad/s.
 const MAX_RETURN: f32 = 4.0;
 /// Share of the inertia behind a joint that corrections of its bounds count with: what is before the joint yields, too.
@@ -29,9 +31,9 @@ struct AxisRow {
     drive: f32,
     /// What the actuator loses per speed, N m s^2: nothing beyond its limits.
     slope: f32,
-    /// Rotor inertia and viscous damping, kg m^2.
+    /// Rotor inertia, viscous damping and the spring's implicit share, kg m^2.
     drag: f32,
-    /// Rotor inertia times the speed before, N m s.
+    /// Rotor inertia and the spring's implicit share times the speed before, and the spring's impulse, N m s.
     momentum: f32,
     /// Largest impulse of dry friction, N m s.
     friction: f32,
@@ -47,6 +49,8 @@ pub(super) struct JointNumbers {
     saturation: f32,
     motor_velocity_limit: f32,
     joint_damping: f32,
+    /// Stiffness, N m/rad, and angle at rest, rad.
+    spring: [f32; 2],
     friction: f32,
     lower: f32,
     upper: f32,
@@ -70,6 +74,7 @@ impl JointNumbers {
             saturation: p.saturation_effort[j] as f32,
             motor_velocity_limit: p.motor_velocity_limit[j] as f32,
             joint_damping: p.joint_damping[j] as f32,
+            spring: p.spring.get(j).map_or([0.0; 2], |spring| spring.map(|x| x as f32)),
             friction: p.joint_friction[j] as f32,
             lower: p.lower[j] as f32,
             upper: p.upper[j] as f32,
@@ -338,6 +343,12 @@ impl Joints {
                 joint.row.drag = n.armature + h * n.joint_damping;
                 joint.row.momentum = n.armature * speed;
                 joint.row.friction = h * n.friction;
+                let [stiffness, rest] = n.spring;
+                if stiffness > 0.0 {
+                    let share = AVERAGE_ACCELERATION * h * h * stiffness;
+                    joint.row.drag += share;
+                    joint.row.momentum += share * speed + h * stiffness * (rest - joint.angle);
+                }
                 joint.applied = 0.0;
             }
             for j in (0..joints).rev() {

@@ -75,8 +75,9 @@ struct Chunk {
     joints: Joints,
     envs: Vec<Env>,
     work: Workspace<f64>,
-    /// Contact body of each collider of a robot.
+    /// Contact body of each collider of a robot, and the factor on its friction.
     body_of_collider: Vec<usize>,
+    friction_of_collider: Vec<f32>,
     /// Colliders of a robot that may touch each other.
     self_pairs: Vec<[usize; 2]>,
     /// Lengths of a physics step and of a substep.
@@ -256,6 +257,7 @@ impl Chunk {
             envs: (0..num_envs).map(|_| env()).collect(),
             work: Workspace::new(topology),
             body_of_collider: colliders.iter().map(|collider| collider.body).collect(),
+            friction_of_collider: colliders.iter().map(|collider| collider.friction).collect(),
             self_pairs: self_pairs.to_vec(),
             dt,
             h,
@@ -335,9 +337,10 @@ impl Chunk {
         }
         let (friction, restitution): (Friction, Restitution) =
             world::robot_surface(parameters.dynamic_friction as f32, parameters.restitution as f32);
-        for collider in self.colliders(env) {
+        for (of_robot, collider) in self.colliders(env).enumerate() {
             let entity = self.bodies.colliders[collider];
-            self.set(entity, friction);
+            let dynamic_coefficient = friction.dynamic_coefficient * self.friction_of_collider[of_robot];
+            self.set(entity, Friction { static_coefficient: dynamic_coefficient, dynamic_coefficient, ..friction });
             self.set(entity, restitution);
         }
         if moved {

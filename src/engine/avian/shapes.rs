@@ -18,6 +18,10 @@ pub(super) struct LinkCollider {
     pub(super) body: usize,
     /// Which of the robot's shapes it is, counted body after body.
     pub(super) shape: usize,
+    /// Factor on sliding friction.
+    pub(super) friction: f32,
+    /// Distance from the ground at which contact begins, m.
+    pub(super) margin: f32,
     pub(super) collider: Collider,
     /// Its frame in that of the link, whose axes are the engine's.
     pub(super) translation: Vec3,
@@ -54,7 +58,17 @@ pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<L
                     Collider::cuboid(size.x, size.y, size.z)
                 }),
             };
-            all.push(LinkCollider { link: b.link, body, shape: place, collider, translation, rotation });
+            let (friction, margin) = (b.surface.friction as f32, b.surface.margin as f32);
+            all.push(LinkCollider {
+                link: b.link,
+                body,
+                shape: place,
+                friction,
+                margin,
+                collider,
+                translation,
+                rotation,
+            });
         }
     }
     all

@@ -197,20 +197,21 @@ fn spawn(world: &mut World, contents: Contents) -> Bodies {
         }
         for c in colliders {
             let body = bodies.links[first + c.link];
-            let collider = world
-                .spawn((
-                    c.collider.clone(),
-                    // a collider takes its scale from this component, and zero without it
-                    GlobalTransform::IDENTITY,
-                    ColliderOf { body },
-                    everywhere(),
-                    Position(c.translation),
-                    Rotation(c.rotation),
-                    robot_surface(1.0, 0.0),
-                    Attached { body, translation: c.translation, rotation: c.rotation },
-                ))
-                .id();
-            bodies.colliders.push(collider);
+            let mut collider = world.spawn((
+                c.collider.clone(),
+                // a collider takes its scale from this component, and zero without it
+                GlobalTransform::IDENTITY,
+                ColliderOf { body },
+                everywhere(),
+                Position(c.translation),
+                Rotation(c.rotation),
+                robot_surface(1.0, 0.0),
+                Attached { body, translation: c.translation, rotation: c.rotation },
+            ));
+            if c.margin > 0.0 {
+                collider.insert(CollisionMargin(c.margin));
+            }
+            bodies.colliders.push(collider.id());
         }
     }
     world.flush();
