@@ -683,9 +683,9 @@ class Simulation:
         """Loads the robot and puts one into each env, at rest in `default_qpos`.
 
         Args:
-            robot: a robot of the library (its gains, rotor inertias, effort limits, motors and default pose come along,
-                its delays do not), the path of a robot's `.toml`, or the path of a URDF (gains 0; effort limits, joint
-                limits, damping and friction as in the URDF).
+            robot: a robot of the library (its gains, rotor inertias, springs, surfaces, effort limits, motors and
+                default pose come along, its delays do not), the path of a robot's `.toml`, or the path of a URDF
+                (gains 0; effort limits, joint limits, damping and friction as in the URDF).
             num_envs: number of envs.
             dt: physics step, s.
             ground: "plane", through the world's origin, or None.
@@ -696,7 +696,7 @@ class Simulation:
             package_dirs: folder of each package in `package://<package>/...` mesh names.
             locked_joints: position (rad or m) of each joint that is held: it becomes part of its parent link. Joints of
                 a URDF that mimic others are held in any case, with a warning.
-            friction: coefficient of robot and ground combined, or (static, dynamic).
+            friction: coefficient of robot and ground combined, or (static, dynamic); surfaces of a robot multiply it.
             torsional_friction: torque about a contact's normal per normal force, m; of ground contacts.
             rolling_friction: torque across a contact's normal per normal force, m; of ground contacts.
             restitution: coefficient of robot and ground combined, from 0 to 1.

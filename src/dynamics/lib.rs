@@ -35,6 +35,7 @@ mod shared_array;
 mod solver;
 mod sparse_rows;
 mod spin_rows;
+mod springs;
 mod state;
 mod step;
 mod terrain;

@@ -17,8 +17,9 @@ use super::parameters::{BodyNumbers, FullFrictionParameters, Parameters, Uniform
 use super::report::{report_contacts, report_sites};
 use super::rows::ContactWork;
 use super::self_contact::build_pairs;
-use super::settings::{SPRING_STIFFNESS, StepSettings};
+use super::settings::StepSettings;
 use super::solver::solve;
+use super::springs::{add_spring_impulses, add_spring_inertia};
 use super::state::{Drive, Report, State, Workspace};
 use super::terrain::Terrain;
 
@@ -146,18 +147,15 @@ fn factorise<S: Real, B: BodyNumbers<S>>(
     work: &mut Workspace<S>,
 ) {
     let dt = S::splat(settings.dt);
-    let share = dt * S::splat(SPRING_STIFFNESS);
     for (b, block) in topology.blocks().iter().enumerate() {
         for place in 0..block.len {
             let j = block.joints[place];
-            let mut slope = work.effort_slope[j] + parameters.joint_damping(j);
-            if topology.has_springs {
-                slope = parameters.spring(j)[0].mul_add(share, slope);
-            }
+            let slope = work.effort_slope[j] + parameters.joint_damping(j);
             let diagonal = &mut work.factor.blocks[b].diagonal[place];
             *diagonal = slope.mul_add(dt, *diagonal);
         }
     }
+    add_spring_inertia(topology, parameters, dt, work);
     work.factor.factorise(topology);
 }
 
@@ -179,14 +177,11 @@ fn find_free_velocity<S: Real, B: BodyNumbers<S>>(
         work.rhs_joint[b] = [z; BLOCK];
         for place in 0..block.len {
             let j = block.joints[place];
-            let mut passive = parameters.joint_damping(j) * state.joint_velocity[j];
-            if topology.has_springs {
-                let [stiffness, rest] = parameters.spring(j);
-                passive = stiffness.mul_add(state.joint_position[j] - rest, passive);
-            }
+            let passive = parameters.joint_damping(j) * state.joint_velocity[j];
             work.rhs_joint[b][place] = (work.effort[j] - passive - work.bias_joint[j]) * dt;
         }
     }
+    add_spring_impulses(topology, parameters, dt, state, work);
     let linear = mul_vec_transposed(&work.base_rotation, &state.linear_velocity);
     let w = state.angular_velocity;
     work.velocity_base = [w[0], w[1], w[2], linear[0], linear[1], linear[2]];

@@ -1,6 +1,7 @@
 """Springs of joints and surfaces of links: a robot against formulas and MuJoCo."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import polypod
 from polypod import _core
 from polypod.accuracy import robot as robots
 from polypod.accuracy.reference import GRAVITY, Ground, Reference
+from polypod.robustness import twins
+from polypod.sim2sim import differences
 
 HEAD = 'extends = "unitree_go2"\nname = "mine"\ntitle = "mine"\n'
 LIMP = "stiffness = 0.0\ndamping = 0.0\narmature = 0.0\nfriction = 0.0\n"
@@ -163,6 +166,40 @@ def test_feet_with_a_margin_stand_off_the_ground(tmp_path):
     for one, other in zip(lifted, bare, strict=True):
         rise = np.array(one.qpos).reshape(-1)[2] - np.array(other.qpos).reshape(-1)[2]
         assert rise == pytest.approx(margin, abs=1e-4)
+
+
+def test_a_condition_of_friction_keeps_the_surfaces(tmp_path):
+    feet = '[surfaces.feet]\nbodies = ["*_foot"]\nfriction = 0.5\n'
+    own = reference(written(tmp_path, feet), dt=0.002, ground=Ground(0.8))
+    twins.friction(0.6)(SimpleNamespace(reference=own), None)
+    names = [own.model.body(body).name for body in own.model.geom_bodyid]
+    assert sum(name.endswith("_foot") for name in names) == 4
+    for name, friction in zip(names, own.model.geom_friction[:, 0], strict=True):
+        assert friction == pytest.approx(0.3 if name.endswith("_foot") else 0.6)
+
+
+def test_models_differ_in_springs_where_one_has_others(tmp_path):
+    def twin(stiffness: float, rest: float) -> SimpleNamespace:
+        springs = f"[actuators.legs]\nspring_stiffness = {stiffness}\nspring_reference = {rest}\n"
+        config = written(tmp_path, springs)
+        sim = _core.VecSim(robots.TASK, 1, robots=[config], threads=1)
+        robot = robots.of(sim, "mine", config)
+        return SimpleNamespace(robot=robot, reference=Reference.of(robot, dt=0.002))
+
+    def found(one: SimpleNamespace, other: SimpleNamespace) -> list[differences.Item]:
+        own = other.reference
+        joints = [own.model.joint(name).id for name in other.robot.joint_names]
+        same = SimpleNamespace(signs=np.ones(len(joints)), offsets=np.zeros(len(joints)))
+        model = SimpleNamespace(model=own.model, q=own.q, v=own.v, joints=joints, map=same)
+        return differences._joints(one, model)
+
+    mine, others, elsewhere = twin(3.0, 0.5), twin(7.0, 0.5), twin(3.0, 0.7)
+    assert not found(mine, mine)
+    (item,) = found(mine, others)
+    assert (item.name, item.ours, item.theirs) == ("joint springs", "3 N m/rad", "7 N m/rad")
+    (item,) = found(mine, elsewhere)
+    item.change(mine)
+    assert not found(mine, elsewhere)
 
 
 def test_the_engine_avian_refuses_surfaces_that_resist_turning(tmp_path):

@@ -244,7 +244,6 @@ class Reader:
         self.notes = list(made.notes)
         self._taken: set[str] = set()
         self._ellipsoids: dict[str, float] = {}
-        self.ground = self._ground()
         self.data = mj.MjData(self.model)
         self.key, self.home = self._home()
         self.data.qpos[:] = self.home
@@ -436,6 +435,7 @@ class Reader:
         model = self.model
         links: list[Link] = []
         place: dict[int, tuple[int, Array]] = {}
+        floor = self._floor()
         balls = []
         for body in self.bodies:
             at, turn = np.array(model.body_pos[body]), matrix(model.body_quat[body])
@@ -466,7 +466,7 @@ class Reader:
                 links.append(Link(name, parent, at, turn, None))
             place[body] = (len(links) - 1, anchor)
             links[-1] = self._with_mass(links[-1], body, anchor, tokens)
-            self._touch(links, body, anchor)
+            self._touch(links, body, anchor, floor)
         if balls:
             names = listed([self.names[joint] for joint in balls])
             self.notes.append(f"ball joint {names}: locked where the file's frames are written down")
@@ -540,6 +540,11 @@ class Reader:
 
     # Shapes
 
+    def _floor(self) -> tuple[int, int]:
+        """`contype` and `conaffinity` of the file's ground; of a plane that touches everything, if it has none."""
+        model, ground = self.model, self._ground()
+        return (1, 1) if ground is None else (int(model.geom_contype[ground]), int(model.geom_conaffinity[ground]))
+
     def _ground(self) -> int | None:
         """The geom that is the file's ground, if it has one."""
         model = self.model
@@ -550,13 +555,9 @@ class Reader:
                 return geom
         return None
 
-    def _touches(self, geom: int) -> bool:
-        model, ground = self.model, self.ground
-        # without a ground of the file's, that of a plane that touches everything
-        contype, conaffinity = (
-            (1, 1) if ground is None else (model.geom_contype[ground], model.geom_conaffinity[ground])
-        )
-        if (int(model.geom_contype[geom]) & int(conaffinity)) or (int(contype) & int(model.geom_conaffinity[geom])):
+    def _touches(self, geom: int, floor: tuple[int, int]) -> bool:
+        model = self.model
+        if (int(model.geom_contype[geom]) & floor[1]) or (floor[0] & int(model.geom_conaffinity[geom])):
             return True
         return self._pair(geom) is not None
 
@@ -572,24 +573,26 @@ class Reader:
 
     def _surface(self, geom: int) -> Surface:
         """How a geom touches the ground: as MuJoCo mixes the two."""
-        model, ground, pair = self.model, self.ground, self._pair(geom)
+        model, pair = self.model, self._pair(geom)
         if pair is not None:
             numbers = ("dim", "friction", "margin", "gap")
             return mixed(tuple(_plain(getattr(model, f"pair_{number}")[pair]) for number in numbers), None)
         numbers = ("condim", "friction", "margin", "gap", "priority")
         sides = [
             tuple(_plain(getattr(model, f"geom_{number}")[each]) for number in numbers)
-            for each in (geom, ground)
+            for each in (geom, self._ground())
             if each is not None
         ]
         return mixed(sides[0], sides[1] if len(sides) > 1 else PLAIN)
 
-    def _touch(self, links: list[Link], body: int, anchor: Array) -> None:
+    def _touch(self, links: list[Link], body: int, anchor: Array, floor: tuple[int, int]) -> None:
         """Gives the body's last link its shapes, and the foot and other surfaces among them links of their own."""
         model = self.model
         first = int(model.body_geomadr[body])
         geoms = [
-            geom for geom in range(first, first + int(model.body_geomnum[body])) if first >= 0 and self._touches(geom)
+            geom
+            for geom in range(first, first + int(model.body_geomnum[body]))
+            if first >= 0 and self._touches(geom, floor)
         ]
         shapes = [(geom, shape) for geom in geoms if (shape := self._shape(geom, anchor)) is not None]
         standing = self._standing([geom for geom, _ in shapes], body)
