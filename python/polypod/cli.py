@@ -17,6 +17,7 @@ from polypod.commands.add import Add
 from polypod.commands.bench import Bench
 from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
+from polypod.commands.deploy import Deploy
 from polypod.commands.eval import Eval
 from polypod.commands.export import Export
 from polypod.commands.film import FilmOf
@@ -37,6 +38,7 @@ Command = (
     | Annotated[SweepOf, tyro.conf.subcommand("sweep")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Deploy, tyro.conf.subcommand("deploy")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
     | Annotated[Robustness, tyro.conf.subcommand("robustness")]
     | Annotated[Play, tyro.conf.subcommand("play")]
@@ -60,8 +62,8 @@ COMMANDS: tuple[str, ...] = tuple(typing.get_args(command)[1].name for command i
 def main(arguments: Sequence[str]) -> int:
     """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
 
-    `sim2sim` and `robustness` return 3 for a policy that does not hold its bounds, `adapt` and `train --until-walks`
-    for one that does not walk. `train` and `adapt` return 143 after SIGTERM and 129 after SIGHUP.
+    `sim2sim`, `robustness` and `deploy check` return 3 for a policy that does not hold its bounds, `adapt` and
+    `train --until-walks` for one that does not walk. `train` and `adapt` return 143 after SIGTERM and 129 after SIGHUP.
     """
     if arguments and arguments[0] in _VERSION:
         # as in most programs, nothing else counts then

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from rsl_rl.modules import EmpiricalNormalization
 
-from polypod import _core
+from polypod import _core, descriptions
+from polypod.deploy import contract
 from polypod.export import metadata, onnx_graph, states
 from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
@@ -70,9 +71,11 @@ def export_checkpoint(
     known = interfaces(manifest)
     asked = known if robots is None and fold else {}
     if robots is not None:
-        asked = interfaces(manifest, robots)
+        mine = [robot for robot in robots if robot in known and robot in manifest["robot_sources"]]
+        others = [robot for robot in robots if robot not in mine]
+        asked = {robot: known[robot] for robot in mine} | (interfaces(manifest, others) if others else {})
     out = checkpoint.parent / FOLDER if out is None else out
-    writer = _Writer(policy, out, formats)
+    writer = _Writer(policy, out, formats, _distances(policy, checkpoint, robots or ()))
     try:
         writer.write_policy(known | asked)
         for robot in asked.values():
@@ -88,8 +91,10 @@ class _Writer:
         policy: LoadedPolicy,
         out: Path,
         formats: Sequence[Format],
+        distances: Mapping[str, descriptions.Distance],
     ) -> None:
         manifest = policy.manifest
+        self.distances = distances
         self.manifest, self.network, self.out, self.formats = manifest, policy.network, out, formats
         self.terms: tuple[Term, ...] = ()
         self.scan_points: list[list[float]] = []
@@ -118,7 +123,7 @@ class _Writer:
         if "onnx" in self.formats:
             # gains and poses are one robot's: of several, each graph that is folded for one says its own
             alone = any_robot if len(robots) == 1 else None
-            described = self._metadata("policy", alone)
+            described = self._metadata("policy", alone, memory)
             model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, described)
             self._write_onnx("policy", model, module, sizes, ["actions"], memory)
         if "torchscript" in self.formats:
@@ -149,7 +154,8 @@ class _Writer:
         sizes, outputs = robot.inputs(), {"joint_pos_target": len(robot.joint_names), "actions": self.num_actions}
         memory = robot.states() | states.of_network(self.network)
         if "onnx" in self.formats:
-            model = onnx_graph.robot_model(self.network, robot, self._metadata(name, robot))
+            described = self._metadata(name, robot, memory, is_folded=True)
+            model = onnx_graph.robot_model(self.network, robot, described)
             self._write_onnx(name, model, module, sizes, list(outputs), memory)
         if "torchscript" in self.formats:
             self._write_torchscript(name, module, sizes, memory)
@@ -249,7 +255,9 @@ class _Writer:
         described = _tensor(name, size, meaning)
         return {**described, "columns": list(columns[name])} if name in columns else described
 
-    def _metadata(self, name: str, robot: RobotInterface | None = None) -> dict[str, str]:
+    def _metadata(
+        self, name: str, robot: RobotInterface | None, memory: Mapping[str, states.Shape], is_folded: bool = False
+    ) -> dict[str, str]:
         return {
             METADATA: json.dumps(onnx_manifest(self.manifest)),
             "name": name,
@@ -257,7 +265,50 @@ class _Writer:
             "checkpoint_sha256": self.origin["sha256"],
             **metadata.of_observation(self.terms, self.action_names, self.run_path, self.manifest["step_dt"]),
             **({} if robot is None else metadata.of_robot(robot)),
+            **({} if robot is None else contract.entries(self._contract(name, robot, memory, is_folded))),
         }
+
+    def _contract(
+        self, name: str, robot: RobotInterface, memory: Mapping[str, states.Shape], is_folded: bool
+    ) -> dict[str, Any]:
+        return contract.of(
+            robot,
+            memory,
+            {
+                "name": name,
+                "task": self.manifest["task"],
+                "checkpoint_sha256": self.origin["sha256"],
+                "iteration": self.origin["iteration"],
+                "polypod": _core.__version__,
+            },
+            is_folded=is_folded,
+            is_normalized=_is_normalized(self.network),
+            step_dt=self.manifest["step_dt"],
+            description=self._description(robot),
+        )
+
+    def _description(self, robot: RobotInterface) -> dict[str, Any] | None:
+        """How far the robot is from the training; None where that is not known."""
+        if robot.name in self.manifest["robots"]:
+            return {"is_trained": True, "distance": 0.0, "nearest": robot.name}
+        if (found := self.distances.get(robot.name)) is None:
+            return None
+        return {"is_trained": False, "distance": found.distance, "nearest": found.nearest}
+
+
+def _distances(policy: LoadedPolicy, checkpoint: Path, robots: Sequence[str]) -> Mapping[str, descriptions.Distance]:
+    """Distances of the robots that the policy was not trained on, where they are known."""
+    try:
+        return descriptions.distances(policy.manifest, robots, str(checkpoint))
+    except _core.PolypodError:
+        return {}
+
+
+def _is_normalized(network: torch.nn.Module) -> bool:
+    """Whether the graph normalises what it observes; of another learner's file it is taken for granted."""
+    if isinstance(network, OnnxNetwork):
+        return True
+    return any(isinstance(part, EmpiricalNormalization) for part in network.modules())
 
 
 def compare(

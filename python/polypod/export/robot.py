@@ -64,6 +64,10 @@ class RobotInterface:
     """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low, high]."""
     info: Mapping[str, Any]
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
+    config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """The robot's config, with all defaults (`VecSim.resolved_config`)."""
+    task: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Config of the task, its events included."""
 
     @property
     def num_actions(self) -> int:
@@ -130,7 +134,8 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
     Raises:
         ConfigError: for an unknown task or robot, and for a task that has changed since the training.
     """
-    sim, task = _undisturbed(manifest, robots)
+    sim, configs = _undisturbed(manifest, robots)
+    task = configs["task"]
     scan_points = _scan_points(task.get("sensors", {}).get("height_scanner"))
     layout = tuple(sim.observation_layout)
     trained = tuple((entry["term"], entry["size"]) for entry in manifest["observation_layout"])
@@ -165,6 +170,8 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             scan_points=scan_points,
             command_ranges=sim.command_ranges()[robot],
             info=infos[robot],
+            config=configs["robots"][robot],
+            task=task,
         )
         for robot in sim.robots
     }
@@ -182,15 +189,15 @@ def changes(manifest: Mapping[str, Any], robots: Mapping[str, RobotInterface]) -
 
 
 def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> tuple[_core.VecSim, dict[str, Any]]:
-    """One env per robot of the policy's task without noise and events, and the task."""
+    """One env per robot of the policy's task without noise and events, and the configs of the robots and the task."""
     names = list(manifest["robot_sources"] if robots is None else robots)
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
     slots = manifest["canonical_joint_names"]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides, slots=slots)
-    task = tomllib.loads(sim.resolved_config())["task"]
-    off = [f"events.{name}.enabled=false" for name in task.get("events", {})]
+    configs = tomllib.loads(sim.resolved_config())
+    off = [f"events.{name}.enabled=false" for name in configs["task"].get("events", {})]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off], slots=slots)
-    return sim, task
+    return sim, configs
 
 
 def _scan_points(scanner: Mapping[str, Any] | None) -> Array:

@@ -364,7 +364,7 @@ def run_polypod(
 ) -> dict[str, Figures]:
     """Runs an episode in polypod; figures by robot. `seen` is shown each control step."""
     sim = episode.sim
-    command, width = _columns(sim, "velocity_command")
+    command, width = columns_of(sim, "velocity_command")
     given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
     reset(policy)
     record = walking.Record(episode.schedule, episode.step_dt)
@@ -389,8 +389,8 @@ def run_polypod(
     return {name: episode.figures(name, record, slice(*sim.env_ids(name))) for name in sim.robots}
 
 
-def _columns(sim: _core.VecSim, source: str) -> tuple[slice, int]:
-    """Where the observation holds the term that is computed from `source`, and how many of its numbers are new."""
+def columns_of(sim: _core.VecSim, source: str) -> tuple[slice, int]:
+    """Columns of the observation's term that is computed from `source`, and how many of its numbers are new."""
     start = 0
     for term in terms_of(sim):
         end = start + term.size
