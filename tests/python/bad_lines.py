@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from common import FLAT_POLICY
 
 ROOT = Path(__file__).parents[2]
+GRAPH = FLAT_POLICY.parent / "exported" / "policy.onnx"
 URDF = ROOT / "assets" / "robots" / "spot" / "robot.urdf"
 
 Line = tuple[str, ...]
@@ -88,6 +89,15 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "export": (
         (*_CHECKPOINT, "--formats", "onnx", "--out", "out"),
         {"--checkpoint": FILES, "--out": OUTPUTS, "--robots": NAMES, "--robot": NAMES, "--formats": NAMES},
+    ),
+    "deploy": (
+        ("check", Positional(GRAPH), "--num-envs", "1", "--steps", "1", "--simulators", "polypod"),
+        {"": [*NAMES, *FILES], "--checkpoint": FILES, "--num-envs": COUNTS, "--steps": COUNTS, "--json": OUTPUTS}
+        | {"--simulators": [*NAMES, "polypod,x", "mujoco,"], "--robot": NAMES, "--set": OVERRIDES, "--seed": _SEEDS},
+    ),
+    "deploy write": (
+        ("write", Positional(GRAPH), "--out", "out"),
+        {"": FILES, "--out": OUTPUTS, "--steps": COUNTS},
     ),
     "play": (
         (*_CHECKPOINT, "--headless", "--seconds", "0.1"),

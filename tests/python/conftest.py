@@ -176,6 +176,14 @@ def exported_policy(built_once: Callable[..., Path]) -> tuple[Path, Any]:
 
 
 @pytest.fixture(scope="session")
+def deployed_policies(built_once: Callable[..., Path]) -> Path:
+    """The folder of `deployed.POLICIES`: a folder per bundled policy, with a graph per robot."""
+    import deployed
+
+    return built_once("deployed_policies", deployed.fill)
+
+
+@pytest.fixture(scope="session")
 def robot_loop() -> Any:
     """`examples/deploy/robot_loop.py` as a module."""
     path = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "robot_loop.py"
@@ -188,8 +196,8 @@ def robot_loop() -> Any:
 
 
 @pytest.fixture(scope="session")
-def cpp_loop(built_once: Callable[..., Path]) -> Path | None:
-    """The program of `examples/deploy/policy_loop.cpp`; None without a compiler or onnxruntime's headers."""
+def cpp_loop(built_once: Callable[..., Path], exported_policy: tuple[Path, Any]) -> Path | None:
+    """The program of `examples/deploy/policy_loop.cpp` for spot; None without a compiler or onnxruntime's headers."""
     compiler, runtime = shutil.which("g++"), find_spec("onnxruntime")
     root = Path(os.environ.get("ONNXRUNTIME", "/usr/local"))
     folders = [root / "include", root / "include" / "onnxruntime", Path("/usr/include/onnxruntime")]
@@ -202,10 +210,13 @@ def cpp_loop(built_once: Callable[..., Path]) -> Path | None:
         return None
 
     def build(folder: Path) -> None:
+        from polypod.deploy import files
+
+        files.write(exported_policy[0] / "policy_spot.onnx", folder)
         # the name that the library gives itself
         (folder / "libonnxruntime.so.1").symlink_to(libraries[0])
         source = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "policy_loop.cpp"
-        flags = [f"-I{include}", str(folder / "libonnxruntime.so.1"), f"-Wl,-rpath,{folder}"]
+        flags = [f"-I{folder}", f"-I{include}", str(folder / "libonnxruntime.so.1"), f"-Wl,-rpath,{folder}"]
         command = [compiler, "-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", str(source), *flags]
         subprocess.run([*command, "-o", str(folder / "policy_loop")], check=True)
 

@@ -73,20 +73,20 @@ def test_the_loop_walks_with_nothing_but_the_file(robot_loop, exported_policy, t
     folder, _ = exported_policy
     alone = tmp_path / "alone.onnx"
     shutil.copy(folder / f"policy_{robot}.onnx", alone)
-    policy = robot_loop.Policy(str(alone))
-    simulated = robot_loop.SimulatedRobot(policy.robot, policy.joint_names)
-    robot_loop.run(policy, simulated, (0.5, 0.0, 0.0), 4.0)
+    loop = robot_loop.open_loop(alone)
+    simulated = robot_loop.SimulatedRobot(loop.contract.robot, loop.contract.joint_names)
+    last = robot_loop.run(loop, simulated, (0.5, 0.0, 0.0), 4.0)
+    assert (last.mode, last.fault) == ("walk", None)
     ahead, _, height = simulated.sim.qpos[0, :3]
     assert 1.4 < ahead < 2.6
-    assert robot_loop.rotation(simulated.read().quaternion)[2, 2] > 0.95
+    assert robot_loop.rotation(simulated.sim.qpos[0, 3:7])[2, 2] > 0.95
     assert height > 0.15
 
 
 def test_the_loop_takes_the_joints_of_a_robot_in_any_order(robot_loop, exported_policy):
     folder, _ = exported_policy
-    policy = robot_loop.Policy(str(folder / "policy_spot.onnx"))
-    mixed = list(reversed(policy.joint_names))
-    robot, other = robot_loop.SimulatedRobot("spot", policy.joint_names), robot_loop.SimulatedRobot("spot", mixed)
+    names = robot_loop.open_loop(folder / "policy_spot.onnx").contract.joint_names
+    robot, other = robot_loop.SimulatedRobot("spot", names), robot_loop.SimulatedRobot("spot", list(reversed(names)))
     np.testing.assert_array_equal(robot.read().joint_pos, other.read().joint_pos[::-1])
 
 
@@ -100,32 +100,26 @@ def test_the_example_runs_as_printed(exported_policy):
 def test_the_loop_in_cpp_gives_the_same_targets(robot_loop, exported_policy, cpp_loop):
     if cpp_loop is None:
         pytest.skip("needs g++ and onnxruntime's C++ headers: those of a release at ONNXRUNTIME, or libonnxruntime-dev")
-    folder, _ = exported_policy
-    policy = robot_loop.Policy(str(folder / "policy_spot.onnx"))
-    robot = robot_loop.SimulatedRobot("spot", policy.joint_names)
+    loop = robot_loop.open_loop(exported_policy[0] / "policy_spot.onnx")
+    robot = robot_loop.SimulatedRobot("spot", loop.contract.joint_names)
+    loop.walk(at_once=True)
     lines, expected = [], []
     for _ in range(20):
-        state = robot.read()
-        given = {
-            "base_lin_vel": state.linear_velocity,
-            "base_ang_vel": state.angular_velocity,
-            "projected_gravity": robot_loop.rotation(state.quaternion).T @ [0.0, 0.0, -1.0],
-            "velocity_commands": np.array([0.5, 0.0, 0.0]),
-            "joint_pos": state.joint_pos,
-            "joint_vel": state.joint_vel,
-        }
-        names = [entry.name for entry in policy.session.get_inputs() if entry.name != "last_action"]
-        lines.append(" ".join(f"{x:.9g}" for name in names for x in given[name]))
-        targets = policy.act(state, (0.5, 0.0, 0.0))
-        expected.append(targets)
-        robot.write(targets, policy.stiffness, policy.damping)
-        robot.wait(policy.step_dt)
-    command = [cpp_loop, folder / "policy_spot.onnx"]
+        sensors = robot.read()
+        given = [sensors.time, *sensors.quaternion, *sensors.angular_velocity, *sensors.joint_pos, *sensors.joint_vel]
+        lines.append(" ".join(f"{x:.9g}" for x in (*given, 0.5, 0.0, 0.0, *sensors.linear_velocity)))
+        command = loop.step(sensors.time, sensors, (0.5, 0.0, 0.0))
+        expected.append([number for joint in zip(command.q, command.kp, command.kd, strict=True) for number in joint])
+        robot.write(command)
+        robot.wait(loop.contract.control_dt)
     done = subprocess.run(
-        command, input="\n".join(lines) + "\n", capture_output=True, text=True, check=True, timeout=60
+        [cpp_loop, cpp_loop.parent / "policy_spot.onnx"],
+        input="\n".join(lines) + "\n",
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
-    step, joints, *rows = done.stdout.splitlines()
-    assert step == "step_dt 0.02"
-    assert [joint.split(":")[0] for joint in joints.split()[1:]] == policy.joint_names
-    found = np.clip(np.array([row.split() for row in rows], dtype=np.float64), policy.lower, policy.upper)
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    rows = [row.split() for row in done.stdout.splitlines()]
+    assert {tuple(row[:2]) for row in rows} == {("walk", "-")}
+    np.testing.assert_allclose(np.array([row[2:] for row in rows], dtype=np.float64), expected, atol=1e-4)

@@ -1,4 +1,4 @@
-"""onnxruntime is imported in one place, which switches its telemetry off first."""
+"""onnxruntime is imported in two places, which switch its telemetry off first: for polypod, and on a robot."""
 
 import ast
 import os
@@ -15,6 +15,7 @@ from common import FLAT_POLICY
 PACKAGE = Path(polypod.__file__).parent
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ONLY = PACKAGE / "networks" / "onnx_session.py"
+ONBOARD = PACKAGE / "deploy" / "onboard" / "policy_loop.py"
 GRAPH = FLAT_POLICY.parent / "exported" / "policy.onnx"
 
 
@@ -37,11 +38,14 @@ def test_nothing_else_imports_it():
     assert imports("import onnxruntime.capi as c")
     assert imports("from onnxruntime import InferenceSession")
     assert imports('package("onnxruntime", "x", "export")')
-    assert [path for path in sorted(PACKAGE.rglob("*.py")) if imports(path.read_text(encoding="utf-8"))] == [ONLY]
+    assert [path for path in sorted(PACKAGE.rglob("*.py")) if imports(path.read_text(encoding="utf-8"))] == [
+        ONBOARD,
+        ONLY,
+    ]
 
 
 def test_examples_switch_it_off_first():
-    for path in EXAMPLES.rglob("*.py"):
+    for path in (ONBOARD, *EXAMPLES.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         if imports(text):
             assert text.index("ORT_DISABLE_TELEMETRY") < text.index("import onnxruntime"), path

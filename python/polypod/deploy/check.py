@@ -281,6 +281,9 @@ def _network_within(file: File) -> torch.nn.Module:
     inputs, outputs = ["obs", *states], ["actions", *(file.contract.states[name][0] for name in states)]
     try:
         whole = onnx.load_model_from_string(file.data)
+        size = sum(term.size for term in file.contract.terms)
+        observation = onnx.helper.make_tensor_value_info("obs", onnx.TensorProto.FLOAT, ["batch", size])
+        whole.graph.value_info.append(observation)
         part = onnx.utils.Extractor(whole).extract_model(inputs, outputs)
     except Exception as error:  # of onnx, for a graph without these tensors
         raise _core.ConfigError(
