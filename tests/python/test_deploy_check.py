@@ -5,12 +5,15 @@ import json
 import numpy as np
 import onnx
 import pytest
+import torch
 
 import polypod
+import polypod.policy as policies
 from common import SMALL_TERRAIN
 from deployed import CASES
 from polypod.deploy import check
 from polypod.deploy import contract as contracts
+from polypod.export import export_checkpoint
 
 
 def options(policy, **changes):
@@ -123,6 +126,22 @@ def test_without_its_checkpoint_the_network_in_the_file_is_compared_with(deploye
         path = deployed_policies / policy / "policy_unitree_go2.onnx"
         found = check.check(path, options(policy, simulators=("polypod",)))
         assert found.reference == "the network in the file"
+        assert found.holds
+
+
+def test_a_policy_of_another_learner_is_checked(tmp_path):
+    """Of one robot alone: both its graphs have a contract, the bare network's over the observation."""
+    torch.manual_seed(0)
+    env = polypod.make("Velocity-Flat-Spot-v0", 1, seed=0)
+    module = torch.nn.Sequential(torch.nn.Linear(48, 32), torch.nn.ELU(), torch.nn.Linear(32, 12))
+    policies.save_onnx(module, env, tmp_path / "mine.onnx")
+    env.close()
+    export_checkpoint(tmp_path / "mine.onnx", tmp_path / "out", ["spot"], formats=("onnx",))
+    for name, graph in (("policy", "network"), ("policy_spot", "folded")):
+        found = check.check(tmp_path / "out" / f"{name}.onnx", options("flat"))
+        assert found.contract.graph == graph
+        assert found.contract.motors is None
+        assert found.reference == f"the checkpoint {tmp_path / 'mine.onnx'}"
         assert found.holds
 
 

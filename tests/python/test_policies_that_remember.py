@@ -11,6 +11,7 @@ import torch
 
 from common import SHORT
 from polypod import _core
+from polypod.deploy import check
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces
 from polypod.policy import load
 from polypod.training import run_dir, session
@@ -281,3 +282,17 @@ def test_the_loops_of_the_examples_feed_it_back(trained, robot_loop, cpp_loop):
         rows = [row.split() for row in done.stdout.splitlines()[2:]]
         found = np.clip(np.array(rows, dtype=np.float64), policy.lower, policy.upper)
         np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+def test_the_loop_of_a_deployed_policy_remembers(trained):
+    """States and histories go from one control step to the next in the loop, as in the checkpoint's network."""
+    name, path, exported = trained
+    found = check.check(exported / "policy_spot.onnx", check.Options(num_envs=3, steps=15))
+    assert found.reference == f"the checkpoint {path}"
+    assert list(found.contract.states) == [
+        *(["history_in"] if HISTORY[0] in CASES[name] else []),
+        *(s for s, _ in STATES[name]),
+    ]
+    for played in found.played.values():
+        assert played.steps >= 6
+        assert played.holds, played

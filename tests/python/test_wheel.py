@@ -32,11 +32,14 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
     assert any(name.startswith("polypod/_core.") for name in names)
     suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
-    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml"}
+    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml", ".hpp"}
     for folder in NAMES.values():
         of_policy = {Path(name).name for name in names if name.startswith(f"polypod/policies/{folder}/model_")}
         assert len(of_policy) == 1
         assert f"polypod/policies/{folder}/manifest.json" in names
+    # what `polypod deploy write` copies for a robot
+    for name in ("contract.schema.json", "motors.json", "onboard/policy_loop.py", "onboard/policy_loop.hpp"):
+        assert f"polypod/deploy/{name}" in names
 
 
 def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:

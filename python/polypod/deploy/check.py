@@ -79,9 +79,9 @@ class Played:
         """Whether all differences are within the bound."""
         return self.steps > 0 and max(self.observation, self.action, self.target) <= BOUND
 
-    def see(self, key: str, found: Array, wanted: Array, is_relative: bool = True) -> None:
+    def see(self, key: str, given: npt.ArrayLike, reference: npt.ArrayLike, is_relative: bool = True) -> None:
         """Takes the difference of two rows into account; one that is not finite counts as infinite."""
-        found, wanted = np.asarray(found, dtype=np.float64), np.asarray(wanted, dtype=np.float64)
+        found, wanted = np.asarray(given, dtype=np.float64), np.asarray(reference, dtype=np.float64)
         scale = max(1.0, float(np.abs(wanted).max(initial=0.0))) if is_relative else 1.0
         off = float(np.abs(found - wanted).max(initial=0.0)) / scale if found.shape == wanted.shape else np.inf
         setattr(self, key, max(getattr(self, key), off if np.isfinite(off) else np.inf))

@@ -157,7 +157,7 @@ def read_contract(text: str | None, name: str, said: Mapping[str, str] | None = 
     read = _Reader(name)
     if text is None:
         read.fail(f"metadata {KEY}", "is missing", "export the policy for one robot: polypod export --robots NAME")
-    contract = read.contract(text)
+    contract = read.contract(text or "")
     if said is not None:
         read.compare(contract, said)
     return contract
