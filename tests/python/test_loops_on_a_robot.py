@@ -67,6 +67,7 @@ FAULTS = {
     "beyond a limit": (joints_with(-2.9), "joint_limit", "FL_calf_joint is 0.18 beyond"),
     "beyond the other": (joints_with(-0.7), "joint_limit", "FL_calf_joint is 0.14 beyond"),
     "a joint less": (lambda _: {"joint_vel": np.zeros(11)}, "sensor_size", "joint_vel has 11 numbers, not 12"),
+    "a list": (lambda _: {"quaternion": [[1.0, 0.0], [0.0]]}, "sensor_size", "ValueError"),
     "a text": (lambda _: {"joint_vel": "fast"}, "sensor_size", "ValueError"),
     "no joints": (lambda _: {"joint_pos": None}, "sensor_missing", "joint_pos"),
     "no estimator": (lambda _: {"linear_velocity": None}, "sensor_missing", "base_lin_vel is not measured"),
@@ -485,6 +486,10 @@ def test_the_loop_in_cpp_gives_the_same_numbers(deployed_policies, compiled, nam
         {"joint_pos": np.where(np.isfinite(loop.upper), loop.upper + 0.2, pose)},
         {"time": 9.5},
     ]
+    if interface == "plain":
+        faults += [{"joint_vel": pose[:-1]}, {"time": np.nan}]
+        faults += [{"linear_velocity": None}] if "base_lin_vel" in contract.sensed else []
+        faults += [{"height_scan": np.zeros(3)}, {"height_scan": None}] if contract.num_rays else []
     for at, changes in enumerate(faults):
         step(10.0, **changes)
         step(10.0)
@@ -509,7 +514,21 @@ def test_the_loop_in_cpp_gives_the_same_numbers(deployed_policies, compiled, nam
         np.testing.assert_allclose(np.array(found_motors.split(), dtype=np.float64), motors, rtol=1e-6, atol=1e-6)
         modes.add((mode, fault))
     assert {mode for mode, _ in modes} == {"damp", "stand", "walk"}
-    assert {fault for _, fault in modes} >= {"tilt", "quaternion_not_unit", "sensor_not_finite", "joint_limit"}
+    found = {fault for _, fault in modes}
+    assert found >= (
+        {"sensor_size", "sensor_stale", "command_not_finite"} if interface == "plain" else {"sensor_stale"}
+    )
+    assert found >= {"tilt", "quaternion_not_unit", "sensor_not_finite", "joint_limit"}
+
+
+def test_the_example_in_cpp_compiles(deployed_policies, tmp_path):
+    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("needs a compiler of C++: c++, g++ or clang++")
+    files.write(deployed_policies / "rough" / "policy_unitree_go2.onnx", tmp_path)
+    example = Path(__file__).parents[2] / "examples" / "deploy" / "policy_loop.cpp"
+    flags = ["-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", f"-I{DRIVER.parent}"]
+    subprocess.run([compiler, *flags, str(example)], check=True, timeout=300)
 
 
 def test_a_header_keeps_names_that_are_no_plain_text(deployed_policies):

@@ -363,6 +363,8 @@ def _in_polypod(file: File, episode: run.Episode, interface: RobotInterface, net
         fell = active & sim.terminated
         played.falls += int(fell.sum())
         active &= ~(fell | sim.truncated)
+        if not active.any():
+            break
     return played
 
 

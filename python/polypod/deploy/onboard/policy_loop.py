@@ -140,7 +140,7 @@ class Loop:
         """
         try:
             return self._step(float(now), sensors, command)
-        except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        except Exception as error:  # whatever a driver gives: motors must not keep the last command
             return self._fail("sensor_size", f"{type(error).__name__}: {error}")
 
     def _step(self, now: float, sensors: Sensors, command: Sequence[float]) -> Command:
