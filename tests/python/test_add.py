@@ -104,7 +104,8 @@ def test_an_mjcf_file_becomes_a_robot_that_trains(cli, tmp_path, written, monkey
     done = cli("add", "fox.xml", "--out", "mine")
     assert done.returncode == 0, done.stderr
     assert "16 of 16 stand" in done.stdout
-    assert "moves as MuJoCo's model of the file" in done.stdout
+    assert "dynamics agree with MuJoCo's model of the file" in done.stdout
+    assert "POLYPOD_PATH=mine polypod accuracy test_fox" in done.stdout
     assert "POLYPOD_PATH=mine polypod train --robots test_fox" in done.stdout
     assets = tmp_path / "mine/assets/robots/test_fox"
     assert (assets / "LICENSE").read_text() == "Do as you like."
@@ -505,7 +506,7 @@ def test_a_urdf_is_copied_with_its_meshes(cli, tmp_path):
     done = cli("add", "robot.urdf", "--out", "mine", "--package-dir", "fox=elsewhere")
     assert done.returncode == 0, done.stderr
     assert "visuals: left out" in done.stdout
-    assert "moves as MuJoCo's model" in done.stdout
+    assert "dynamics agree with MuJoCo's model" in done.stdout
     (tmp_path / "elsewhere/pad.obj").unlink()
     assets = tmp_path / "mine/assets/robots/test_fox"
     assert "<visual" not in (assets / "robot.urdf").read_text()

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from polypod.accuracy.engines import Engines
+from polypod.accuracy.file import FileResult
 from polypod.accuracy.friction import Slide, Slope
 from polypod.accuracy.motion import StepResponse
 from polypod.accuracy.standing import FIRM, Drop, SlopeRest, Standing
@@ -88,6 +89,10 @@ def exceeded(*results: object) -> list[str]:
     ]
 
 
+def _of(dtype: str) -> Callable[[FileResult], float | None]:
+    return lambda result: result.worst() if result.dtype == dtype else None
+
+
 def _if_firm(figure: Callable[[Drop], float]) -> Callable[[Drop], float | None]:
     return lambda drop: figure(drop) if drop.gains >= FIRM else None
 
@@ -107,6 +112,26 @@ def _way_below_the_cone(slope: Slope) -> float | None:
 MILLI, DEGREES, PERCENT = 1e3, math.degrees(1.0), 100.0
 
 BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        "the robot and MuJoCo's model of its MJCF file",
+        "relative error in `f64`",
+        FileResult,
+        _of("float64"),
+        most=1e-6,
+        digits=".1e",
+        reason="numbers of files have six digits and more, and both simulators round by 1e-16",
+        front_page=False,
+    ),
+    Bound(
+        "the robot and MuJoCo's model of its MJCF file",
+        "relative error in `f32`",
+        FileResult,
+        _of("float32"),
+        most=1e-4,
+        digits=".1e",
+        reason="as for the identities",
+        front_page=False,
+    ),
     Bound(
         "inertia, bias forces, kinematics, forward dynamics",
         "relative error in `f32`",

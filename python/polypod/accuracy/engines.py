@@ -167,7 +167,7 @@ def _simulation(
 ) -> polypod.Simulation:
     """A robot on its feet in the default pose, from its config or that of the path `source`."""
     sim = polypod.Simulation(
-        source or robot.name, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
+        source or robot.source, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
     )
     sim.set_state(pose(robot, 0.0))
     return sim

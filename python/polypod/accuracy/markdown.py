@@ -1,5 +1,6 @@
 """The tables of a report."""
 
+import dataclasses
 import math
 import textwrap
 from collections.abc import Iterable
@@ -14,11 +15,12 @@ from polypod.provenance import measured, sentence
 COMMAND = "make accuracy"
 
 
-def tables(report: Report) -> str:
-    """Everything, for docs/accuracy.md."""
+def tables(report: Report, command: str = COMMAND) -> str:
+    """Everything, for docs/accuracy.md; `command` makes them."""
     parts = (
         (_SETTINGS, ""),
         (_BOUNDS, _bounds(report)),
+        *([(_FILES, _files(report))] if report.files else []),
         (_STATICS, _statics(report)),
         (_RESPONSES, _responses(report)),
         (_DROPS, _drops(report)),
@@ -36,7 +38,7 @@ def tables(report: Report) -> str:
         "dt": 1e3 * DT,
         "fine": 1e3 * FINE,
         "slope_fine": 1e3 * SLOPE_FINE,
-        "command": COMMAND,
+        "command": command,
         "sweeps": sweeps.USUAL,
         "converged": sweeps.CONVERGED,
         "amplitude": sweeps.AMPLITUDE,
@@ -49,6 +51,8 @@ def tables(report: Report) -> str:
         "sensitive_height": 1e3 * _worst(abs(r.mujoco_coarse_height - r.mujoco_height) for r in report.drops),
         "sensitive_pitch": math.degrees(_worst(abs(r.mujoco_coarse_pitch - r.mujoco_pitch) for r in report.drops)),
         "standing": _standing_robots(report),
+        "sources": _sources(report),
+        "slowest": _slowest(report),
         "hanging": _hanging_robots(report),
         "mujoco_coarse": 1e3 * MUJOCO_COARSE,
     }
@@ -93,6 +97,19 @@ def _standing_robots(report: Report) -> str:
     return f"{said} Against their configs, {', '.join(report.fallen)} fell." if report.fallen else said
 
 
+def _sources(report: Report) -> str:
+    """Kinds of the robots' files."""
+    return "files" if report.origins else "URDFs"
+
+
+def _slowest(report: Report) -> str:
+    """Sentence that names the robots of which the usual number of sweeps leaves more than the step."""
+    names = [r.robot for r in report.sweeps if r.left[sweeps.USUAL] > r.step]
+    if not names:
+        return f"{sweeps.USUAL} sweeps leave less than the step."
+    return f"Of {', '.join(names)}, {sweeps.USUAL} sweeps leave more than the step."
+
+
 def _hanging_robots(report: Report) -> str:
     """Sentence that names the robots whose step responses are measured without gravity."""
     names = [r.robot for r in report.responses if not r.gravity]
@@ -102,7 +119,7 @@ def _hanging_robots(report: Report) -> str:
 
 
 _SETTINGS = """
-MuJoCo {mujoco} compiles the same URDFs; polypod computes in `f32` with {sweeps} sweeps. Written by `{command}`.
+MuJoCo {mujoco} compiles the same {sources}; polypod computes in `f32` with {sweeps} sweeps. Written by `{command}`.
 {measured}
 """
 
@@ -110,6 +127,13 @@ _BOUNDS = """### Bounds
 
 The largest figure of each quantity over all robots and cases, and the bound that it may not exceed. The command fails
 where one does (`python/polypod/accuracy/bounds.py`).
+"""
+
+_FILES = """### Against the MJCF file
+
+Robots that `polypod add` made of an MJCF file are compared with MuJoCo's model of it. Largest relative error over 8
+random states, in both precisions; *step* is what one physics step with damping and dry friction adds to the velocity.
+The tables below compare with the same model.
 """
 
 _STATICS = """### Identities
@@ -165,7 +189,7 @@ Robots kick about on the ground: new random targets every {control:g} ms, within
 position, with self-collision and friction {friction:g}. The table shows the error of the base's velocity after
 {control:g} ms from one state, root mean square, mm/s, against {converged} sweeps; there is no warm start at the
 beginning. *Step* is the error of physics steps of {dt:g} ms against {sweeps_fine:g} ms, {converged} sweeps in both.
-unitree_h1, a heavy trunk on light legs and flat feet, converges slowest: {sweeps} sweeps leave more than the step.
+{slowest}
 """
 
 _ENGINES = """### The two engines
@@ -187,6 +211,14 @@ A block of 2 kg, both simulators at 1 ms. Pushed over a level plane it stops aft
 half a step. On a slope it holds below `atan(mu)` and slides with `g (sin - mu cos)` above. Just below the limit
 MuJoCo's soft contacts creep.
 """
+
+
+def _files(report: Report) -> str:
+    head = ("robot", "precision", "mass", "com", "limits", "mass matrix", "bias", "forward", "step")
+    return table(
+        head,
+        [(r.robot, r.dtype, *(f"{error:.1e}" for error in dataclasses.astuple(r.errors))) for r in report.files],
+    )
 
 
 def _statics(report: Report) -> str:

@@ -114,7 +114,7 @@ def polypod_tracks(
 ) -> Array:
     """Joint positions [jumps, samples, joints] every 5 ms."""
     sim = polypod.Simulation(
-        robot.name,
+        robot.source,
         len(targets),
         dt=dt,
         engine=engine,

@@ -1,4 +1,4 @@
-"""MuJoCo's model of a robot, compiled by MuJoCo itself from the URDF that polypod reads.
+"""MuJoCo's model of a robot, compiled by MuJoCo itself from the URDF that polypod reads, or from the robot's MJCF file.
 
 Settings that differ from MuJoCo's defaults, and the reasons:
 
@@ -26,10 +26,11 @@ Settings that differ from MuJoCo's defaults, and the reasons:
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,9 @@ from polypod._core import ConfigError
 from polypod.accuracy.limits import Limits
 from polypod.accuracy.robot import Actuators, Array, Robot, Surface
 from polypod.extras import package
+
+if TYPE_CHECKING:
+    from polypod.accuracy.origin import Origin
 
 Integrator = Literal["implicitfast", "RK4"]
 
@@ -139,6 +143,7 @@ class Reference:
         locked_joints: Mapping[str, float] | None = None,
         surfaces: tuple[Surface, ...] = (),
         bounded: bool = False,
+        origin: "Origin | None" = None,
     ) -> None:
         """Compiles the model.
 
@@ -154,12 +159,18 @@ class Reference:
             locked_joints: joints of the URDF that do not move, and their positions, rad or m.
             surfaces: of links that differ from the rest of the robot where they touch the ground.
             bounded: whether `step` holds the limits of the actuators and of the joints.
+            origin: the MJCF file that the robot comes from, in the place of the URDF.
         """
         mj = mujoco()
-        spec = mj.MjSpec.from_string(urdf)
-        spec.compiler.fusestatic = False
-        for name, position in (locked_joints or {}).items():
-            _lock(mj, spec, name, position)
+        self._anchors: Mapping[str, Array] = {}
+        if origin is None:
+            spec = mj.MjSpec.from_string(urdf)
+            spec.compiler.fusestatic = False
+            for name, position in (locked_joints or {}).items():
+                _lock(mj, spec, name, position)
+        else:
+            spec = origin.spec(functools.partial(_lock, mj), locked_joints or {})
+            self._anchors = origin.anchors
         root = spec.worldbody.first_body()
         if not fixed_base:
             root.add_freejoint()
@@ -195,13 +206,14 @@ class Reference:
 
     @classmethod
     def of(cls, robot: Robot, **options: Any) -> "Reference":
-        """A robot of the library; `options` as in the constructor."""
+        """A robot, from its MJCF file if it has one; `options` as in the constructor."""
         return cls(
             robot.urdf,
             joint_names=robot.joint_names,
             actuators=robot.actuators,
             locked_joints=robot.locked_joints,
             surfaces=robot.surfaces,
+            origin=robot.origin,
             **options,
         )
 
@@ -251,7 +263,15 @@ class Reference:
     def link_pose(self, links: list[str]) -> tuple[Array, Array]:
         """Positions [links, 3] and rotation matrices [links, 3, 3], world."""
         ids = [self.model.body(name).id for name in links]
-        return np.array(self.data.xpos[ids]), np.array(self.data.xmat[ids]).reshape(-1, 3, 3)
+        at, turned = np.array(self.data.xpos[ids]), np.array(self.data.xmat[ids]).reshape(-1, 3, 3)
+        for place, name in enumerate(links):
+            if name in self._anchors:
+                at[place] += turned[place] @ self._anchors[name]
+        return at, turned
+
+    def has_link(self, name: str) -> bool:
+        """Whether a link is a body."""
+        return bool(self._mj.mj_name2id(self.model, int(self._mj.mjtObj.mjOBJ_BODY), name) >= 0)
 
     def contact_forces(self, links: list[str]) -> Array:
         """Net force [links, 3] of the ground on each link and on what is fixed to it, world axes, N."""
@@ -278,18 +298,30 @@ class Reference:
 
 
 def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
-    """Holds a joint of the URDF at a position: its body becomes part of its parent."""
+    """Holds a joint at a position: its body becomes part of its parent, and joints before it in the body turn with it."""
     joint = spec.joint(name)
     body, axis = joint.parent, np.array(joint.axis) / np.linalg.norm(joint.axis)
-    turn, moved = np.zeros(4), np.zeros(3)
+    turn, moved = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     if joint.type == mj.mjtJoint.mjJNT_SLIDE:
-        mj.mju_rotVecQuat(moved, position * axis, np.array(body.quat))
-        body.pos = np.array(body.pos) + moved
+        shift = (position - joint.ref) * axis
     else:
-        mj.mju_axisAngle2Quat(turn, axis, position)
-        turned = np.zeros(4)
-        mj.mju_mulQuat(turned, np.array(body.quat), turn)
-        body.quat = turned
+        mj.mju_axisAngle2Quat(turn, axis, position - joint.ref)
+        at = np.array(joint.pos)
+        mj.mju_rotVecQuat(moved, at, turn)
+        shift = at - moved
+    back = np.zeros(4)
+    mj.mju_negQuat(back, turn)
+    for other in list(body.joints):
+        if other.name == name:
+            break
+        for key, point in (("axis", np.array(other.axis)), ("pos", np.array(other.pos) - shift)):
+            mj.mju_rotVecQuat(moved, point, back)
+            setattr(other, key, moved.copy())
+    turned = np.zeros(4)
+    mj.mju_rotVecQuat(moved, shift, np.array(body.quat))
+    body.pos = np.array(body.pos) + moved
+    mj.mju_mulQuat(turned, np.array(body.quat), turn)
+    body.quat = turned
     spec.delete(joint)
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from polypod import documents
 from polypod.accuracy import motion, reference, robot
-from polypod.accuracy.bounds import Bound, exceeded
+from polypod.accuracy.bounds import BOUNDS, Bound, exceeded
 from polypod.accuracy.engines import Engines, compare_engines, stands
+from polypod.accuracy.file import FileResult, compare_file
 from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
 from polypod.accuracy.motion import StepResponse, compare_step_responses
 from polypod.accuracy.standing import (
@@ -54,16 +55,38 @@ class Report:
     slopes: list[Slope]
     fallen: list[str]
     """Robots that fall in their default pose, although their configs do not say so."""
+    files: list[FileResult] = dataclasses.field(default_factory=list)
+    """Of robots that come from MJCF files."""
+    origins: dict[str, Path] = dataclasses.field(default_factory=dict)
+    """The MJCF files by robot."""
 
     def results(self) -> list[object]:
         """All comparisons."""
-        lists = (self.statics, self.responses, self.drops, self.standing, self.rests, self.sweeps, self.engines)
+        lists = (
+            self.files,
+            self.statics,
+            self.responses,
+            self.drops,
+            self.standing,
+            self.rests,
+            self.sweeps,
+            self.engines,
+        )
         return [result for found in (*lists, self.slides, self.slopes) for result in found]
 
     def worst(self, bound: Bound) -> tuple[str, float] | None:
         """The largest figure of a bound, or one that is no number, and whose it is; None without any."""
         figures = [figure for result in self.results() for figure in bound.figures(result)]
         return max(figures, key=lambda figure: math.inf if math.isnan(figure[1]) else figure[1], default=None)
+
+    def verdict(self) -> str:
+        """One line on a report that keeps all bounds: the largest figure, as a share of its bound."""
+        found = [(worst[1] / bound.most, bound, worst) for bound in BOUNDS if (worst := self.worst(bound)) is not None]
+        _, bound, (name, figure) = max(found, key=lambda entry: entry[0])
+        return (
+            f"{len(found)} of {len(found)} bounds are kept; the nearest is that of {bound.quantity}, {bound.measured}: "
+            f"{bound.text(figure)} of {bound.limit} ({name})"
+        )
 
     def broken(self) -> list[str]:
         """Names the figures that exceed their bounds, in words."""
@@ -72,17 +95,29 @@ class Report:
 
 
 def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
-    """Runs every comparison for the robots named, or all; of standing for those that stand. Raises UnknownNameError."""
+    """Runs every comparison for these robots, or all; of standing for those that stand.
+
+    Args:
+        names: names, or paths of configs; None: all of the library.
+        progress: told what comes next.
+
+    Raises:
+        UnknownNameError: for a name that no robot has.
+        ConfigError: for a robot that cannot be compared.
+    """
     robots = [robot.load(name) for name in names or robot.names()]
-    standing = robot.names(standing=True)
     report = Report(reference.version(), [], [], [], [], [], [], [], [], [], [])
     for each in robots:
+        if each.origin is not None:
+            progress(f"{each.name}: MuJoCo's model of the file, {each.origin.file}")
+            report.origins[each.name] = each.origin.file
+            report.files.extend(compare_file(each))
         progress(f"{each.name}: identities, step responses, sweeps")
         converged = motion.converged_jumps(each)
         report.statics.append(compare_statics(each))
         report.responses.append(compare_step_responses(each, converged))
         report.sweeps.append(compare_sweeps(each))
-        if each.name not in standing:
+        if each.needs_policy:
             progress(f"{each.name} needs a policy to stand")
             continue
         if not stands(each, "articulated", DT):

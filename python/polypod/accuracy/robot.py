@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,6 +17,9 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.compat import tomllib
+
+if TYPE_CHECKING:
+    from polypod.accuracy.origin import Origin
 
 Array = npt.NDArray[np.float64]
 
@@ -89,7 +92,7 @@ class Surface:
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A robot of the library."""
+    """A robot of the library, or of a config."""
 
     name: str
     urdf: str
@@ -105,6 +108,14 @@ class Robot:
     actuators: Actuators
     locked_joints: dict[str, float]
     """Joints of the URDF that are held for good, by name, and where, rad or m."""
+    source: str
+    """Its name in the library, or the path of its config."""
+    needs_policy: bool
+    """Whether its config says that only a policy can balance it."""
+    urdf_file: str
+    """`urdf` of its config."""
+    origin: "Origin | None" = None
+    """The MJCF file that it comes from; None: it is compared with MuJoCo's model of its URDF."""
     surfaces: tuple[Surface, ...] = ()
 
     @property
@@ -134,14 +145,21 @@ def names(*, standing: bool = False) -> list[str]:
 
 
 @functools.cache
-def load(name: str) -> Robot:
-    """Reads a robot of the library with its actuators.
+def load(source: str) -> Robot:
+    """Reads a robot with its actuators, by its name or the path of its config.
 
     Raises:
         UnknownNameError: for another name.
-        ConfigError: for a robot whose actuators are networks.
+        ConfigError: for a config that cannot be read, and for a robot whose actuators are networks.
     """
-    robot = of(_core.VecSim(TASK, 1, robots=[name], threads=1), name, name)
+    # it imports what imports this module
+    from polypod.accuracy import origin
+
+    sim = _core.VecSim(TASK, 1, robots=[source], threads=1)
+    (name,) = sim.robots
+    robot = of(sim, name, source)
+    base = str(_core.Simulation(source, threads=1, ground=None).link_names[0])
+    robot = dataclasses.replace(robot, origin=origin.find(source, robot.urdf_file, base))
     if robot.actuators.networks.any():
         raise _core.ConfigError(
             f"{name}: its actuators are networks, and accuracy compares engines under gains; compare the robot it "
@@ -159,7 +177,8 @@ def with_actuators(robot: Robot, groups: Mapping[str, Mapping[str, float]]) -> I
     )
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / f"{robot.name}.toml"
-        identity = f'extends = "{robot.name}"\nname = "{robot.name}"\ntitle = "{robot.name}"\n'
+        above = str(Path(robot.source).absolute()) if robot.source.endswith(".toml") else robot.source
+        identity = f'extends = {json.dumps(above)}\nname = "{robot.name}"\ntitle = "{robot.name}"\n'
         config.write_text(identity + "".join(tables), encoding="utf-8")
         yield str(config)
 
@@ -190,6 +209,9 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
             velocity_limit=_limits(info["velocity_limit"], np.inf),
         ),
         locked_joints=config.get("locked_joints", {}),
+        source=source,
+        needs_policy=bool(config.get("needs_policy")),
+        urdf_file=config["urdf"],
         surfaces=tuple(
             Surface(**{**table, "bodies": tuple(table["bodies"])}) for table in config.get("surfaces", {}).values()
         ),

@@ -153,7 +153,7 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
 
     with with_actuators(robot, lifted) as config:
         fine = drop(config, dt)
-    coarse, theirs, theirs_coarse = drop(robot.name, DT), mujoco_drop(dt), mujoco_drop(MUJOCO_COARSE)
+    coarse, theirs, theirs_coarse = drop(robot.source, DT), mujoco_drop(dt), mujoco_drop(MUJOCO_COARSE)
     return Drop(
         robot=robot.name,
         gains=gains,
@@ -172,7 +172,7 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
 def compare_standing(robot: Robot) -> Standing:
     """Sets a robot on its feet and lets it settle."""
     start = pose(robot, 0.0)
-    sim = polypod.Simulation(robot.name, dt=DT, friction=FRICTION, self_collision=False, threads=1)
+    sim = polypod.Simulation(robot.source, dt=DT, friction=FRICTION, self_collision=False, threads=1)
     sim.set_state(start)
     hold(sim, robot, SETTLE_TIME)
     mujoco = Reference.of(robot, dt=FINE, ground=Ground(FRICTION), bounded=True)
@@ -201,7 +201,7 @@ def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
     start[3:7] = [math.cos(SLOPE_ANGLE / 2), *(math.sin(SLOPE_ANGLE / 2) * axis)]
     x, y, z = (float(component) for component in normal)
     sim = polypod.Simulation(
-        robot.name, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False, threads=1
+        robot.source, dt=DT, friction=FRICTION, ground_normal=(x, y, z), self_collision=False, threads=1
     )
     sim.set_state(start)
     mujoco = Reference.of(robot, dt=SLOPE_FINE, ground=Ground(FRICTION, (x, y, z)), bounded=True)

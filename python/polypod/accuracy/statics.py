@@ -61,7 +61,7 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
     uniform within their ranges (at most a half turn), up to 5 rad/s. Torques: up to the effort limit.
     """
     rng = np.random.default_rng(seed)
-    sim = polypod.Simulation(robot.name, states, ground=None, dtype=dtype, self_collision=False, threads=1)
+    sim = polypod.Simulation(robot.source, states, ground=None, dtype=dtype, self_collision=False, threads=1)
     mujoco = Reference.of(robot, dt=sim.dt)
     joints = robot.num_joints
     limits = np.clip(robot.joint_range, -np.pi, np.pi)
@@ -75,12 +75,14 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
     torque = rng.uniform(-1.0, 1.0, (states, joints)) * np.minimum(sim.effort_limit, 1000.0)
     sim.set_state(qpos, qvel)
 
-    links = list(sim.link_names)
+    # a body with several joints is a chain of links in polypod, of which MuJoCo has the last one
+    links = [link for link in sim.link_names if mujoco.has_link(link)]
+    kept = [place for place, link in enumerate(sim.link_names) if link in links]
     position, rotation = sim.link_pose()
     ours = {
         "center_of_mass": sim.center_of_mass(),
-        "link_position": position,
-        "link_rotation": _matrices(rotation),
+        "link_position": position[:, kept],
+        "link_rotation": _matrices(rotation[:, kept]),
         "mass_matrix": sim.mass_matrix(),
         "bias_force": sim.bias_force(),
         "forward_dynamics": sim.forward_dynamics(torque),

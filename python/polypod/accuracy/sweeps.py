@@ -61,7 +61,7 @@ def compare_sweeps(robot: Robot, *, seed: int = 0) -> Sweeps:
 
 
 def _simulation(robot: Robot, dt: float, sweeps: int) -> polypod.Simulation:
-    return polypod.Simulation(robot.name, ENVS, dt=dt, friction=FRICTION, solver_iterations=sweeps, threads=1)
+    return polypod.Simulation(robot.source, ENVS, dt=dt, friction=FRICTION, solver_iterations=sweeps, threads=1)
 
 
 def _base_velocity(sim: polypod.Simulation, qpos: Array, qvel: Array, targets: Array) -> Array:

@@ -1,7 +1,8 @@
 """`polypod add`: any description of a legged robot becomes a robot of a library.
 
-`sources` finds the file, `mjcf` has MuJoCo compile an MJCF file and writes it down as a `description`, `urdf` copies a
-URDF, `toml` puts what the file says of actuators into the draft, and `judge` compares the robot with MuJoCo's model.
+`sources` finds the file, `mjcf` has MuJoCo compile an MJCF file and writes it down as a `description`, `kept` writes
+MuJoCo's model into one file, `urdf` copies a URDF, `toml` puts what the file says of actuators into the draft, and
+`judge` compares the robot with MuJoCo's model.
 """
 
 import contextlib
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from polypod import _core, new_robot
-from polypod.add import description, judge, mjcf, sources, urdf
+from polypod.add import description, judge, kept, mjcf, sources, urdf
 from polypod.add.description import Description
 from polypod.add.toml import Slots, refined
 from polypod.add.xacro import expand
@@ -54,6 +55,8 @@ class _Found:
     compiled: mjcf.Compiled | None
     original: str
     """Text of a URDF as it was."""
+    model: str | None = None
+    """MuJoCo's model of an MJCF file, as one file."""
 
 
 def add(
@@ -146,12 +149,18 @@ def _check_name(name: str, config: Path, force: bool) -> None:
 
 def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
     if found.kind == "mjcf":
-        made, described = mjcf.read(found.file, root)
+        made = mjcf.compiled(found.file, root)
+        reader = mjcf.Reader(mjcf.mujoco(), made, found.file)
+        described = reader.description()
+        model = kept.text(reader)
+        notes = list(described.notes)
+        if model is None:
+            notes.append(f"MuJoCo's model of the file: {kept.NAME} left out: it cannot be written as one file")
         meshes = {
             f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes
         }
         meshes.pop(".obj", None)
-        return _Found(made.name, description.urdf(described), meshes, list(described.notes), described, made, "")
+        return _Found(made.name, description.urdf(described), meshes, notes, described, made, "", model)
     if root is not None:
         raise _core.ConfigError(
             f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out"
@@ -180,6 +189,8 @@ def _write(
     for mesh, data in read.meshes.items():
         write_bytes(assets / "meshes" / mesh, data)
     write_text(assets / "robot.urdf", read.urdf)
+    if read.model is not None:
+        write_text(assets / kept.NAME, read.model)
     config = folder / "configs" / "robots" / f"{name}.toml"
 
     def stood(refine: Callable[[str], str] | None) -> new_robot.NewRobot:
@@ -287,6 +298,13 @@ def _source(
     lines += ["## Deviations", "", *[f"- {_escaped(note)}" for note in notes or ["none"]], ""]
     if read.described is not None:
         lines += _table(read.described)
+    if read.model is not None:
+        lines += [
+            "## MuJoCo's model",
+            "",
+            f"`{kept.NAME}`: what MuJoCo compiles of the file, without what is only seen.",
+        ]
+        lines += ["`polypod accuracy` compares the robot with it; `polypod sim2sim --model` plays policies on it.", ""]
     if errors:
         lines += ["## How it was checked", "", "Largest relative difference from MuJoCo's model of the file:", ""]
         lines += ["| | " + " | ".join(errors) + " |", "|---|" + "---|" * len(errors)]

@@ -9,6 +9,7 @@ carry an infinite rotor there.
 import copy
 import dataclasses
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class Errors:
 
 
 def compare(
-    robot: Path,
+    robot: Path | str,
     description: Description,
     model: Any,
     base: int,
@@ -63,17 +64,19 @@ def compare(
     dtype: str = "float64",
     states: int = 8,
     seed: int = 0,
+    speed_limits: Sequence[float] | None = None,
 ) -> Errors:
     """Compares a robot with MuJoCo's model of its file.
 
     Args:
-        robot: the robot's TOML.
+        robot: the robot's TOML, or its name.
         description: what was written down.
         model: MuJoCo's; it is not changed.
         base: the base's body in it.
         dtype: precision of polypod's side.
         states: random states.
         seed: of the states.
+        speed_limits: of the actuators, rad/s or m/s; None: those of the TOML.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -88,7 +91,8 @@ def compare(
     qpos = np.hstack(
         [rng.uniform(-1.0, 1.0, (states, 3)), quaternion, rng.uniform(lower + inset, upper - inset, (states, joints))]
     )
-    fastest = min([FASTEST, *(0.9 * limit for limit in _speed_limits(robot))])
+    limits = _speed_limits(Path(robot)) if speed_limits is None else speed_limits
+    fastest = min([FASTEST, *(0.9 * limit for limit in limits)])
     speeds = rng.uniform(0.4 * fastest, fastest, (states, joints)) * rng.choice([-1.0, 1.0], (states, joints))
     qvel = np.hstack([rng.uniform(-1.0, 1.0, (states, 3)), rng.uniform(-3.0, 3.0, (states, 3)), speeds])
     sim.set_state(qpos, qvel)

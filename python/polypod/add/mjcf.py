@@ -61,6 +61,8 @@ class Compiled:
     base: int
     name: str
     notes: list[str]
+    spec: Any
+    """`mujoco.MjSpec` that it is compiled from."""
 
     def bodies(self) -> list[int]:
         """The robot's bodies, parents before children."""
@@ -113,7 +115,7 @@ def compiled(file: Path, root: str | None = None) -> Compiled:
     except (ValueError, mj.FatalError) as error:
         text = " ".join(str(error).split())
         raise _core.ConfigError(f"{file}: MuJoCo does not compile it: {text}; correct the file") from error
-    return Compiled(model, base.id, _name_of(spec.modelname, file), notes)
+    return Compiled(model, base.id, _name_of(spec.modelname, file), notes, spec)
 
 
 def _name_of(model: str, file: Path) -> str:
@@ -244,12 +246,15 @@ class Reader:
         self.notes = list(made.notes)
         self._taken: set[str] = set()
         self._ellipsoids: dict[str, float] = {}
+        self._place: dict[int, tuple[int, Array]] = {}
+        self.link_of: dict[int, tuple[str, Array]] = {}
+        """Link that carries what hangs on a body, and its origin in the body's frame, m; after `description`."""
         self.data = mj.MjData(self.model)
         self.key, self.home = self._home()
         self.data.qpos[:] = self.home
         mj.mj_kinematics(self.model, self.data)
         self.joints = [joint for joint in range(self.model.njnt) if int(self.model.jnt_bodyid[joint]) in self.inside]
-        self.names = {joint: self._unique(self._named("JOINT", joint), "joint", joint) for joint in self.joints}
+        self.names = {joint: self._unique(self.named("JOINT", joint), "joint", joint) for joint in self.joints}
 
     def description(self) -> Description:
         """The robot. Raises ConfigError."""
@@ -262,7 +267,8 @@ class Reader:
         self._left_out()
         return Description(self.made.name, links, self.key, held, self.notes)
 
-    def _named(self, kind: str, index: int) -> str:
+    def named(self, kind: str, index: int) -> str:
+        """Name of an object of a kind such as JOINT; nothing where the file has none."""
         return self.mj.mj_id2name(self.model, getattr(self.mj.mjtObj, f"mjOBJ_{kind}"), index) or ""
 
     def _unique(self, name: str, kind: str, index: int) -> str:
@@ -277,7 +283,7 @@ class Reader:
 
     def _home(self) -> tuple[str | None, Array]:
         """Name and positions of the keyframe that the robot stands in; without any the written positions."""
-        names = [self._named("KEY", key) for key in range(self.model.nkey)]
+        names = [self.named("KEY", key) for key in range(self.model.nkey)]
         found = [names.index(name) for name in POSES if name in names] or list(range(len(names)))
         if not found:
             return None, np.array(self.model.qpos0)
@@ -296,7 +302,7 @@ class Reader:
         odd: dict[str, list[str]] = {}
         at_joint = (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
         for index in range(model.nu):
-            name = self._named("ACTUATOR", index) or f"actuator_{index}"
+            name = self.named("ACTUATOR", index) or f"actuator_{index}"
             target, kind = int(model.actuator_trnid[index][0]), int(model.actuator_trntype[index])
             if kind == int(mj.mjtTrn.mjTRN_TENDON):
                 for joint in self._tendon_joints(target):
@@ -376,7 +382,7 @@ class Reader:
             if not model.eq_active0[index]:
                 continue
             kind = int(model.eq_type[index])
-            name = self._named("EQUALITY", index) or f"equality_{index}"
+            name = self.named("EQUALITY", index) or f"equality_{index}"
             if kind == int(mj.mjtEq.mjEQ_JOINT):
                 joint, other = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
                 if joint in self.names and self._moves(joint):
@@ -434,8 +440,8 @@ class Reader:
     def _links(self, drives: dict[int, Drive]) -> list[Link]:
         model = self.model
         links: list[Link] = []
-        place: dict[int, tuple[int, Array]] = {}
-        floor = self._floor()
+        place = self._place
+        floor = self.floor()
         balls = []
         for body in self.bodies:
             at, turn = np.array(model.body_pos[body]), matrix(model.body_quat[body])
@@ -448,7 +454,7 @@ class Reader:
             own = range(first, first + int(model.body_jntnum[body]))
             balls += [joint for joint in own if int(model.jnt_type[joint]) == int(self.mj.mjtJoint.mjJNT_BALL)]
             moving = [joint for joint in own if self._moves(joint)]
-            name = self._unique(self._named("BODY", body), "body", body)
+            name = self._unique(self.named("BODY", body), "body", body)
             anchor = np.zeros(3)
             tokens = []
             for number, joint in enumerate(moving):
@@ -465,6 +471,7 @@ class Reader:
             if not moving:
                 links.append(Link(name, parent, at, turn, None))
             place[body] = (len(links) - 1, anchor)
+            self.link_of[body] = (links[-1].name, anchor)
             links[-1] = self._with_mass(links[-1], body, anchor, tokens)
             self._touch(links, body, anchor, floor)
         if balls:
@@ -540,7 +547,7 @@ class Reader:
 
     # Shapes
 
-    def _floor(self) -> tuple[int, int]:
+    def floor(self) -> tuple[int, int]:
         """`contype` and `conaffinity` of the file's ground; of a plane that touches everything, if it has none."""
         model, ground = self.model, self._ground()
         return (1, 1) if ground is None else (int(model.geom_contype[ground]), int(model.geom_conaffinity[ground]))
@@ -555,7 +562,8 @@ class Reader:
                 return geom
         return None
 
-    def _touches(self, geom: int, floor: tuple[int, int]) -> bool:
+    def touches(self, geom: int, floor: tuple[int, int]) -> bool:
+        """Whether a geom can touch a ground with these `contype` and `conaffinity`."""
         model = self.model
         if (int(model.geom_contype[geom]) & floor[1]) or (floor[0] & int(model.geom_conaffinity[geom])):
             return True
@@ -592,7 +600,7 @@ class Reader:
         geoms = [
             geom
             for geom in range(first, first + int(model.body_geomnum[body]))
-            if first >= 0 and self._touches(geom, floor)
+            if first >= 0 and self.touches(geom, floor)
         ]
         shapes = [(geom, shape) for geom in geoms if (shape := self._shape(geom, anchor)) is not None]
         standing = self._standing([geom for geom, _ in shapes], body)
@@ -613,7 +621,7 @@ class Reader:
         model = self.model
         if len(geoms) < 2 or any(self._moving_below(child) for child in self._children(body)):
             return set()
-        named = {geom for geom in geoms if FOOT_NAMES.search(self._named("GEOM", geom))}
+        named = {geom for geom in geoms if FOOT_NAMES.search(self.named("GEOM", geom))}
         first = {geom for geom in geoms if int(model.geom_priority[geom]) > 0}
         depth = {geom: self._lowest(geom) for geom in geoms}
         low = {geom for geom in geoms if depth[geom] <= min(depth.values()) + SOLE}
@@ -638,7 +646,7 @@ class Reader:
         kind, size = int(model.geom_type[geom]), model.geom_size[geom]
         types = self.mj.mjtGeom
         if kind == int(types.mjGEOM_MESH):
-            return float(middle[2] - (self._vertices(geom)[0] @ down).max())
+            return float(middle[2] - (self.vertices(geom)[0] @ down).max())
         reach = {
             int(types.mjGEOM_SPHERE): size[0],
             int(types.mjGEOM_CAPSULE): size[0] + size[1] * abs(down[2]),
@@ -651,7 +659,7 @@ class Reader:
         model, types = self.model, self.mj.mjtGeom
         at, turn = np.array(model.geom_pos[geom]) - anchor, matrix(model.geom_quat[geom])
         kind, size = int(model.geom_type[geom]), [float(edge) for edge in model.geom_size[geom]]
-        name = self._named("GEOM", geom) or f"geom_{geom}"
+        name = self.named("GEOM", geom) or f"geom_{geom}"
         surface = self._surface(geom)
         if kind == int(types.mjGEOM_SPHERE):
             return Shape("sphere", (size[0],), at, turn, surface=surface)
@@ -668,12 +676,12 @@ class Reader:
             vertices, faces = ball(np.array(size))
             return Shape("mesh", (), at, turn, _file_name(name), vertices, faces, surface)
         if kind == int(types.mjGEOM_MESH):
-            vertices, faces = self._vertices(geom)
+            vertices, faces = self.vertices(geom)
             return Shape("mesh", (), at, turn, _file_name(f"{name}_{geom}"), vertices, faces, surface)
         self.notes.append(f"geom {name}: a plane, height field or distance field on the robot: left out")
         return None
 
-    def _vertices(self, geom: int) -> tuple[Array, Any]:
+    def vertices(self, geom: int) -> tuple[Array, Any]:
         """Corners and faces of the convex hull of a geom's mesh; all corners where MuJoCo has made no hull."""
         model = self.model
         mesh = int(model.geom_dataid[geom])
@@ -704,7 +712,7 @@ class Reader:
             if (is_imu or is_touch) and int(model.sensor_objtype[sensor]) == int(mj.mjtObj.mjOBJ_SITE):
                 wanted.add(int(model.sensor_objid[sensor]))
         for site in range(model.nsite):
-            name = self._named("SITE", site)
+            name = self.named("SITE", site)
             body = int(model.site_bodyid[site])
             if body not in self.inside or not (site in wanted or re.search("imu|foot", name, re.IGNORECASE)):
                 continue
@@ -734,7 +742,7 @@ class Reader:
         if curved is not None and np.any(np.asarray(curved)[dofs]):
             self.notes.append("damping that is no multiple of the speed: left out but for its linear part")
         if model.ntendon:
-            names = [self._named("TENDON", tendon) or f"tendon_{tendon}" for tendon in range(model.ntendon)]
+            names = [self.named("TENDON", tendon) or f"tendon_{tendon}" for tendon in range(model.ntendon)]
             self.notes.append(f"tendon {listed(names)}: left out")
         if getattr(model, "nflex", 0) or getattr(model, "nskin", 0):
             self.notes.append("flexible bodies and skins: left out")
@@ -743,7 +751,7 @@ class Reader:
         if model.opt.density or model.opt.viscosity or np.any(model.opt.wind):
             self.notes.append("the medium's density, viscosity and wind: left out")
         others = [
-            self._named("BODY", body) or f"body_{body}"
+            self.named("BODY", body) or f"body_{body}"
             for body in range(1, model.nbody)
             if int(model.body_parentid[body]) == 0 and body not in self.inside and int(model.body_dofnum[body])
         ]

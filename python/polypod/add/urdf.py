@@ -101,6 +101,13 @@ def _parsed(text: str, file: Path) -> ElementTree.Element:
     return root
 
 
+def root_link(text: str, file: Path) -> str:
+    """Name of the link of a URDF that hangs on no joint. Raises ConfigError for what is no URDF."""
+    root = _parsed(text, file)
+    below = {_end(joint, "child") for joint in root.findall("joint")}
+    return next((str(link.get("name")) for link in root.findall("link") if link.get("name") not in below), "")
+
+
 def _resolved(name: str, file: Path, package_dirs: Mapping[str, Path]) -> Path | None:
     """The file of a mesh, looked for as the loader does; None where it is not there."""
     package = re.match(r"(?:package|model)://([^/]+)/(.+)", name)

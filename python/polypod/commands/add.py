@@ -69,10 +69,12 @@ class Add:
             print("  no licence is next to it: look for it before you pass the robot on")
         print_standing(new)
         if added.errors:
-            figures = ", ".join(f"{each.worst():.0e} in {dtype}" for dtype, each in added.errors.items())
-            bounds = " and ".join(f"{bound:g}" for bound in judge.BOUNDS.values())
-            print(f"{new.name}: moves as MuJoCo's model of the file: at most {figures} apart (bounds {bounds})")
+            figures = ", ".join(
+                f"{each.worst():.0e} of {judge.BOUNDS[dtype]:g} in {dtype}" for dtype, each in added.errors.items()
+            )
+            print(f"{new.name}: dynamics agree with MuJoCo's model of the file: {figures}")
         is_known = str(out) in library
         path = "" if is_known else f"{PATH}={out} "
+        print(f"compare how it moves and stands:  {path}polypod accuracy {new.name}")
         print(f"train it:  {path}{training_of(new, new.name)}")
         return 0

@@ -378,7 +378,8 @@ def run_polypod(
             np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
         )
         observation[:, command] = given
-        sim.step(policy(observation))
+        # the actions of a robot that lies on the ground are not judged, and may be beyond what a step takes
+        sim.step(np.where(record.active[:, None], policy(observation), np.float32(0.0)))
         record.add(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated, commands)
         if seen is not None:
             seen(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated)

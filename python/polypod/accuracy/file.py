@@ -1,0 +1,45 @@
+"""A robot and MuJoCo's model of the MJCF file that it comes from: what `polypod add` compares, in the tables."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from polypod.accuracy.robot import Robot
+
+if TYPE_CHECKING:
+    from polypod.add import judge
+
+
+@dataclasses.dataclass(frozen=True)
+class FileResult:
+    """Differences from MuJoCo's model of the file at random states, in one precision."""
+
+    robot: str
+    dtype: str
+    errors: "judge.Errors"
+
+    def worst(self) -> float:
+        """The largest of the errors."""
+        return self.errors.worst()
+
+
+def compare_file(robot: Robot) -> list[FileResult]:
+    """Compares masses, limits, dynamics and one step in both precisions; nothing for a robot without an MJCF file."""
+    # it imports this package
+    from polypod.add import judge
+
+    if robot.origin is None:
+        return []
+    made, described = robot.origin.made, robot.origin.described
+    described = dataclasses.replace(described, held={**described.held, **robot.locked_joints})
+    speeds = np.minimum(robot.actuators.speed_limit, robot.actuators.no_load_speed)
+    limits = speeds[np.isfinite(speeds)].tolist()
+    return [
+        FileResult(
+            robot.name,
+            dtype,
+            judge.compare(robot.source, described, made.model, made.base, dtype=dtype, speed_limits=limits),
+        )
+        for dtype in judge.BOUNDS
+    ]

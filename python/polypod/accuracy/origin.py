@@ -1,0 +1,160 @@
+"""The file that a robot comes from, as MuJoCo compiles it.
+
+`polypod add` keeps the model of an MJCF file next to the robot's URDF (`polypod.add.kept`). A robot with such a file is
+compared with this model: its bodies, joints, armature, damping, dry friction and shapes are the file's. What the tables
+compare is set in the same way for all robots, see `polypod.accuracy.reference`: actuators and their limits, friction
+and stiffness of contacts, held joints. What polypod leaves out is off: springs, tendons, equality constraints, the
+medium, and shapes that the ground does not touch. All other robots are compared with MuJoCo's model of their URDF.
+"""
+
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polypod.add import judge, kept, mjcf, urdf
+from polypod.add.description import Array, Description
+from polypod.registration import PATH
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """An MJCF file of one robot."""
+
+    file: Path
+    made: mjcf.Compiled
+    described: Description
+    links: Mapping[int, tuple[str, Array]]
+    """Link of each body of the robot, by the body's number, and its origin in the body's frame, m."""
+    joints: Mapping[int, str]
+    """Names of the robot's joints by their numbers."""
+    touching: frozenset[int]
+    """Geoms that the ground can touch."""
+
+    @property
+    def base(self) -> str:
+        """The link of the body that is the base."""
+        return self.links[self.made.base][0]
+
+    @property
+    def anchors(self) -> dict[str, Array]:
+        """Origins of the links in the frames of their bodies, by link, m."""
+        return dict(self.links.values())
+
+    def spec(self, lock: Callable[[Any, str, float], None], held: Mapping[str, float]) -> Any:
+        """`mujoco.MjSpec` of the robot alone at the world's origin, its base fixed, without actuators and ground.
+
+        Args:
+            lock: holds a joint of a spec, by its name, at a position.
+            held: joints that polypod holds, and where, rad or m.
+        """
+        mj = mjcf.mujoco()
+        spec = mj.MjSpec.from_file(str(self.file))
+        spec.compile()
+        # numbers are those of the compiled model until something is deleted
+        base = next(body for body in spec.bodies if body.id == self.made.base)
+        moving, stiff, unseen = [], [], []
+        for body in spec.bodies:
+            if body.id in self.links:
+                body.name, body.gravcomp = self.links[body.id][0], 0.0
+        for joint in spec.joints:
+            if joint.id in self.joints:
+                is_held = joint.type in (mj.mjtJoint.mjJNT_FREE, mj.mjtJoint.mjJNT_BALL)
+                (stiff if is_held else moving).append(joint)
+                joint.name = self.joints[joint.id]
+        unseen = [geom for geom in spec.geoms if geom.id not in self.touching]
+        others = [body for body in _tops(spec) if body.id != base.id]
+        for joint in moving:
+            joint.stiffness = 0.0 * np.asarray(joint.stiffness)
+            # only what grows with the speed itself is damping in polypod
+            linear = np.array(joint.damping)
+            linear.ravel()[1:] = 0.0
+            joint.damping = linear
+        for parts in (
+            spec.keys,
+            spec.actuators,
+            spec.sensors,
+            spec.equalities,
+            spec.tendons,
+            spec.pairs,
+            spec.excludes,
+        ):
+            for part in list(parts):
+                spec.delete(part)
+        for part in (*stiff, *unseen, *others):
+            spec.delete(part)
+        base.pos, base.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+        option, usual = spec.option, mj.MjSpec().option
+        for name in (
+            "density",
+            "viscosity",
+            "wind",
+            "disableflags",
+            "enableflags",
+            "solver",
+            "iterations",
+            "tolerance",
+        ):
+            setattr(option, name, getattr(usual, name))
+        for name, position in held.items():
+            if name in self.joints.values():
+                lock(spec, name, position)
+        return spec
+
+
+def _tops(spec: Any) -> list[Any]:
+    found, body = [], spec.worldbody.first_body()
+    while body is not None:
+        found.append(body)
+        body = spec.worldbody.next_body(body)
+    return found
+
+
+def find(source: str, urdf_key: str, base: str) -> Origin | None:
+    """The MJCF file of a robot; None where it has none, or where its base is another body than polypod's.
+
+    Args:
+        source: name of the robot, or path of its config.
+        urdf_key: `urdf` of its config.
+        base: the link that is polypod's base.
+
+    Raises:
+        ConfigError: where MuJoCo does not compile the file.
+    """
+    folders = [Path(folder) for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]
+    if source.endswith(".toml"):
+        folders = [Path(source).absolute().parent, *list(Path(source).absolute().parents)[2:3], *folders]
+    for folder in folders:
+        place = folder / urdf_key
+        if place.is_file():
+            file = place.with_name(kept.NAME)
+            found = read(file, urdf.root_link(urdf.read(place), place)) if file.is_file() else None
+            return found if found is not None and found.base == base else None
+    return None
+
+
+@functools.cache
+def read(file: Path, root: str) -> Origin:
+    """Reads a file that `add` kept; `root` is the link that its base became. Raises ConfigError."""
+    spec = mjcf.mujoco().MjSpec.from_file(str(file))
+    named = any(body.name == root for body in _tops(spec))
+    made = mjcf.compiled(file, root if named else None)
+    reader = mjcf.Reader(mjcf.mujoco(), made, file)
+    described = reader.description()
+    floor = reader.floor()
+    return Origin(
+        file=file,
+        made=made,
+        described=described,
+        links=dict(reader.link_of),
+        joints=dict(reader.names),
+        touching=frozenset(
+            geom
+            for geom in range(made.model.ngeom)
+            if int(made.model.geom_bodyid[geom]) in reader.inside and reader.touches(geom, floor)
+        ),
+    )
