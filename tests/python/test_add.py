@@ -373,6 +373,15 @@ def test_a_polyhedron_stands_for_an_ellipsoid_within_its_bound():
     assert (np.einsum("fk,fk->f", np.cross(second - first, third - first), first) > 0.0).all()
 
 
+def test_limits_that_a_draft_narrows_are_no_difference(tmp_path):
+    """Of legs that the file lets turn freely; `add` would refuse a robot that differs from MuJoCo's model."""
+    file = tmp_path / "fox.xml"
+    file.write_text(fox().replace('"flexion"><joint range="-1.5 2.5"/>', '"flexion"><joint range="-3.3 3.3"/>'))
+    added = add(str(file), tmp_path / "mine")
+    assert set(tomllib.loads(added.new.path.read_text())["joint_limits"]) >= {"LF_HFE", "RH_HFE"}
+    assert all(errors.joint_limits == 0.0 for errors in added.errors.values())
+
+
 def test_height_fields_and_pictures_of_a_scene_may_be_missing(tmp_path, written):
     """Neither is read: the ground is the task's, and nobody looks."""
     assets = '<asset><hfield name="hills" file="hills.png" size="9 9 1 1"/><texture name="t" type="2d" file="t.png"/>'

@@ -234,6 +234,29 @@ sys.exit(main())
     assert "pip install 'polypod[train]'" in done.stderr
 
 
+def test_check_takes_robots_as_well(main, tmp_path, monkeypatch):
+    code, output, _ = main("check", "anymal_b_kinova")
+    assert code == 0
+    # the fingers are held, as its config says
+    assert "(assets/robots/anymal_b_kinova/robot.urdf)" in output
+    assert "18 joints" in output
+    library = tmp_path / "mine"
+    for folder in ("configs/robots", "assets/robots/dog"):
+        (library / folder).mkdir(parents=True)
+    (library / "assets/robots/dog/robot.urdf").write_text(polypod._core.robot_urdf("unitree_go2"))
+    config = library / "configs/robots/dog.toml"
+    config.write_text('extends = "unitree_go2"\nname = "dog"\ntitle = "dog"\nurdf = "assets/robots/dog/robot.urdf"\n')
+    monkeypatch.setenv("POLYPOD_PATH", str(library))
+    for robot in ("dog", str(config)):
+        code, output, _ = main("check", robot, "--lock", "FL_calf_joint=-1.5")
+        assert code == 0
+        assert f"({library / 'assets/robots/dog/robot.urdf'})" in output
+        assert "11 joints" in output
+    code, _, errors = main("check", "spott")
+    assert code == 2
+    assert "did you mean `spot`?" in errors
+
+
 def test_check(main, tmp_path):
     folder = Path(__file__).parents[1] / "data" / "urdf"
     code, output, _ = main("check", str(folder / "mixed.urdf"))

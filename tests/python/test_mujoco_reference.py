@@ -1,5 +1,7 @@
 """The MuJoCo models that polypod is compared with have the robots' own joints, limits and stops."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -41,3 +43,19 @@ def test_in_the_default_pose_the_lowest_shape_touches_the_ground(name: str) -> N
     assert height == pytest.approx(sim.default_qpos[2], abs=1e-6)
     sim.set_state(np.array([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0, *load(name).default_position]))
     assert sim.ground_gap().min() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_position_limits_of_a_config_hold_in_mujoco(tmp_path: Path) -> None:
+    """`[joint_limits]` narrows the URDF's, in the direction of the slot."""
+    config = tmp_path / "narrow.toml"
+    config.write_text(
+        'extends = "unitree_h1"\nname = "narrow"\ntitle = "narrow"\n[joint_limits]\nL_HIP_PITCH = [-0.6, 0.4]\n'
+    )
+    robot = load(str(config))
+    model = Reference.of(robot, dt=0.001).model
+    wide = Reference.of(load("unitree_h1"), dt=0.001).model
+    ranges = np.array([model.jnt_range[model.joint(name).id] for name in robot.joint_names])
+    np.testing.assert_allclose(ranges, robot.joint_range, atol=1e-7)
+    moved = [k for k in range(1, model.njnt) if not np.array_equal(model.jnt_range[k], wide.jnt_range[k])]
+    assert [model.joint(k).name for k in moved] == ["left_hip_pitch_joint"]
+    assert model.jnt_range[moved[0]] == pytest.approx([-0.6, 0.4])

@@ -39,7 +39,15 @@ def compare_file(robot: Robot) -> list[FileResult]:
         FileResult(
             robot.name,
             dtype,
-            judge.compare(robot.source, described, made.model, made.base, dtype=dtype, speed_limits=limits),
+            judge.compare(
+                robot.source,
+                described,
+                made.model,
+                made.base,
+                dtype=dtype,
+                speed_limits=limits,
+                narrowed=robot.narrowed,
+            ),
         )
         for dtype in judge.BOUNDS
     ]

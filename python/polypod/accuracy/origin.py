@@ -9,16 +9,15 @@ medium, and shapes that the ground does not touch. All other robots are compared
 
 import dataclasses
 import functools
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from polypod.add import judge, kept, mjcf, urdf
+from polypod.add import kept, mjcf, urdf
 from polypod.add.description import Array, Description
-from polypod.registration import PATH
+from polypod.robot_files import urdf_file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,16 +124,12 @@ def find(source: str, urdf_key: str, base: str) -> Origin | None:
     Raises:
         ConfigError: where MuJoCo does not compile the file.
     """
-    folders = [Path(folder) for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]
-    if source.endswith(".toml"):
-        folders = [Path(source).absolute().parent, *list(Path(source).absolute().parents)[2:3], *folders]
-    for folder in folders:
-        place = folder / urdf_key
-        if place.is_file():
-            file = place.with_name(kept.NAME)
-            found = read(file, urdf.root_link(urdf.read(place), place)) if file.is_file() else None
-            return found if found is not None and found.base == base else None
-    return None
+    place = urdf_file(source, urdf_key)
+    file = None if place is None else place.with_name(kept.NAME)
+    if place is None or file is None or not file.is_file():
+        return None
+    found = read(file, urdf.root_link(urdf.read(place), place))
+    return found if found.base == base else None
 
 
 @functools.cache

@@ -28,7 +28,7 @@ Settings that differ from MuJoCo's defaults, and the reasons:
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -48,6 +48,12 @@ Integrator = Literal["implicitfast", "RK4"]
 
 GRAVITY = _core.EARTH_GRAVITY
 """m/s^2."""
+
+
+SAME_LIMIT = 1e-6
+"""Position limits that differ by less are equal, rad or m."""
+FARTHEST = 1e9
+"""Position limit of a joint that has none on this side, rad or m."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,6 +149,7 @@ class Reference:
         locked_joints: Mapping[str, float] | None = None,
         surfaces: tuple[Surface, ...] = (),
         bounded: bool = False,
+        joint_range: Array | None = None,
         origin: "Origin | None" = None,
     ) -> None:
         """Compiles the model.
@@ -159,6 +166,7 @@ class Reference:
             locked_joints: joints of the URDF that do not move, and their positions, rad or m.
             surfaces: of links that differ from the rest of the robot where they touch the ground.
             bounded: whether `step` holds the limits of the actuators and of the joints.
+            joint_range: position limits of these joints in the place of the file's, [joints, 2], rad or m.
             origin: the MJCF file that the robot comes from, in the place of the URDF.
         """
         mj = mujoco()
@@ -196,6 +204,8 @@ class Reference:
         self.model.dof_solref[:] = [2.0 * dt, 1.0]
         self.model.dof_solimp[:] = [0.9999, 0.9999, 0.001, 0.5, 2.0]
         joints = [self.model.joint(name) for name in joint_names]
+        if joint_range is not None:
+            _narrow(self.model, [joint.id for joint in joints], joint_range)
         free_q, free_v = (0, 0) if fixed_base else (7, 6)
         self.q = np.array([*range(free_q), *(joint.qposadr[0] for joint in joints)], dtype=np.intp)
         self.v = np.array([*range(free_v), *(joint.dofadr[0] for joint in joints)], dtype=np.intp)
@@ -213,6 +223,7 @@ class Reference:
             actuators=robot.actuators,
             locked_joints=robot.locked_joints,
             surfaces=robot.surfaces,
+            joint_range=robot.joint_range,
             origin=robot.origin,
             **options,
         )
@@ -298,7 +309,7 @@ class Reference:
 
 
 def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
-    """Holds a joint at a position: its body becomes part of its parent, and joints before it in the body turn with it."""
+    """Holds a joint at a position: its body becomes part of its parent, and joints before it in the body turn too."""
     joint = spec.joint(name)
     body, axis = joint.parent, np.array(joint.axis) / np.linalg.norm(joint.axis)
     turn, moved = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
@@ -323,6 +334,15 @@ def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
     mj.mju_mulQuat(turned, np.array(body.quat), turn)
     body.quat = turned
     spec.delete(joint)
+
+
+def _narrow(model: Any, joints: Sequence[int], ranges: Array) -> None:
+    """Sets position limits where they differ from the file's: a config may narrow them in `[joint_limits]`."""
+    for joint, (lower, upper) in zip(joints, ranges, strict=True):
+        own = model.jnt_range[joint] if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
+        if np.isfinite([lower, upper]).any() and not np.allclose(own, [lower, upper], rtol=0.0, atol=SAME_LIMIT):
+            model.jnt_limited[joint] = 1
+            model.jnt_range[joint] = np.clip([lower, upper], -FARTHEST, FARTHEST)
 
 
 def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:

@@ -114,6 +114,8 @@ class Robot:
     """Whether its config says that only a policy can balance it."""
     urdf_file: str
     """`urdf` of its config."""
+    narrowed: tuple[tuple[float, float], ...]
+    """Position limits that its config states in the place of the file's, in the directions of slots, rad or m."""
     origin: "Origin | None" = None
     """The MJCF file that it comes from; None: it is compared with MuJoCo's model of its URDF."""
     surfaces: tuple[Surface, ...] = ()
@@ -212,6 +214,7 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         source=source,
         needs_policy=bool(config.get("needs_policy")),
         urdf_file=config["urdf"],
+        narrowed=tuple((lower, upper) for lower, upper in config.get("joint_limits", {}).values()),
         surfaces=tuple(
             Surface(**{**table, "bodies": tuple(table["bodies"])}) for table in config.get("surfaces", {}).values()
         ),

@@ -65,6 +65,7 @@ def compare(
     states: int = 8,
     seed: int = 0,
     speed_limits: Sequence[float] | None = None,
+    narrowed: Sequence[Sequence[float]] | None = None,
 ) -> Errors:
     """Compares a robot with MuJoCo's model of its file.
 
@@ -77,6 +78,7 @@ def compare(
         states: random states.
         seed: of the states.
         speed_limits: of the actuators, rad/s or m/s; None: those of the TOML.
+        narrowed: position limits that the config states in the place of the file's; None: those of the TOML.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -92,6 +94,9 @@ def compare(
         [rng.uniform(-1.0, 1.0, (states, 3)), quaternion, rng.uniform(lower + inset, upper - inset, (states, joints))]
     )
     limits = _speed_limits(Path(robot)) if speed_limits is None else speed_limits
+    if narrowed is None:
+        config = tomllib.loads(Path(robot).read_text(encoding="utf-8"))
+        narrowed = list(config.get("joint_limits", {}).values())
     fastest = min([FASTEST, *(0.9 * limit for limit in limits)])
     speeds = rng.uniform(0.4 * fastest, fastest, (states, joints)) * rng.choice([-1.0, 1.0], (states, joints))
     qvel = np.hstack([rng.uniform(-1.0, 1.0, (states, 3)), rng.uniform(-3.0, 3.0, (states, 3)), speeds])
@@ -118,7 +123,9 @@ def compare(
             error = float(np.abs(ours[name][state] - value).max()) / scale
             errors[name] = max(errors[name], error)
     mass = float(model.body_subtreemass[base])
-    return Errors(total_mass=abs(sim.total_mass - mass) / mass, joint_limits=theirs.limits(sim.joint_range), **errors)
+    return Errors(
+        total_mass=abs(sim.total_mass - mass) / mass, joint_limits=theirs.limits(sim.joint_range, narrowed), **errors
+    )
 
 
 def _speed_limits(robot: Path) -> list[float]:
@@ -190,16 +197,19 @@ class _Reference:
         self._held = held
         self._armature = np.array(model.dof_armature)
 
-    def limits(self, ours: Array) -> float:
-        """Largest difference of the joints' limits, rad or m."""
+    def limits(self, ours: Array, narrowed: Sequence[Sequence[float]]) -> float:
+        """Largest difference of the joints' limits, rad or m; those that the config narrows lie within the file's."""
+        stated = [np.array(each) for bounds in narrowed for each in (bounds, (-bounds[1], -bounds[0]))]
         worst = 0.0
         for joint, bounds in zip(self.joints, ours, strict=True):
-            ids = np.flatnonzero(np.asarray(self.model.jnt_qposadr) == joint.q)
-            index = int(ids[0])
-            if self.model.jnt_limited[index]:
-                worst = max(worst, float(np.abs(bounds - self.model.jnt_range[index]).max()))
-            elif np.isfinite(bounds).any():
-                return float("inf")
+            index = int(np.flatnonzero(np.asarray(self.model.jnt_qposadr) == joint.q)[0])
+            theirs = self.model.jnt_range[index] if self.model.jnt_limited[index] else np.array([-np.inf, np.inf])
+            if any(np.allclose(bounds, each, rtol=0.0, atol=1e-6) for each in stated):
+                worst = max(worst, float(theirs[0] - bounds[0]), float(bounds[1] - theirs[1]))
+            elif not np.array_equal(bounds, theirs):
+                with np.errstate(invalid="ignore"):
+                    away = np.abs(bounds - theirs)
+                worst = max(worst, float(np.where(np.isnan(away), 0.0, away).max()))
         return worst
 
     def at(self, qpos: Array, qvel: Array, torque: Array) -> dict[str, Array]:
