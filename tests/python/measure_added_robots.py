@@ -13,6 +13,7 @@ import dataclasses
 import re
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from importlib import metadata
@@ -141,11 +142,16 @@ def tables(rows: list[Row], versions: str) -> str:
         )
         for each in read
     ]
-    why = [(_short(each), each.refused.replace("|", "/")) for each in refused]
-    return f"""Of {len(rows)} files {len(read)} are read. The largest differences are {worst["float64"]:.0e} in
-double and {worst["float32"]:.0e} in single precision. `s` are seconds of computing.
+    why = [(_short(each), _reason(each)) for each in refused]
+    said = (
+        f"Of {len(rows)} files {len(read)} are read. The largest differences are {worst['float64']:.0e} in double and "
+        f"{worst['float32']:.0e} in single precision. `s` are seconds of computing."
+    )
+    return f"""{textwrap.fill(said, 100)}
 
-{versions} {sentence(measured())}
+{textwrap.fill(versions, 100, break_on_hyphens=False)}
+
+{sentence(measured())}
 
 {table(head, cells)}
 
@@ -159,6 +165,13 @@ def _short(each: Row) -> str:
     """Package and file, without the folders that all files of a package are in."""
     parts = [part for part in each.file.split("/") if part not in FOLDERS]
     return f"{NAMES[each.package]}: {'/'.join(parts)}"
+
+
+def _reason(each: Row) -> str:
+    """The error without the file's name and without lists of joints."""
+    text = each.refused.removeprefix(f"{Path(each.file).name}: ").removeprefix("<robot>: ").replace("|", "/")
+    text = re.sub(r"(\[[^\]]*\] from \([^)]*\)(, )?)+", "see the error", text)
+    return re.sub(r"( of polypod add|Element name '\w+', id \d+, )", "", text).replace("<", "&lt;")
 
 
 def main() -> None:

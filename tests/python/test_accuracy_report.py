@@ -11,7 +11,9 @@ import pytest
 import polypod
 from polypod.accuracy import engines, friction, motion, report, robot, standing, statics, sweeps
 from polypod.accuracy.bounds import BOUNDS, exceeded
+from polypod.accuracy.file import FileResult
 from polypod.accuracy.markdown import summary, tables
+from polypod.add import judge
 from polypod.commands.accuracy import Accuracy
 
 ARTICULATED = engines.Engine(
@@ -81,11 +83,12 @@ def test_every_measurement_has_its_row() -> None:
         slides=[friction.compare_slide(0.5, 1.0)],
         slopes=[friction.compare_slope(0.5, 0.3), friction.compare_slope(0.3, 0.5)],
         fallen=[],
+        files=[FileResult("spot", dtype, judge.Errors(*7 * [1e-7])) for dtype in judge.BOUNDS],
     )
     assert not measured.broken()
     text = tables(measured)
-    # seven tables, one of them with both engines and one with two drops, and the bounds of eight figures
-    assert text.count("| spot |") == 9 + 8
+    # eight tables, three of them with two rows: both precisions, engines, drops; and the bounds of ten figures
+    assert text.count("| spot |") == 11 + 10
     for bound in BOUNDS:
         assert f"| {bound.quantity} |" in text
         assert (f"| {bound.quantity} |" in summary(measured)) == bound.front_page

@@ -3,10 +3,12 @@
 import dataclasses
 import json
 import os
+import re
 import sys
 import zipfile
 from pathlib import Path
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ import polypod
 from polypod import _core
 from polypod.add import add, archive, description, judge, mjcf, xacro_child
 from polypod.add.description import urdf
+from polypod.training import run_dir
 from watched import nothing_started
 
 KNEE = 0.15
@@ -129,6 +132,28 @@ def test_an_mjcf_file_becomes_a_robot_that_trains(cli, tmp_path, written, monkey
     quick = ("--num-envs", "32", "--max-iterations", "1", "--logger", "none", "--set", "sim.episode_length_s=0.4")
     done = cli("train", *quick, "--robots", "test_fox,spot")
     assert done.returncode == 0, done.stderr
+
+
+def test_added_robots_of_three_kinds_train_in_one_batch_with_robots_of_the_library(cli, tmp_path, written, monkeypatch):
+    """A fox, gymnasium's ant and its humanoid with a quadruped, a humanoid and a hexapod of the library."""
+    files = Path(gymnasium.__file__).parent / "envs/mujoco/assets"
+    for file in (written(), files / "ant.xml", files / "humanoid.xml"):
+        add(str(file), tmp_path / "mine", name=f"my_{file.stem}")
+    robots = ["my_fox", "my_ant", "my_humanoid", "spot", "unitree_h1", "phantomx"]
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "mine"))
+    sizes = ("--num-envs", "24", "--max-iterations", "2", "--device", "cpu", "--set", "sim.episode_length_s=0.4")
+    line = ("train", "--task", "velocity_flat_legged", "--robots", ",".join(robots), *sizes)
+    done = cli(*line, "--logger", "none")
+    assert done.returncode == 0, done.stderr
+    (checkpoint,) = tmp_path.glob("logs/rsl_rl/*/*/model_2.pt")
+    assert run_dir.read_manifest(checkpoint)["robots"] == robots
+    curve = [float(reward) for reward in re.findall(r"iteration \d/2  reward (\S+)", done.stdout)]
+    assert len(curve) == 2
+    assert np.isfinite(curve).all()
+    for robot in robots:
+        # the evaluation at the end has a row of finite errors for each: all of them step
+        (row,) = re.findall(rf"^{robot} +(\S+)", done.stdout, re.MULTILINE)
+        assert np.isfinite(float(row))
 
 
 def test_what_is_written_down_is_what_mujoco_compiled(tmp_path, written):
@@ -380,6 +405,18 @@ def test_limits_that_a_draft_narrows_are_no_difference(tmp_path):
     added = add(str(file), tmp_path / "mine")
     assert set(tomllib.loads(added.new.path.read_text())["joint_limits"]) >= {"LF_HFE", "RH_HFE"}
     assert all(errors.joint_limits == 0.0 for errors in added.errors.values())
+
+
+def test_a_file_may_leave_the_ground_of_its_pairs_to_a_scene(tmp_path, written):
+    pairs = "".join(f'<pair geom1="{name}_foot" geom2="ground"/>' for name, _, _ in CORNERS)
+    text = fox(more=f"<contact>{pairs}</contact>").replace('class="foot" name=', 'class="foot" conaffinity="0" name=')
+    file = tmp_path / "fox.xml"
+    file.write_text(text)
+    made, robot = mjcf.read(file)
+    assert "geom ground: in a <pair> and not in the file: replaced by a plane, the ground" in made.notes
+    assert sum(shape.kind == "sphere" for link in robot.links for shape in link.shapes) == 4
+    added = add(str(file), tmp_path / "mine")
+    assert added.new.standing.holds
 
 
 def test_height_fields_and_pictures_of_a_scene_may_be_missing(tmp_path, written):

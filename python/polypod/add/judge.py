@@ -198,18 +198,14 @@ class _Reference:
         self._armature = np.array(model.dof_armature)
 
     def limits(self, ours: Array, narrowed: Sequence[Sequence[float]]) -> float:
-        """Largest difference of the joints' limits, rad or m; those that the config narrows lie within the file's."""
-        stated = [np.array(each) for bounds in narrowed for each in (bounds, (-bounds[1], -bounds[0]))]
+        """Largest difference of the joints' limits from the file's, or from what the config leaves of these."""
+        stated = [np.array(each) for lower, upper in narrowed for each in ((lower, upper), (-upper, -lower))]
         worst = 0.0
         for joint, bounds in zip(self.joints, ours, strict=True):
             index = int(np.flatnonzero(np.asarray(self.model.jnt_qposadr) == joint.q)[0])
             theirs = self.model.jnt_range[index] if self.model.jnt_limited[index] else np.array([-np.inf, np.inf])
-            if any(np.allclose(bounds, each, rtol=0.0, atol=1e-6) for each in stated):
-                worst = max(worst, float(theirs[0] - bounds[0]), float(bounds[1] - theirs[1]))
-            elif not np.array_equal(bounds, theirs):
-                with np.errstate(invalid="ignore"):
-                    away = np.abs(bounds - theirs)
-                worst = max(worst, float(np.where(np.isnan(away), 0.0, away).max()))
+            left = [np.array([max(theirs[0], low), min(theirs[1], high)]) for low, high in stated]
+            worst = max(worst, min(_apart(bounds, each) for each in (theirs, *left)))
         return worst
 
     def at(self, qpos: Array, qvel: Array, torque: Array) -> dict[str, Array]:
@@ -254,6 +250,11 @@ class _Reference:
             "forward_dynamics": np.linalg.solve(inertia, force - bias),
             "physics_step": after - qvel,
         }
+
+
+def _apart(bounds: Array, others: Array) -> float:
+    """Largest difference of two pairs of limits; equal infinite ones are no difference."""
+    return max(0.0 if one == other else abs(float(one - other)) for one, other in zip(bounds, others, strict=True))
 
 
 def _place(description: Description, link: str) -> tuple[Array, Array]:

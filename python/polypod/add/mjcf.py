@@ -105,6 +105,7 @@ def compiled(file: Path, root: str | None = None) -> Compiled:
             spec = mj.MjSpec.from_file(str(file))
             _without_pictures(spec)
             _without_ground(mj, spec, notes)
+            _with_ground(mj, spec, notes)
             _without_visuals(mj, spec)
             _check_meshes(spec, file)
             base = _base(mj, spec, file, root)
@@ -144,6 +145,18 @@ def _without_ground(mj: Any, spec: Any, notes: list[str]) -> None:
     for field in list(spec.hfields):
         spec.delete(field)
         notes.append("height fields of the scene: left out: the task has the ground")
+
+
+def _with_ground(mj: Any, spec: Any, notes: list[str]) -> None:
+    """Adds the ground of a robot's file that names it in `<pair>` and leaves it to the scene that includes the file."""
+    there = {geom.name for geom in spec.geoms}
+    pairs = [(pair.geomname1, pair.geomname2) for pair in spec.pairs]
+    missing = sorted({name for pair in pairs if there & set(pair) for name in pair} - there)
+    for name in missing:
+        size = [0.0, 0.0, 1.0]
+        spec.worldbody.add_geom(name=name, type=mj.mjtGeom.mjGEOM_PLANE, size=size, contype=0, conaffinity=0)
+    if missing:
+        notes.append(f"geom {listed(missing)}: in a <pair> and not in the file: replaced by a plane, the ground")
 
 
 def _without_visuals(mj: Any, spec: Any) -> None:
