@@ -193,18 +193,9 @@ def assert_mujoco_observes_the_same(checkpoint, source):
     described = accuracy_robot.of(sim, robot, source)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
     delays = np.zeros((3, len(interface.joint_names)))
-    mujoco = twin.Twin(
-        described,
-        interface,
-        graph,
-        bodies,
-        step_dt=0.02,
-        physics_dt=0.005,
-        physics=twin.Physics(),
-        delays=delays,
-        heights=None,
-        places=sim.env_origins() * [1.0, 1.0, 0.0],
-    )
+    places = sim.env_origins() * [1.0, 1.0, 0.0]
+    drive = twin.Drive(interface, graph, step_dt=0.02, physics_dt=0.005, delays=delays, places=places)
+    mujoco = twin.Twin(described, bodies, twin.Physics(), drive)
     random = np.random.default_rng(0)
     for _ in range(4):
         sim.step(random.normal(size=(3, sim.num_actions)).astype(np.float32))

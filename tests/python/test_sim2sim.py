@@ -15,7 +15,7 @@ from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network, walking
 from polypod.export import OnnxPolicy, interfaces, onnx_graph
 from polypod.export.torch_graph import RobotPolicy
-from polypod.sim2sim import commands, twin
+from polypod.sim2sim import commands, run, twin
 from polypod.training import run_dir
 
 TASK = "Velocity-Flat-Universal-Play-v0"
@@ -34,18 +34,16 @@ def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, ove
     )
     described = accuracy_robot.of(sim, robot, robot)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
-    made = twin.Twin(
-        described,
+    drive = twin.Drive(
         interface,
         policy,
-        bodies,
         step_dt=0.02,
         physics_dt=0.005,
-        physics=physics or twin.Physics(),
         delays=np.full((num_envs, 12), float(delay)),
         heights=sim2sim.heights(sim),
         places=sim.env_origins() * [1.0, 1.0, 0.0],
     )
+    made = twin.Twin(described, bodies, physics or twin.Physics(), drive)
     return sim, made, RobotPolicy(network, interface)
 
 
@@ -319,3 +317,41 @@ def test_states_that_memory_does_not_hold_are_refused(monkeypatch):
     monkeypatch.setattr(Starved, "MjData", staticmethod(lambda model: (_ for _ in ()).throw(MemoryError)))
     with pytest.raises(polypod.ConfigError, match=r"no memory for 7 states .*choose a smaller --threads"):
         reference.states(None, 7, "--threads")
+
+
+class _FirstFalls:
+    """A simulation whose first env has fallen after four steps."""
+
+    def __init__(self, sim):
+        self._sim, self._steps = sim, 0
+
+    def __getattr__(self, name):
+        return getattr(self._sim, name)
+
+    def step(self, actions):
+        self._steps += 1
+        self._sim.step(actions)
+
+    @property
+    def terminated(self):
+        return np.array([self._steps >= 4, False])
+
+
+def test_a_policy_that_diverges_in_a_robot_that_fell_ends_nothing():
+    """No step takes actions of 1e9, and those of a robot that lies on the ground are not judged."""
+    options = run.Options(envs_per_robot=2, steps=12, command=(0.0, 0.0, 0.0))
+    episode = run.Episode(run_dir.read_manifest(FLAT_POLICY), ["spot"], options)
+    episode.sim = _FirstFalls(episode.sim)
+    fallen = np.zeros(2, dtype=np.bool_)
+
+    def policy(observation):
+        actions = np.zeros((2, episode.sim.num_actions), dtype=np.float32)
+        actions[fallen] = 1e9
+        return actions
+
+    def seen(velocity, yaw_rate, fell):
+        fallen[:] |= fell
+
+    figures = run.run_polypod(episode, policy, lambda *_: None, None, seen)["spot"]
+    assert fallen.tolist() == [True, False]
+    assert figures.fall_rate == 0.5

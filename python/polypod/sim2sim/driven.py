@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.accuracy.reference import Heights, mujoco, states
+from polypod.accuracy.reference import GRAVITY, Heights, mujoco, states
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
 from polypod.sim2sim.commands import Array, heading_of
@@ -69,70 +69,70 @@ class Body(Protocol):
     """The same of the velocities."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """A policy that drives a robot, and when it has fallen, whichever model the robot is simulated on."""
+
+    interface: RobotInterface
+    """Between policy and robot."""
+    policy: FoldedPolicy
+    """Folded for the robot."""
+    step_dt: float
+    """Control step, s."""
+    physics_dt: float
+    """The physics step that delays are counted in, s."""
+    delays: Array
+    """[envs, joints], of the targets, in physics steps."""
+    network_torques: NetworkTorques | None = None
+    """Of the robot's actuator networks, one physics step of `physics_dt` after the other."""
+    heights: Heights | None = None
+    """Of the ground; None: a plane."""
+    places: Array | None = None
+    """[envs, 3], of the envs' origins on it, m; None: the world's origin."""
+    gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
+    """m/s^2, world axes."""
+    least_height: float = -np.inf
+    """See `Driven.base_height`; a base that is lower has fallen, m."""
+    most_tilt: float = np.pi
+    """Tilt of the base's z axis from the direction against gravity; one that is farther has fallen, rad."""
+
+
 class Driven:
     """`num_envs` robots of one kind, each in a separate world."""
 
-    def __init__(
-        self,
-        reference: Body,
-        robot: Robot,
-        interface: RobotInterface,
-        policy: FoldedPolicy,
-        is_base: npt.NDArray[np.bool_],
-        *,
-        step_dt: float,
-        physics_dt: float,
-        dt: float,
-        delays: Array,
-        network_torques: NetworkTorques | None = None,
-        heights: Heights | None = None,
-        places: Array | None = None,
-        gravity: tuple[float, float, float],
-        least_height: float = -np.inf,
-        most_tilt: float = np.pi,
-    ) -> None:
+    def __init__(self, reference: Body, robot: Robot, is_base: npt.NDArray[np.bool_], dt: float, drive: Drive) -> None:
         """Makes the states.
 
         Args:
             reference: the model.
             robot: URDF and actuators.
-            interface: between policy and robot.
-            policy: folded for the robot.
             is_base: [geoms of the model], which must not touch the ground: those of base and torso, and what else ends
                 episodes.
-            step_dt: control step, s.
-            physics_dt: the physics step that delays are counted in, s.
             dt: MuJoCo's physics step, s.
-            delays: [envs, joints], of the targets, in physics steps.
-            network_torques: of the robot's actuator networks, one physics step of `physics_dt` after the other.
-            heights: of the ground; None: a plane.
-            places: [envs, 3], of the envs' origins on it, m; None: the world's origin.
-            gravity: m/s^2, world axes.
-            least_height: see `base_height`; one that is lower has fallen, m.
-            most_tilt: of the base's z axis from the direction against gravity; one that is farther has fallen, rad.
+            drive: the policy, and how it drives.
         """
         self.reference = reference
-        free_fall = float(np.linalg.norm(gravity))
-        self._down = np.array(gravity) / (free_fall or 1.0)
-        self.robot, self.interface, self.policy = robot, interface, policy
-        self.step_dt, self.physics_dt = step_dt, physics_dt
-        self.substeps = round(step_dt / dt)
-        self.delays = delays * physics_dt
-        self.num_envs = len(delays)
-        self.heights = heights
-        self.least_height, self.least_upright = least_height, np.cos(most_tilt)
-        self.places = np.zeros((self.num_envs, 3)) if places is None else places
-        self._network_torques = network_torques if robot.actuators.networks.any() else None
+        free_fall = float(np.linalg.norm(drive.gravity))
+        self._down = np.array(drive.gravity) / (free_fall or 1.0)
+        self.robot, self.interface, self.policy = robot, drive.interface, drive.policy
+        self.step_dt, self.physics_dt = drive.step_dt, drive.physics_dt
+        self.substeps = round(self.step_dt / dt)
+        self.delays = drive.delays * self.physics_dt
+        self.num_envs = len(self.delays)
+        self.heights = drive.heights
+        self.least_height, self.least_upright = drive.least_height, np.cos(drive.most_tilt)
+        self.places = np.zeros((self.num_envs, 3)) if drive.places is None else drive.places
+        self._network_torques = drive.network_torques if robot.actuators.networks.any() else None
         self._network_memory: Floats | None = None
         self._network_output = np.zeros((self.num_envs, robot.num_joints), dtype=np.float32)
         self._mj = mujoco()
         self._is_base = is_base
         self._data = states(reference.model, self.num_envs, "--num-envs")
         self._wrench = np.zeros(6)
-        ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / step_dt - 1e-9))
+        ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / self.step_dt - 1e-9))
         self._targets = np.zeros((ages, self.num_envs, robot.num_joints))
         self._fresh = True
-        self.actions = np.zeros((self.num_envs, interface.num_actions), dtype=np.float32)
+        self.actions = np.zeros((self.num_envs, self.interface.num_actions), dtype=np.float32)
         self.qpos = np.zeros((self.num_envs, 7 + robot.num_joints))
         """In polypod's order of joints; positions about the envs' origins."""
         self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))

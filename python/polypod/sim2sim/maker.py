@@ -21,10 +21,9 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.accuracy.reference import Heights, Reference, mujoco
 from polypod.accuracy.robot import Robot
-from polypod.export.robot import RobotInterface
 from polypod.sim2sim import mapping, mjcf
 from polypod.sim2sim.commands import Array
-from polypod.sim2sim.driven import Driven, FoldedPolicy, NetworkTorques, rotations
+from polypod.sim2sim.driven import Drive, Driven, rotations
 from polypod.sim2sim.mapping import Given, JointMap
 from polypod.sim2sim.skeleton import BASE, Skeleton, is_below, joints_below, skeleton
 
@@ -517,58 +516,32 @@ class Maker(Driven):
 
     reference: Model
 
-    def __init__(
-        self,
-        model: Model,
-        interface: RobotInterface,
-        policy: FoldedPolicy,
-        base: Sequence[int],
-        *,
-        step_dt: float,
-        physics_dt: float,
-        delays: Array,
-        network_torques: NetworkTorques | None = None,
-        least_height: float = -np.inf,
-        most_tilt: float = np.pi,
-    ) -> None:
+    def __init__(self, model: Model, base: Sequence[int], drive: Drive) -> None:
         """Makes the states.
 
         Args:
             model: of the file.
-            interface: between policy and robot.
-            policy: folded for the robot.
             base: clusters that must not touch the ground.
-            step_dt: control step, s.
-            physics_dt: the physics step that delays are counted in, s.
-            delays: [envs, joints], of the targets of the policy's actuators, in physics steps.
-            network_torques: as for `Driven`.
-            least_height: as for `Driven`.
-            most_tilt: as for `Driven`.
+            drive: the policy, and how it drives; ground and gravity are the file's, and delays are of the policy's
+                actuators alone.
         """
         is_base = model.base_geoms(base)
         if not is_base.any():
-            height = model.robot.base_height
-            least_height, most_tilt = max(least_height, SUNK * height), min(most_tilt, TILT)
+            least_height = max(drive.least_height, SUNK * model.robot.base_height)
+            drive = dataclasses.replace(drive, least_height=least_height, most_tilt=min(drive.most_tilt, TILT))
             model.notes.append(
                 f"no shape of {model.root} touches: a fall is a tilt above {TILT:g} rad or a base below {SUNK:.0%} of "
                 "its height"
             )
-        super().__init__(
-            model,
-            model.robot,
-            interface,
-            policy,
-            is_base,
-            step_dt=step_dt,
-            physics_dt=physics_dt,
-            dt=float(model.model.opt.timestep),
-            delays=np.where(model.is_policys, delays, 0.0),
-            network_torques=network_torques if model.is_policys.all() else None,
+        drive = dataclasses.replace(
+            drive,
+            delays=np.where(model.is_policys, drive.delays, 0.0),
+            network_torques=drive.network_torques if model.is_policys.all() else None,
             heights=model.heights,
+            places=None,
             gravity=tuple(model.model.opt.gravity),
-            least_height=least_height,
-            most_tilt=most_tilt,
         )
+        super().__init__(model, model.robot, is_base, float(model.model.opt.timestep), drive)
         self._signs, self._offsets = model.map.signs, model.map.offsets
         self.base_axes = model.map.turn.T
         self._own_range = model.effort_ranges()

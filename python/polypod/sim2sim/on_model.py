@@ -26,7 +26,7 @@ from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim import differences, maker, mapping, mjcf, phases, run
 from polypod.sim2sim.commands import Array, Commands, heading_of
-from polypod.sim2sim.driven import FoldedPolicy
+from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
 from polypod.sim2sim.phases import PhaseFigures, PhaseRecord
 from polypod.sim2sim.run import Episode, Figures
@@ -421,11 +421,9 @@ def made(
     """A model with a policy in an episode, before its first reset."""
     ours = Reference.of(robot, dt=0.005)
     joints = [ours.model.joint(name).id for name in robot.joint_names]
-    return Maker(
-        model,
+    drive = Drive(
         interface,
         policy,
-        maker.clusters_of(sorted(ends.groups), ours, outlines, joints),
         step_dt=episode.step_dt,
         physics_dt=episode.task_dt,
         delays=episode.delays(robot) + late,
@@ -433,6 +431,7 @@ def made(
         least_height=ends.least_height,
         most_tilt=ends.most_tilt,
     )
+    return Maker(model, maker.clusters_of(sorted(ends.groups), ours, outlines, joints), drive)
 
 
 def _digest(path: Path) -> str:

@@ -27,7 +27,7 @@ from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim.commands import Array, Commands, heading_of
-from polypod.sim2sim.driven import FoldedPolicy
+from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.twin import Physics, Twin
 
 MAX_STEPS = 50_000_000
@@ -410,14 +410,11 @@ def twin_of(
     robot = accuracy_robot.of(episode.sim, name, source)
     ends = episode.ends(name, interface)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]
-    return Twin(
-        robot,
+    drive = Drive(
         interface,
         policy,
-        bodies,
         step_dt=episode.step_dt,
         physics_dt=episode.task_dt,
-        physics=episode.physics,
         delays=episode.delays(robot) + late,
         network_torques=functools.partial(episode.sim.network_torques, name),
         heights=episode.heights,
@@ -426,6 +423,7 @@ def twin_of(
         least_height=ends.least_height,
         most_tilt=ends.most_tilt,
     )
+    return Twin(robot, bodies, episode.physics, drive)
 
 
 def _run_mujoco(

@@ -12,13 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from polypod.accuracy.reference import GRAVITY, Ground, Heights, Integrator, Reference
+from polypod.accuracy.reference import Ground, Integrator, Reference
 from polypod.accuracy.robot import Robot
-from polypod.export.robot import RobotInterface
-from polypod.sim2sim.commands import Array
-from polypod.sim2sim.driven import Driven, FoldedPolicy, NetworkTorques, Observed
+from polypod.sim2sim.driven import Drive, Driven, FoldedPolicy, Observed
 
-__all__ = ["Driven", "FoldedPolicy", "Observed", "Physics", "Twin"]
+__all__ = ["Drive", "Driven", "FoldedPolicy", "Observed", "Physics", "Twin"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,68 +39,25 @@ class Physics:
 class Twin(Driven):
     """`num_envs` robots of one kind, each in a separate world."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        interface: RobotInterface,
-        policy: FoldedPolicy,
-        base_bodies: Sequence[str],
-        *,
-        step_dt: float,
-        physics_dt: float,
-        physics: Physics,
-        delays: Array,
-        network_torques: NetworkTorques | None = None,
-        heights: Heights | None = None,
-        places: Array | None = None,
-        gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
-        least_height: float = -np.inf,
-        most_tilt: float = np.pi,
-    ) -> None:
+    def __init__(self, robot: Robot, base_bodies: Sequence[str], physics: Physics, drive: Drive) -> None:
         """Compiles the model.
 
         Args:
             robot: URDF and actuators.
-            interface: between policy and robot.
-            policy: folded for the robot.
             base_bodies: links that must not touch the ground: those of base and torso, and what else ends episodes.
-            step_dt: control step, s.
-            physics_dt: the physics step that delays are counted in, s.
             physics: how MuJoCo steps.
-            delays: [envs, joints], of the targets, in physics steps.
-            network_torques: of the robot's actuator networks, one physics step of `physics_dt` after the other.
-            heights: of the ground; None: a plane.
-            places: [envs, 3], of the envs' origins on it, m; None: the world's origin.
-            gravity: m/s^2, world axes.
-            least_height: see `base_height`; one that is lower has fallen, m.
-            most_tilt: of the base's z axis from the direction against gravity; one that is farther has fallen, rad.
+            drive: the policy, and how it drives.
         """
         ground = Ground(
             physics.friction,
             soft=physics.soft_contact,
-            heights=heights,
+            heights=drive.heights,
             torsional_friction=physics.torsional_friction,
             rolling_friction=physics.rolling_friction,
         )
-        options = {"dt": physics.dt, "integrator": physics.integrator, "ground": ground, "gravity": gravity}
+        options = {"dt": physics.dt, "integrator": physics.integrator, "ground": ground, "gravity": drive.gravity}
         reference = Reference.of(robot, **options)
         model = reference.model
         model.actuator_forcelimited[:] = 1
         names = [model.body(body).name for body in model.geom_bodyid]
-        super().__init__(
-            reference,
-            robot,
-            interface,
-            policy,
-            np.array([name in base_bodies for name in names]),
-            step_dt=step_dt,
-            physics_dt=physics_dt,
-            dt=physics.dt,
-            delays=delays,
-            network_torques=network_torques,
-            heights=heights,
-            places=places,
-            gravity=gravity,
-            least_height=least_height,
-            most_tilt=most_tilt,
-        )
+        super().__init__(reference, robot, np.array([name in base_bodies for name in names]), physics.dt, drive)
