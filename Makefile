@@ -149,9 +149,10 @@ lint: $(VENV)/.dependencies doc ## Check formatting, lints, types, documentation
 	cargo fmt --all --check --manifest-path tests/loom/Cargo.toml
 	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
-	$(BIN)/ruff check python tests/python examples
-	$(BIN)/ruff format --check python tests/python examples
+	$(BIN)/ruff check python lab tests/python examples
+	$(BIN)/ruff format --check python lab tests/python examples
 	$(BIN)/mypy
+	PYTHONPATH=python $(BIN)/lint-imports --no-cache
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 
@@ -167,8 +168,8 @@ package: ## Pack the crates as `cargo publish` would: target/package
 
 format: $(VENV)/.dependencies ## Format all code
 	cargo fmt
-	$(BIN)/ruff check --fix python tests/python
-	$(BIN)/ruff format python tests/python
+	$(BIN)/ruff check --fix python lab tests/python examples
+	$(BIN)/ruff format python lab tests/python examples
 
 # Versions for every platform and Python version, each file with its SHA-256: an installation checks what it downloads.
 PIP_COMPILE = $(BIN)/uv pip compile --universal --python-version 3.10 --upgrade --generate-hashes --no-emit-index-url \

@@ -20,7 +20,7 @@ use tract_onnx::prelude::*;
 /// Largest network that is read, bytes: twice what `polypod export` writes for the largest one that it accepts.
 const MAX_NETWORK: u64 = 1 << 30;
 
-/// Largest observation or action of a policy, equal to `polypod.training.manifest.MAX_LAYER`.
+/// Largest observation or action of a policy, equal to `polypod.runs.manifest.MAX_LAYER`.
 const MAX_LAYER: usize = 65536;
 
 /// Most states of a network: those of an LSTM are two.

@@ -125,7 +125,7 @@ class Learner:
 
         Args:
             sim: the simulation.
-            options: JSON, see `polypod.training.config.TrainConfig.native_options`.
+            options: JSON, see `polypod.runs.config.TrainConfig.native_options`.
             peers: connects the workers; what it raises is raised by `collect` and `update`.
             worker: number of this worker.
             workers: how many there are.

@@ -14,16 +14,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from polypod import _core, bundled, descriptions
+from polypod import _core, bundled, descriptions, runs
 from polypod.compat import tomllib
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
 from polypod.new_robot import new_robot
+from polypod.runs import config, run_dir
+from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
-from polypod.training import config, run_dir, session
+from polypod.training import session
 from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
 from polypod.training.report import Iteration, Reporter, walking_cells
-from polypod.training.schema import URMA, TrainConfig
 from polypod.training.workers import Workers
 
 TRAIN_CONFIG = "adapt"
@@ -53,7 +54,7 @@ class Options:
     every: int = EVERY
     train_config: str = TRAIN_CONFIG
     seed: int | None = None
-    log_dir: Path = bundled.LOGS
+    log_dir: Path = runs.LOGS
     device: str = "auto"
     threads: int | None = None
     overrides: tuple[str, ...] = ()

@@ -20,18 +20,18 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import torch
 
-from polypod import _core, bundled
+from polypod import _core, runs
 from polypod.descriptions import for_one_env_each
-from polypod.evaluation.policies import NetworkPolicy, load_network
 from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
 from polypod.networks.agreement import TOLERANCE, difference, expected, untouched
 from polypod.networks.onnx_network import OnnxNetwork
+from polypod.networks.policies import NetworkPolicy, load_network
 from polypod.observation import layout_of, terms_of
 from polypod.registration import task_of
-from polypod.training import manifest as manifests
-from polypod.training import run_dir
-from polypod.training.schema import URMA
+from polypod.runs import manifest as manifests
+from polypod.runs import run_dir
+from polypod.runs.schema import URMA
 from polypod.vector_env import FloatArray, VectorEnv
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class LoadedPolicy:
 
     network: "MLPModel | OnnxNetwork"
     manifest: dict[str, Any]
-    """`polypod.training.manifest.Manifest`, of an ONNX file the part of it that `OnnxManifest` describes."""
+    """`polypod.runs.manifest.Manifest`, of an ONNX file the part of it that `OnnxManifest` describes."""
     file: Path
     sha256: str
     """Checksum of the file, hexadecimal."""
@@ -124,7 +124,7 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     Raises:
         ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.
     """
-    path = bundled.resolve(Path(path))
+    path = runs.resolve(Path(path))
     if path.suffix == ".onnx":
         return _load_onnx(path, task, robots)
     data = run_dir.read_checkpoint(path)
@@ -290,7 +290,7 @@ def _load_onnx(path: Path, task: str | None, robots: Sequence[str] | None) -> Lo
 
 
 def _manifest_of(sim: _core.VecSim, task: str, robots: Sequence[str]) -> dict[str, Any]:
-    """See `polypod.training.manifest.OnnxManifest`."""
+    """See `polypod.runs.manifest.OnnxManifest`."""
     return onnx_manifest(
         {
             "task": task,

@@ -24,7 +24,7 @@ from polypod.state import State
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from polypod.play.pictures import Pictures
+    from polypod.render.pictures import Pictures
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
@@ -358,7 +358,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             return None
         if self._pictures is None:
             # drawing needs an extra
-            from polypod.play.pictures import Pictures
+            from polypod.render.pictures import Pictures
 
             self._pictures = Pictures(self.sim)
         return self._pictures.draw()

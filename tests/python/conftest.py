@@ -152,7 +152,8 @@ def built_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Calla
 @pytest.fixture(scope="session")
 def trained_run(built_once: Callable[..., Path]) -> Path:
     """The checkpoint of a training of one iteration with the options `common.TINY`."""
-    from polypod.training import run_dir, session
+    from polypod.runs import run_dir
+    from polypod.training import session
 
     def train(folder: Path) -> None:
         options = session.Options(log_dir=folder, device="cpu", logger="none", max_iterations=1, **TINY)

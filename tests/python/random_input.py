@@ -243,7 +243,7 @@ def resolved(task: str, robots: tuple[str, ...]) -> dict[str, Any]:
 
 @cache
 def train_keys() -> dict[str, Any]:
-    from polypod.training import config
+    from polypod.runs import config
 
     return {"train": config.load("quick").as_dict()}
 

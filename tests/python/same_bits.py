@@ -2,7 +2,7 @@
 
 import torch
 
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 
 def differences(one, other, place=""):

@@ -11,7 +11,8 @@ from test_trainings_end_when_robots_walk import FIGURES, bad
 
 from polypod import _core, adapt, bundled
 from polypod.compat import tomllib
-from polypod.training import config, goal, run_dir, session
+from polypod.runs import config, run_dir
+from polypod.training import goal, session
 from polypod.training.transfer import critic_for, numbers_of
 from polypod.training.workers import Workers
 

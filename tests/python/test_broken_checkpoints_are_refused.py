@@ -22,7 +22,7 @@ from common import FLAT_POLICY
 from polypod import files
 from polypod.export import OnnxPolicy, checkpoint, onnx_graph
 from polypod.networks.onnx_network import OnnxNetwork
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 KEY = "mlp.0.weight"
 TINY = ("--num-envs", "8", "--steps", "1")

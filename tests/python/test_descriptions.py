@@ -8,7 +8,7 @@ import pytest
 
 from polypod import _core, bundled, descriptions
 from polypod.descriptions import Body, Training
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 POLICY = bundled.checkpoint("quadruped")
 

@@ -16,7 +16,7 @@ import pytest
 
 from polypod import _core, bundled, cli
 from polypod.compat import tomllib
-from polypod.training import config
+from polypod.runs import config
 
 ROOT = Path(__file__).resolve().parents[2]
 Pages = Mapping[str, str]

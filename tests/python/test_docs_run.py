@@ -23,8 +23,9 @@ from common import FLAT_POLICY
 from polypod import _core, bodies, cli
 from polypod.compat import tomllib
 from polypod.export import export_checkpoint
+from polypod.runs import config
 from polypod.sim2sim.mapping import Given
-from polypod.training import config, sweep
+from polypod.training import sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (

@@ -15,7 +15,8 @@ from common import FLAT_POLICY, SHORT, SMALL_TERRAIN, TASK, size
 from polypod import evaluation
 from polypod.evaluation import measures, plot, seeds, walking
 from polypod.evaluation.results import robot_result
-from polypod.training import report, run_dir
+from polypod.runs import run_dir
+from polypod.training import report
 
 
 def still(observations):

@@ -5,7 +5,8 @@ import json
 import numpy as np
 
 from polypod import _core
-from polypod.play import Frame, Scene, looks, raster
+from polypod.play import Frame, Scene, looks
+from polypod.render import raster
 
 SIZE = (48, 36)
 NAMES = [entry["name"] for entry in _core.robots()]
@@ -54,7 +55,7 @@ def test_a_humanoid_renders_and_films(tmp_path, capsys):
 def test_a_long_film_tells_how_far_it_is(tmp_path, capsys, monkeypatch):
     from PIL import Image
 
-    from polypod.play import film
+    from polypod.render import film
 
     monkeypatch.setattr(film, "INTERVAL", 0.0)
     frames = film.Film(tmp_path / "x.gif", 10, (16, 16), 0.2)

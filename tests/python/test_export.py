@@ -19,14 +19,14 @@ import polypod
 import polypod.cli
 from common import FLAT_POLICY, PLAY_TERRAIN, ROUGH_POLICY
 from polypod.evaluation import load_policy
-from polypod.evaluation.policies import load_network
 from polypod.export import OnnxPolicy, interfaces, onnx_graph, sources
 from polypod.export import robot as robot_interface
 from polypod.export.checkpoint import compare
 from polypod.export.robot import OUTPUTS
 from polypod.export.torch_graph import RobotPolicy
+from polypod.networks.policies import load_network
 from polypod.observation import Term
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 EXPECTED = Path(__file__).parents[1] / "data" / "policy_actions.json"
 TASK = "Velocity-Flat-Universal-Play-v0"

@@ -9,10 +9,11 @@ from PIL import Image, ImageSequence
 
 import polypod.cli
 from common import FLAT_POLICY, ROUGH_POLICY
-from polypod import _core
-from polypod.play import Player, raster, stories
-from polypod.play.stories import Options
+from polypod import _core, films
+from polypod.films import Options
+from polypod.play import Player
 from polypod.policy import load
+from polypod.render import raster
 
 SIZE = (320, 160)
 SHORT = ("--seconds", "0.4", "--warm-up", "0.4", "--fps", "10", "--size", *map(str, SIZE))
@@ -36,7 +37,7 @@ def titles(monkeypatch):
         seen.append(text)
         return raster.titled(image, text)
 
-    monkeypatch.setattr(stories, "titled", titled)
+    monkeypatch.setattr(films, "titled", titled)
     return seen
 
 
@@ -67,7 +68,7 @@ def run(tmp_path):
 def test_a_training_from_its_beginning_to_its_end(tmp_path, titles, run):
     """Parts start equally; an untrained network does not walk, and a trained one does."""
     options = Options(run, tmp_path / "film.webp", ["spot"], seconds=0.8, fps=10, size=SIZE, parts=3)
-    stories.tell("training", options)
+    films.tell("training", options)
     assert list(dict.fromkeys(titles)) == ["iteration 0 (untrained)", "iteration 100", "iteration 300"]
     with Image.open(options.out) as animation:
         frames = [np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(animation)]
@@ -93,18 +94,18 @@ def test_every_part_of_a_training_begins_alike():
 
 
 def test_iterations_are_spread_over_the_run(run):
-    assert [number for number, _ in stories._checkpoints(run, 2)] == [100, 300]
-    assert [number for number, _ in stories._checkpoints(run / "model_200.pt", 5)] == [100, 200, 300]
-    assert [number for number, _ in stories._checkpoints(run, 1)] == [300]
+    assert [number for number, _ in films._checkpoints(run, 2)] == [100, 300]
+    assert [number for number, _ in films._checkpoints(run / "model_200.pt", 5)] == [100, 200, 300]
+    assert [number for number, _ in films._checkpoints(run, 1)] == [300]
     with pytest.raises(_core.ConfigError, match="no checkpoint"):
-        stories._checkpoints(run.parent, 2)
+        films._checkpoints(run.parent, 2)
 
 
 def test_a_push_moves_the_robots_and_is_shown(tmp_path, titles, monkeypatch):
     pushes = []
-    push = stories.Player.push
+    push = films.Player.push
     monkeypatch.setattr(
-        stories.Player, "push", lambda player, velocity: (pushes.append(velocity), push(player, velocity))
+        films.Player, "push", lambda player, velocity: (pushes.append(velocity), push(player, velocity))
     )
     frames = film(tmp_path, "push", "--robots", "spot", "--seconds", "1.4", "--push", "0.8")
     (first,) = pushes
@@ -119,8 +120,8 @@ def test_a_push_moves_the_robots_and_is_shown(tmp_path, titles, monkeypatch):
 def test_polypod_beside_mujoco(tmp_path, titles, monkeypatch):
     """Both halves start equally and stay nearly equal."""
     shown = []
-    replay = stories.replay
-    monkeypatch.setattr(stories, "replay", lambda *args: shown.append(args[-1]) or replay(*args))
+    replay = films.replay
+    monkeypatch.setattr(films, "replay", lambda *args: shown.append(args[-1]) or replay(*args))
     frames = film(tmp_path, "mujoco", "--robots", "spot", "--warm-up", "0")
     assert len(frames) == 4
     assert titles[:1] == ["polypod"]
@@ -137,7 +138,7 @@ def test_what_cannot_be_filmed_is_told(tmp_path):
     small = ("scene.terrain.num_rows=1", "scene.terrain.border_width=2.0")
     for story in ("push", "mujoco"):
         with pytest.raises(_core.ConfigError, match="flat"):
-            stories.tell(story, dataclasses.replace(options, overrides=small))
+            films.tell(story, dataclasses.replace(options, overrides=small))
     for changes, message in (({"parts": 0}, "--parts"), ({"seconds": -1.0}, "--seconds"), ({"fps": 99}, "--fps")):
         with pytest.raises(_core.ConfigError, match=message):
-            stories.tell("walk", dataclasses.replace(options, **changes))
+            films.tell("walk", dataclasses.replace(options, **changes))

@@ -13,8 +13,8 @@ from polypod import _core, bundled
 from polypod import cli as program
 from polypod.cli import COMMANDS
 from polypod.commands import info
+from polypod.runs import config, run_dir
 from polypod.tables import Rows
-from polypod.training import config, run_dir
 
 
 def test_the_version(cli):

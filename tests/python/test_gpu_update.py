@@ -11,7 +11,7 @@ from test_native_learner_equals_rsl_rl import ENVS, ROBOTS, VARIANTS, assert_nea
 
 import polypod
 from polypod.rsl_rl import VecEnv
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from polypod.training.gpu import GpuRunner
 from polypod.training.native import NETWORKS, NativeRunner
 from polypod.training.report import Reporter

@@ -8,7 +8,8 @@ from test_urma import BODIES, TASK, URMA
 import polypod
 from common import ROBOTS
 from polypod.rsl_rl import VecEnv
-from polypod.training import config, run_dir, session
+from polypod.runs import config, run_dir
+from polypod.training import session
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NETWORKS
 from polypod.training.report import Reporter

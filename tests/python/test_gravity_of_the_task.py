@@ -5,7 +5,7 @@ import pytest
 
 import polypod
 from polypod import _core
-from polypod.play.scene import Scene
+from polypod.render.scene import Scene
 from polypod.sim2sim import twin
 
 QUIET = {"observations.enable_noise": False, "events.push_robot.enabled": False, "events.reset_base.yaw": [0, 0]}

@@ -11,7 +11,7 @@ import pytest
 import polypod
 from common import SMALL_TERRAIN, size
 from polypod.compat import tomllib
-from polypod.training import config
+from polypod.runs import config
 
 HOSTILE = ("1e308", "-1e308", "1e39", "1e-320", "-1", "0", "nan", "inf")
 TASKS = {

@@ -12,7 +12,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from common import size
 from polypod.compat import tomllib
-from polypod.training import manifest, run_dir
+from polypod.runs import manifest, run_dir
 from same_bits import equal
 
 ITERATIONS = 8

@@ -254,7 +254,7 @@ def test_rsl_rl(record):
     from rsl_rl.runners import OnPolicyRunner
 
     from polypod.rsl_rl import VecEnv
-    from polypod.training import config
+    from polypod.runs import config
 
     batch = polypod.make("velocity_flat", ENVS, **OPTIONS)
     settings = config.load("flat", [f"run.num_steps_per_env={STEPS}", "algorithm.num_learning_epochs=1"])

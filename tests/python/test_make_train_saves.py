@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from common import size
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from same_bits import equal
 
 ROOT = Path(__file__).parents[2]

@@ -8,7 +8,8 @@ import torch
 
 import polypod
 from common import TINY
-from polypod.training import config, run_dir, session
+from polypod.runs import config, run_dir
+from polypod.training import session
 from polypod.training.workers import Workers
 from same_bits import equal
 

@@ -10,12 +10,12 @@ import torch
 import polypod
 from polypod.networks import UrmaModel
 from polypod.rsl_rl import VecEnv
-from polypod.training import config
+from polypod.runs import config
+from polypod.runs.schema import URMA
 from polypod.training.advantages import normalize_per_robot
 from polypod.training.native import NETWORKS, NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
-from polypod.training.schema import URMA
 
 ENVS, STEPS, UPDATES = 64, 24, 3
 OF_BATCHES = ("order", "places", "batch_sizes")

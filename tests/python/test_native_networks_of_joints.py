@@ -10,7 +10,8 @@ import torch
 import polypod
 from polypod import policy
 from polypod.rsl_rl import VecEnv
-from polypod.training import config, run_dir, session
+from polypod.runs import config, run_dir
+from polypod.training import session
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.workers import Workers
@@ -38,7 +39,9 @@ one."""
 def runner_of(folder, overrides=(), envs=48, robots=ROBOTS, of_task=()):
     """A native learner of `any_legged` with new small networks."""
     _, of_training = config.split_overrides([*SMALL, *overrides])
-    train_config = config.load("any_legged", of_training).with_run(num_envs=envs).with_learner_resolved("native")
+    train_config = config.with_run(config.load("any_legged", of_training), num_envs=envs).with_learner_resolved(
+        "native"
+    )
     torch.manual_seed(3)
     env = polypod.make(train_config.run.task, envs, seed=11, threads=1, robots=robots, overrides=of_task)
     folder.mkdir(exist_ok=True)

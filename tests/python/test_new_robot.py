@@ -15,7 +15,7 @@ from common import FLAT_POLICY, size
 from polypod import _core
 from polypod.evaluation import evaluate, load_policy
 from polypod.new_robot import new_robot
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = [

@@ -17,7 +17,7 @@ import torch
 
 import polypod
 from common import FLAT_POLICY
-from polypod.training import config, run_dir
+from polypod.runs import config, run_dir
 from watched import nothing_started
 
 

@@ -6,7 +6,7 @@ import pytest
 from common import FLAT_POLICY
 from polypod import _core
 from polypod.evaluation import load_policy
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 CALM = [
     "observations.enable_noise=false",

@@ -18,8 +18,8 @@ from polypod.export.torch_graph import RobotPolicy
 from polypod.networks import ACTION_MASK, MaskedGaussian
 from polypod.networks.masked import MaskedNormalization
 from polypod.rsl_rl import VecEnv
+from polypod.runs import config, run_dir
 from polypod.sim2sim import twin
-from polypod.training import config, run_dir
 from polypod.training.session import Options, train
 
 FOLDER = Path(__file__).parents[1] / "data/bodies/configs/robots"

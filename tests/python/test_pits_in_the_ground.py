@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import polypod
-from polypod.play import mesh, raster
-from polypod.play.camera import Camera, Lens
-from polypod.play.scene import Scene
+from polypod.render import mesh, raster
+from polypod.render.camera import Camera, Lens
+from polypod.render.scene import Scene
 
 PIT = {"shape": "heightfield", "size": [4.0, 4.0], "position": [0.0, 0.0, 0.0], "heights": [[-1.0, -1.0], [-1.0, -1.0]]}
 

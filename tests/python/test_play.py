@@ -8,7 +8,8 @@ import pytest
 import polypod
 import polypod.cli
 from common import FLAT_POLICY
-from polypod.play import Player, mesh, raster, render
+from polypod.play import Player, render
+from polypod.render import mesh, raster
 
 PLAY = ("play", "--checkpoint", str(FLAT_POLICY))
 

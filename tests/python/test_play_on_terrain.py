@@ -7,8 +7,9 @@ import pytest
 
 import polypod.cli
 from common import ROUGH_POLICY
-from polypod.play import Player, mesh, picture, raster, relief, render, viewer
-from polypod.play.camera import Camera, Lens
+from polypod.play import Player, picture, render, viewer
+from polypod.render import mesh, raster, relief
+from polypod.render.camera import Camera, Lens
 
 # one row of ten columns: every type of tile
 SMALL = ("scene.terrain.num_rows=1", "scene.terrain.border_width=2.0", "scene.terrain.difficulty_range=[0.3, 0.3]")

@@ -14,7 +14,8 @@ from polypod import _core
 from polypod.deploy import check
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces
 from polypod.policy import load
-from polypod.training import run_dir, session
+from polypod.runs import run_dir
+from polypod.training import session
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATOR = ROOT / "target" / "release" / "polypod-sim"

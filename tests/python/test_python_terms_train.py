@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from polypod.training import python_terms, run_dir
+from polypod.runs import python_terms, run_dir
 
 TERMS = """
 from polypod.terms import Reward

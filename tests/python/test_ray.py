@@ -10,7 +10,7 @@ import time
 import pytest
 
 import polypod.cli
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from same_bits import equal
 
 try:

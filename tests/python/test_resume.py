@@ -6,7 +6,8 @@ import torch
 import polypod
 import polypod.evaluation
 from common import TINY
-from polypod.training import run_dir, session
+from polypod.runs import run_dir
+from polypod.training import session
 
 
 def train(log_dir, **options):

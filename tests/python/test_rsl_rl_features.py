@@ -10,10 +10,11 @@ import torch
 import polypod
 from common import FLAT_POLICY, SHORT, SMALL_TERRAIN
 from polypod.evaluation import evaluate_checkpoint
-from polypod.evaluation.policies import NetworkPolicy
 from polypod.export import export_checkpoint
+from polypod.networks.policies import NetworkPolicy
 from polypod.policy import load
-from polypod.training import config, run_dir, session
+from polypod.runs import config, run_dir
+from polypod.training import session
 from polypod.training.runner import Runner
 
 CRITIC = (

@@ -7,8 +7,8 @@ import pytest
 import polypod
 import polypod.cli
 from common import FLAT_POLICY
-from polypod import bundled
-from polypod.training import run_dir
+from polypod import runs
+from polypod.runs import run_dir
 
 NAMES = [
     "2026-01-01_10-00-00_two",
@@ -47,12 +47,12 @@ def logs(tmp_path, monkeypatch):
 def test_the_end_of_a_name_is_enough(logs, given, place):
     found = run_dir.find_checkpoint(logs, given)
     assert (found.parent.name, found.name) == (NAMES[place], "model_20.pt")
-    assert bundled.resolve(Path(given)) == found
-    assert bundled.resolve(Path(given), logs) == found
+    assert runs.resolve(Path(given)) == found
+    assert runs.resolve(Path(given), logs) == found
 
 
 def test_what_several_runs_end_in_is_no_name(logs):
-    for find in (lambda: run_dir.find_checkpoint(logs, "same"), lambda: bundled.resolve(Path("same"))):
+    for find in (lambda: run_dir.find_checkpoint(logs, "same"), lambda: runs.resolve(Path("same"))):
         with pytest.raises(polypod.ConfigError, match="end of several runs") as caught:
             find()
         assert NAMES[2] in str(caught.value)
@@ -63,7 +63,7 @@ def test_what_several_runs_end_in_is_no_name(logs):
 def test_parts_of_words_are_no_names(logs, given):
     with pytest.raises(polypod.ConfigError, match="neither a checkpoint nor a run"):
         run_dir.find_checkpoint(logs, given)
-    assert bundled.resolve(Path(given)) == Path(given)
+    assert runs.resolve(Path(given)) == Path(given)
 
 
 def test_files_and_bundled_policies_come_first(logs):
@@ -71,9 +71,9 @@ def test_files_and_bundled_policies_come_first(logs):
     run.mkdir()
     (run / "manifest.json").write_text("{}")
     (run / "model_1.pt").touch()
-    assert bundled.resolve(Path("flat")).name == FLAT_POLICY.name
+    assert runs.resolve(Path("flat")).name == FLAT_POLICY.name
     Path("two").touch()
-    assert bundled.resolve(Path("two")) == Path("two")
+    assert runs.resolve(Path("two")) == Path("two")
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network, walking
 from polypod.export import OnnxPolicy, interfaces, onnx_graph
 from polypod.export.torch_graph import RobotPolicy
+from polypod.runs import run_dir
 from polypod.sim2sim import commands, run, twin
-from polypod.training import run_dir
 
 TASK = "Velocity-Flat-Universal-Play-v0"
 CLOSE = 0.1

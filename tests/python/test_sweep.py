@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from polypod.training.sweep import EVALUATION, error_of, read
 from same_bits import equal
 

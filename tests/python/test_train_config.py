@@ -6,7 +6,8 @@ import pytest
 
 import polypod
 from polypod.compat import tomllib
-from polypod.training import config, run_dir, schema, session
+from polypod.runs import config, run_dir, schema
+from polypod.training import session
 from polypod.training.session import Options, train_with
 from polypod.training.workers import Workers
 

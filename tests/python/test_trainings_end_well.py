@@ -14,8 +14,9 @@ import torch
 
 import polypod
 from common import TINY
-from polypod.training import run_dir, session
+from polypod.runs import run_dir
 from polypod.training import runner as module
+from polypod.training import session
 from polypod.training.runner import Runner
 
 TRAIN = (

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from polypod.evaluation.walking import Walking, shortfall, walks
+from polypod.runs import run_dir
 from polypod.training import goal as goals
-from polypod.training import run_dir, session
+from polypod.training import session
 from polypod.training.goal import UntilWalks
 from polypod.training.workers import Workers
 

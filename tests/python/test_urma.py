@@ -20,7 +20,8 @@ from polypod.export.checkpoint import compare
 from polypod.networks.joints import joint_columns
 from polypod.observation import layout_of as layout_of_terms
 from polypod.observation import terms_of
-from polypod.training import config, run_dir, session
+from polypod.runs import config, run_dir
+from polypod.training import session
 from polypod.training.symmetry import Mirror
 
 URMA = "polypod.networks:UrmaModel"

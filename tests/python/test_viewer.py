@@ -15,10 +15,11 @@ import polypod.cli
 from browser import PROGRAM, Page
 from common import FLAT_POLICY, ROUGH_POLICY, SMALL_TERRAIN, size
 from polypod import _core, bundled
-from polypod.play import Player, mesh, session, turns
+from polypod.play import Player, session
 from polypod.play.live import FROM_TASK, OWN, TOGETHER, Choice, Live, columns_of
 from polypod.play.panel import KEYS, Panel
 from polypod.play.viewer import GROUP, NOTHING, Viewer
+from polypod.render import mesh, turns
 
 PICTURE = 0.1
 """Time between two pictures of a slow page, s."""

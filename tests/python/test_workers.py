@@ -12,7 +12,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from polypod.training.advantages import normalize_per_robot
 from polypod.training.reward_scale import RewardScale
 from polypod.training.workers import Workers, _backend, slow_workers

@@ -15,7 +15,7 @@ import polypod
 from polypod import _core, provenance
 from polypod.bench.report import Progress
 from polypod.rsl_rl import VecEnv
-from polypod.training import config, run_dir
+from polypod.runs import config, run_dir
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 from polypod.training.session import DEFAULT_SEED, runner_of
@@ -76,7 +76,7 @@ def training(
         precision: `mixed_precision`.
         workers: those that have the other envs; None: there are none.
     """
-    train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
+    train_config = config.with_run(config.load(options.train_config), num_envs=options.num_envs)
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
     kind = torch.device(device).type

@@ -18,7 +18,7 @@ import torch
 from polypod import _core
 from polypod.bench.learners import Options, heading, training
 from polypod.bench.report import Progress
-from polypod.training import config
+from polypod.runs import config
 from polypod.training.workers import Workers
 
 ITERATIONS = 8
@@ -44,7 +44,7 @@ def measure(options: Options, counts: Sequence[int], progress: Progress, device:
         ConfigError: for envs that so many workers cannot share, and for a training that fails.
     """
     cores = options.threads or _core.info()["threads"]
-    train_config = config.load(options.train_config).with_run(num_envs=options.num_envs)
+    train_config = config.with_run(config.load(options.train_config), num_envs=options.num_envs)
     if device == CUDA and not torch.cuda.is_available():
         raise _core.ConfigError("--device cuda, but torch finds no CUDA device; leave it out for the native learner")
     for count in counts:

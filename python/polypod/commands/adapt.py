@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from polypod import _core, bundled
+from polypod import _core, runs
 from polypod.commands.arguments import (
     Count,
     Locks,
@@ -70,7 +70,7 @@ class Adapt:
             torch.set_num_threads(threads)
         options = adapt.Options(
             robot=self.robot,
-            checkpoint=None if self.checkpoint is None else bundled.resolve(self.checkpoint, self.log_dir),
+            checkpoint=None if self.checkpoint is None else runs.resolve(self.checkpoint, self.log_dir),
             neighbours=self.neighbours,
             max_minutes=self.max_minutes,
             every=self.every,

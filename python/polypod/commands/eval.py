@@ -52,7 +52,7 @@ class Eval:
         check_names(self.task, names(self.robots))
         import torch
 
-        from polypod import bundled
+        from polypod import runs
         from polypod.evaluation import evaluate_checkpoints, plot, summarize
         from polypod.training.report import Reporter
 
@@ -61,7 +61,7 @@ class Eval:
             torch.set_num_threads(threads)
         if not self.checkpoint:
             raise _core.ConfigError("--checkpoint names no file; pass one model_<n>.pt or more")
-        checkpoints = [bundled.resolve(checkpoint) for checkpoint in self.checkpoint]
+        checkpoints = [runs.resolve(checkpoint) for checkpoint in self.checkpoint]
         if self.gate:
             return self._gate(checkpoints, threads)
         evaluations = evaluate_checkpoints(

@@ -28,13 +28,13 @@ class Export:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(None, names(self.robots))
-        from polypod import bundled
+        from polypod import runs
         from polypod.export import export_checkpoint
 
         if not self.formats:
             raise _core.ConfigError("--formats names none; choose onnx, torchscript or both")
         done = export_checkpoint(
-            bundled.resolve(self.checkpoint), self.out, names(self.robots), fold=self.fold, formats=self.formats
+            runs.resolve(self.checkpoint), self.out, names(self.robots), fold=self.fold, formats=self.formats
         )
         for change in done.changes:
             print(f"polypod: warning: {change}", file=sys.stderr)

@@ -53,13 +53,12 @@ class FilmOf:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(self.task, names(self.robots))
-        from polypod import bundled
-        from polypod.play import stories
+        from polypod import films, runs
 
-        stories.tell(
+        films.tell(
             self.story,
-            stories.Options(
-                checkpoint=bundled.resolve(self.checkpoint),
+            films.Options(
+                checkpoint=runs.resolve(self.checkpoint),
                 out=self.out,
                 robots=names(self.robots),
                 command=self.command,

@@ -62,13 +62,13 @@ class Play:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(self.task, names(self.robots))
-        from polypod import bundled
+        from polypod import runs
         from polypod.play import session
         from polypod.play.report import show
 
         player = session.play(
             session.Options(
-                checkpoint=bundled.resolve(self.checkpoint),
+                checkpoint=runs.resolve(self.checkpoint),
                 robots=names(self.robots),
                 command=self.command,
                 task=self.task,

@@ -70,7 +70,7 @@ class Robustness:
         check_names(None, names(self.robots))
         import torch
 
-        from polypod import bundled, robustness
+        from polypod import robustness, runs
         from polypod.drawing import pyplot_for
         from polypod.progress import Progress
         from polypod.robustness import picture, report
@@ -95,7 +95,7 @@ class Robustness:
         if self.picture is not None:
             pyplot_for("--picture")
         with Progress(8) as progress:
-            battery = robustness.measure(bundled.resolve(self.checkpoint), robots, options, progress)
+            battery = robustness.measure(runs.resolve(self.checkpoint), robots, options, progress)
         report.show(battery)
         write_json(self.json, battery.as_dict())
         if self.picture is not None:

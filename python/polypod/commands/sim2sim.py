@@ -97,7 +97,7 @@ class Sim2sim:
             raise _core.ConfigError(f"--robots {self.robots}: --model is a model of one robot; name one")
 
     def _in_mujoco(self) -> int:
-        from polypod import bundled, sim2sim
+        from polypod import runs, sim2sim
         from polypod.progress import Progress
         from polypod.sim2sim.report import show
 
@@ -119,13 +119,13 @@ class Sim2sim:
             def progress(name: str, done: int, total: int) -> None:
                 bars(name if name == "polypod" else f"mujoco {name}", done, total)
 
-            comparison = sim2sim.compare(bundled.resolve(self.checkpoint), names(self.robots), options, progress)
+            comparison = sim2sim.compare(runs.resolve(self.checkpoint), names(self.robots), options, progress)
         show(comparison)
         write_json(self.json, comparison.as_dict())
         return 0 if comparison.transfers else 3
 
     def _on_model(self, model: Path) -> int:
-        from polypod import bundled
+        from polypod import runs
         from polypod.progress import Progress
         from polypod.sim2sim import model_report, on_model
 
@@ -156,7 +156,7 @@ class Sim2sim:
         with Progress(14) as bars:
             comparison = on_model.play(
                 model,
-                bundled.resolve(self.checkpoint),
+                runs.resolve(self.checkpoint),
                 None if robots is None else robots[0],
                 options,
                 bars,

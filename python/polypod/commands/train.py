@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
-from polypod import _core, bundled
+from polypod import _core, runs
 from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
 
 Learner = Literal["auto", "native", "rsl_rl"]
@@ -81,7 +81,7 @@ class Train:
             logger=self.logger,
             log_project=self.log_project,
             resume=self.resume,
-            init=self.init and bundled.resolve(self.init, self.log_dir),
+            init=self.init and runs.resolve(self.init, self.log_dir),
             terms=self.terms,
             run_name=self.run_name,
             log_dir=self.log_dir,
@@ -103,7 +103,7 @@ class Train:
 
     def _check(self) -> None:
         """Refuses names and keys that do not exist before torch is imported."""
-        from polypod.training import config
+        from polypod.runs import config
 
         of_task, of_training = config.split_overrides(self.set)
         run = config.load(self.train_config or config.DEFAULT, of_training).run

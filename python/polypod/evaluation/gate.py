@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.evaluation import measures
-from polypod.evaluation.policies import Policy, reset
 from polypod.evaluation.rollout import play_task, undisturbed
+from polypod.networks.policies import Policy, reset
 
 COMMANDS = ((0.8, 0.0, 0.0), (-0.5, 0.0, 0.0), (0.3, 0.0, 1.0), (0.3, 0.0, -1.0), (0.0, 0.4, 0.0), (0.0, 0.0, 0.0))
 """Of the battery: forward and left velocity, m/s, and yaw rate, rad/s."""

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.evaluation import measures, walking
-from polypod.evaluation.policies import Policy, reset
 from polypod.evaluation.results import Evaluation, robot_result
+from polypod.networks.policies import Policy, reset
 from polypod.registration import num_robots
 
 ENVS_PER_ROBOT = 64

@@ -12,7 +12,7 @@ from polypod import _core
 from polypod.files import read_bytes
 from polypod.networks.onnx_network import output_of
 from polypod.networks.onnx_session import OnnxSession
-from polypod.training.manifest import export_sums
+from polypod.runs.manifest import export_sums
 
 MAX_BYTES = 1 << 30
 """Largest size of a graph, bytes: twice that of the largest network that a manifest may describe."""

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod.extras import package
-from polypod.play import turns
 from polypod.play.looks import Look, Model
-from polypod.play.mesh import Array, joined, rotation
-from polypod.play.raster import COMMAND, FORCE, FORCE_LENGTH, Color
-from polypod.play.scene import Contact, RobotFrame
+from polypod.render import turns
+from polypod.render.mesh import Array, joined, rotation
+from polypod.render.raster import COMMAND, FORCE, FORCE_LENGTH, Color
+from polypod.render.scene import Contact, RobotFrame
 
 VELOCITY: Color = (58, 110, 214)
 """Colour of the arrow of the measured velocity; the commanded one is green, as in films."""

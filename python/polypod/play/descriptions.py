@@ -18,7 +18,7 @@ from polypod import _core
 from polypod.compat import tomllib
 from polypod.extras import package
 from polypod.play.looks import Model
-from polypod.play.mesh import Array, rotation
+from polypod.render.mesh import Array, rotation
 
 TOLERANCE = 0.02
 """Links of a description may be so far from the robot's, m; joints at zero."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod.play import mesh
-from polypod.play.mesh import Array, Mesh
-from polypod.play.raster import Color
+from polypod.render import mesh
+from polypod.render.mesh import Array, Mesh
+from polypod.render.raster import Color
 
 BODY: dict[str, Color] = {
     "base": (206, 210, 216),

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from polypod import _core, descriptions
 from polypod.compat import tomllib
 from polypod.evaluation import play_task, undisturbed
-from polypod.evaluation.policies import Policy, reset
-from polypod.play import mesh
-from polypod.play.mesh import Array
-from polypod.play.scene import Scene
+from polypod.networks.policies import Policy, reset
 from polypod.policy import load
+from polypod.render import mesh
+from polypod.render.mesh import Array
+from polypod.render.scene import Scene
 
 SPACING = 1.2
 """Between robots that walk side by side, m."""

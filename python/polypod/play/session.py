@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from polypod import _core, bundled, interrupts
-from polypod.play.film import Film
 from polypod.play.live import OWN, TOGETHER, Choice, Live, columns_of
 from polypod.play.panel import Panel
 from polypod.play.player import Player
-from polypod.play.raster import picture
 from polypod.play.viewer import HOST, Viewer
+from polypod.render.film import Film
+from polypod.render.raster import picture
 
 MOST_CHECKPOINTS = 20
 """Number of the training's checkpoints that the page offers in addition to the first one."""

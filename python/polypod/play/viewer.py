@@ -15,12 +15,12 @@ from polypod.files import write_bytes
 from polypod.play import descriptions, looks
 from polypod.play.avatar import Avatar
 from polypod.play.gate import Gate, open_server, wake_safely
-from polypod.play.ground import Ground
 from polypod.play.looks import Look, Model
-from polypod.play.mesh import floor
 from polypod.play.player import Player
-from polypod.play.raster import OBSTACLE, Color
-from polypod.play.scene import Frame
+from polypod.render.ground import Ground
+from polypod.render.mesh import floor
+from polypod.render.raster import OBSTACLE, Color
+from polypod.render.scene import Frame
 
 Array = npt.NDArray[np.float64]
 

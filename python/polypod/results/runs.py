@@ -24,7 +24,7 @@ from polypod.evaluation import Evaluation
 from polypod.extras import package
 from polypod.files import read_bytes
 from polypod.results.archive import unpacked
-from polypod.training.run_dir import MANIFEST
+from polypod.runs.run_dir import MANIFEST
 
 MAX_BYTES = 64 << 20
 """Largest size of a file of figures, bytes."""

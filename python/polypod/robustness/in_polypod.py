@@ -10,9 +10,9 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, play_task, undisturbed
-from polypod.evaluation.policies import reset
 from polypod.evaluation.rollout import as_trained
 from polypod.evaluation.walking import Record, Schedule, episode_steps
+from polypod.networks.policies import reset
 from polypod.observation import terms_of
 from polypod.robustness import overrides, schedules
 from polypod.robustness.body import Body, bodies

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
-from polypod import _core, bundled
+from polypod import _core, bundled, runs
 from polypod.policy import LoadedPolicy, load
 from polypod.provenance import measured
 from polypod.robustness import in_polypod
@@ -122,7 +122,7 @@ def measure(
     sim = setting.sim(1)
     order = {condition.name: place for place, condition in enumerate(conditions)}
     return Battery(
-        checkpoint={"file": bundled.shown(bundled.resolve(checkpoint)), "sha256": loaded.sha256},
+        checkpoint={"file": bundled.shown(runs.resolve(checkpoint)), "sha256": loaded.sha256},
         command=_command(checkpoint, robots, options),
         task=sim.task_name,
         seed=options.seed,
@@ -217,7 +217,7 @@ def _as_they_end(futures: Iterable[Future[Cell]]) -> Iterator[Future[Cell]]:
 
 def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
     given: dict[str, str | int | None] = {
-        "--checkpoint": bundled.shown(bundled.resolve(checkpoint)),
+        "--checkpoint": bundled.shown(runs.resolve(checkpoint)),
         "--robots": None if robots is None else ",".join(robots),
         "--conditions": None if options.conditions is None else ",".join(options.conditions),
         "--simulators": ",".join(options.simulators),

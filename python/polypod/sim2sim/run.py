@@ -17,12 +17,12 @@ from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, Walking, play_task, undisturbed, walking
-from polypod.evaluation.policies import reset
 from polypod.evaluation.results import finite
 from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
+from polypod.networks.policies import reset
 from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured

@@ -12,11 +12,10 @@ import numpy as np
 
 from polypod import _core
 from polypod.extras import package
-from polypod.play.film import Film
 from polypod.play.player import SPACING
-from polypod.play.raster import follow, render, titled
-from polypod.play.scene import Scene
-from polypod.play.stories import replay
+from polypod.render.film import Film
+from polypod.render.raster import follow, render, titled
+from polypod.render.scene import Scene, replay
 from polypod.sim2sim.commands import Array
 from polypod.sim2sim.phases import PhaseFigures
 

@@ -10,7 +10,7 @@ import torch
 
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, shortfall, walks, why_not
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from polypod.training.runner import Runner
 
 SEED, CONFIRMING_SEED = 0, 1

@@ -5,9 +5,9 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
+from polypod.runs.schema import OBSERVATION_GROUP
 from polypod.training.gpu_update import Samples, Update
 from polypod.training.native import NETWORKS, NativeRunner, array_of
-from polypod.training.schema import OBSERVATION_GROUP
 from polypod.training.symmetry import Mirror
 
 

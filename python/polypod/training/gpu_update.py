@@ -17,9 +17,9 @@ from polypod import _core
 from polypod.networks.masked import ACTION_MASK, MaskedGaussian
 from polypod.networks.urma import JointCounts, counted
 from polypod.rsl_rl import VecEnv
+from polypod.runs.schema import ALTERNATE, AlgorithmConfig
 from polypod.training import deviations
 from polypod.training.graphs import Graphs
-from polypod.training.schema import ALTERNATE, AlgorithmConfig
 from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers
 

@@ -13,7 +13,8 @@ from polypod import _core
 from polypod.evaluation import evaluate_checkpoint
 from polypod.extras import package
 from polypod.files import real_path
-from polypod.training import run_dir, session
+from polypod.runs import run_dir
+from polypod.training import session
 from polypod.training.report import Reporter
 from polypod.training.workers import LostWorkerError, Workers, is_among_workers
 from polypod.vector_env import make

@@ -16,13 +16,13 @@ from polypod import _core
 from polypod.networks.masked import ACTION_MASK
 from polypod.networks.urma import JointCounts, UrmaModel, counted
 from polypod.rsl_rl import VecEnv
+from polypod.runs.schema import TrainConfig
 from polypod.training import deviations
 from polypod.training.advantages import EPSILON, normalize_per_robot
 from polypod.training.gpu_update import Samples, ask_policy
 from polypod.training.graphs import Graphs
 from polypod.training.logger import TrainingLogger
 from polypod.training.reward_scale import RewardScale
-from polypod.training.schema import TrainConfig
 from polypod.training.workers import Workers
 
 

@@ -19,12 +19,13 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.networks import UrmaModel
 from polypod.rsl_rl import VecEnv
-from polypod.training import deviations, run_dir
+from polypod.runs import run_dir
+from polypod.runs.schema import TrainConfig
+from polypod.training import deviations
 from polypod.training.advantages import normalize_per_robot
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
-from polypod.training.schema import TrainConfig
 from polypod.training.symmetry import Mirror
 from polypod.training.transfer import critic_for, numbers_of, numbers_of_run
 from polypod.training.workers import Workers, slow_workers

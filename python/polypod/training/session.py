@@ -17,15 +17,15 @@ import polypod
 from polypod import _core
 from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
+from polypod.runs import config, python_terms, run_dir
+from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.terms import CustomTerms
-from polypod.training import config, python_terms, run_dir
 from polypod.training.goal import UntilWalks, progress_line
 from polypod.training.gpu import GpuRunner
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
-from polypod.training.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
@@ -315,7 +315,8 @@ def settle(
         ConfigError: as `new_plan`.
     """
     device = _device(options, train_config)
-    train_config = train_config.with_run(
+    train_config = config.with_run(
+        train_config,
         task=run_dir.source(options.task or train_config.run.task),
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,

@@ -20,9 +20,10 @@ from polypod.compat import tomllib
 from polypod.evaluation import evaluate_checkpoint
 from polypod.extras import package
 from polypod.files import read_bytes, real_path, write_text
-from polypod.training import run_dir, session
+from polypod.runs import run_dir
+from polypod.runs.schema import TrainConfig
+from polypod.training import session
 from polypod.training.report import Reporter
-from polypod.training.schema import TrainConfig
 from polypod.training.workers import Workers, is_among_workers
 
 EVALUATION = "eval.json"

@@ -1,4 +1,4 @@
-"""`configs/train/*.toml`: how they are read, merged and checked. What is typed there: `polypod.training.schema`."""
+"""`configs/train/*.toml`: how they are read, merged and checked. What is typed there: `polypod.runs.schema`."""
 
 import contextlib
 import dataclasses
@@ -12,8 +12,8 @@ from typing import Any, get_args, get_origin
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.files import read_bytes, real_path
-from polypod.training.manifest import MAX_LAYER, Activation, check_size
-from polypod.training.schema import (
+from polypod.runs.manifest import MAX_LAYER, Activation, check_size
+from polypod.runs.schema import (
     ALTERNATE,
     LEARNERS,
     LOSSES,
@@ -86,6 +86,12 @@ def changed(config: TrainConfig, overrides: Sequence[str], source: str) -> Train
     # TOML keeps the numbers that JSON has not
     tables = tomllib.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
     return parse(tables, f"{source} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
+
+
+def with_run(config: TrainConfig, **values: Any) -> TrainConfig:
+    """A config with other values in `[run]`; None leaves a value alone. Raises ConfigError."""
+    given = {key: value for key, value in values.items() if value is not None}
+    return parse({**config.as_dict(), "run": {**dataclasses.asdict(config.run), **given}}, "the command line")
 
 
 def parse(tables: dict[str, Any], source: str) -> TrainConfig:

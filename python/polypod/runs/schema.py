@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from polypod import _core, bundled
+from polypod import _core, runs
 from polypod.files import real_path
 from polypod.observation import layout_of, terms_of
-from polypod.training.manifest import read as read_manifest
+from polypod.runs.manifest import read as read_manifest
 
 OBSERVATION_GROUP = "policy"
 """Name of the observation group that actor and critic read."""
@@ -216,18 +216,11 @@ class TrainConfig:
             begin.desired_kl + share * (self.anneal.desired_kl - begin.desired_kl),
         )
 
-    def with_run(self, **values: Any) -> "TrainConfig":
-        """The config with other values in `[run]`; None leaves a value alone."""
-        from polypod.training.config import parse  # which builds what is declared here
-
-        given = {key: value for key, value in values.items() if value is not None}
-        return parse({**self.as_dict(), "run": {**dataclasses.asdict(self.run), **given}}, "the command line")
-
     def with_teacher_located(self) -> "TrainConfig":
         """The config with the absolute path of its teacher, so that a run goes on from any directory."""
         if self.distillation is None:
             return self
-        teacher = str(real_path(bundled.resolve(Path(self.distillation.teacher))))
+        teacher = str(real_path(runs.resolve(Path(self.distillation.teacher))))
         return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
@@ -251,10 +244,13 @@ class TrainConfig:
         Raises:
             ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
         """
-        config = self.with_run(learner=learner)
-        why_not = config._why_not_native(device_type)
-        if config.run.learner == "auto":
-            config = config.with_run(learner="rsl_rl" if why_not else "native")
+        chosen = self.run.learner if learner is None else learner
+        if chosen not in LEARNERS:
+            raise _core.ConfigError(f"the learner {chosen!r} is not one of {', '.join(LEARNERS)}")
+        why_not = self._why_not_native(device_type)
+        if chosen == "auto":
+            chosen = "rsl_rl" if why_not else "native"
+        config = dataclasses.replace(self, run=dataclasses.replace(self.run, learner=chosen))
         if config.run.learner == "native" and why_not:
             raise _core.ConfigError(f"the native learner {why_not}; use --learner rsl_rl or auto")
         if config.run.learner == "rsl_rl" and config.run.symmetry == ALTERNATE and not config.can_be_graphs:

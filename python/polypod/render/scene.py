@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,9 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.compat import tomllib
-from polypod.play import mesh
-from polypod.play.ground import Ground
-from polypod.play.mesh import Array, Mesh
+from polypod.render import mesh
+from polypod.render.ground import Ground
+from polypod.render.mesh import Array, Mesh
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,3 +215,26 @@ def arrow(start: Array, direction: Array, width: float) -> npt.NDArray[np.float6
     neck = max(length - 2.0 * width, 0.0)
     outline = [(0.0, 0.5), (neck, 0.5), (neck, 1.2), (length, 0.0), (neck, -1.2), (neck, -0.5), (0.0, -0.5)]
     return np.array([start + a * along + b * width * across for a, b in outline])
+
+
+def replay(scene: Scene, sources: Sequence[str], states: Mapping[str, Sequence[Array]]) -> list[Frame]:
+    """Frames of positions [7 + joints] of one env per robot, which were made from `sources`."""
+    poses = {}
+    for source, robot in zip(sources, scene.sim.robots, strict=True):
+        rows = np.stack(states[robot])
+        sim = _core.Simulation(source, num_envs=len(rows), ground=None, threads=1)
+        sim.set_state(qpos=rows)
+        poses[robot] = sim.link_pose()
+    now = {robot.name: robot for robot in scene.frame().robots}
+    frames = []
+    for step in range(len(next(iter(states.values())))):
+        robots: list[RobotFrame] = []
+        for robot, (position, quaternion) in poses.items():
+            still = now[robot]
+            robots.append(
+                dataclasses.replace(
+                    still, position=position[step] + still.place, quaternion=quaternion[step], contacts=[]
+                )
+            )
+        frames.append(Frame(step * scene.step_dt, robots))
+    return frames

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod.extras import package
-from polypod.play import relief, turns
-from polypod.play.camera import NEAR, Camera, Lens
-from polypod.play.mesh import Array, Mesh, lit
-from polypod.play.scene import Frame, RobotFrame, Scene, arrow
+from polypod.render import relief, turns
+from polypod.render.camera import NEAR, Camera, Lens
+from polypod.render.mesh import Array, Mesh, lit
+from polypod.render.scene import Frame, RobotFrame, Scene, arrow
 
 if TYPE_CHECKING:
     from PIL.Image import Image

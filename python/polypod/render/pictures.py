@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.play.raster import follow_one, render
-from polypod.play.scene import Scene
+from polypod.render.raster import follow_one, render
+from polypod.render.scene import Scene
 
 SIZE = (640, 360)
 """Width and height, pixels."""

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,15 +10,17 @@ import numpy as np
 import torch
 
 from polypod import _core
-from polypod.evaluation.policies import NetworkPolicy
 from polypod.extras import package
 from polypod.networks import build_actor
-from polypod.play.film import Film
-from polypod.play.mesh import Array
+from polypod.networks.policies import NetworkPolicy
 from polypod.play.player import Player, aligned_starts
-from polypod.play.raster import follow, picture, render, titled
-from polypod.play.scene import Frame, RobotFrame, Scene
 from polypod.policy import load
+from polypod.render.film import Film
+from polypod.render.mesh import Array
+from polypod.render.raster import follow, picture, render, titled
+from polypod.render.scene import Frame, replay
+from polypod.sim2sim import Options as Comparison
+from polypod.sim2sim import compare
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -144,9 +146,6 @@ def _pushes(options: Options) -> Iterator["Image"]:
 
 def _beside_mujoco(options: Options) -> Iterator["Image"]:
     """The same policy from the same states: in polypod in the upper half, in MuJoCo in the lower one."""
-    from polypod.sim2sim import Options as Comparison
-    from polypod.sim2sim import compare
-
     width, height = options.size
     half = (width, height // 2)
     player = _player(options, options.checkpoint)
@@ -191,29 +190,6 @@ def _beside_mujoco(options: Options) -> Iterator["Image"]:
             shown = render(player, frames[simulator][step], camera, half)
             whole.paste(titled(shown, titles[simulator]), (0, row * half[1]))
         yield whole
-
-
-def replay(scene: Scene, sources: Sequence[str], states: Mapping[str, Sequence[Array]]) -> list[Frame]:
-    """Frames of positions [7 + joints] of one env per robot, which were made from `sources`."""
-    poses = {}
-    for source, robot in zip(sources, scene.sim.robots, strict=True):
-        rows = np.stack(states[robot])
-        sim = _core.Simulation(source, num_envs=len(rows), ground=None, threads=1)
-        sim.set_state(qpos=rows)
-        poses[robot] = sim.link_pose()
-    now = {robot.name: robot for robot in scene.frame().robots}
-    frames = []
-    for step in range(len(next(iter(states.values())))):
-        robots: list[RobotFrame] = []
-        for robot, (position, quaternion) in poses.items():
-            still = now[robot]
-            robots.append(
-                dataclasses.replace(
-                    still, position=position[step] + still.place, quaternion=quaternion[step], contacts=[]
-                )
-            )
-        frames.append(Frame(step * scene.step_dt, robots))
-    return frames
 
 
 def _player(options: Options, checkpoint: Path) -> Player:

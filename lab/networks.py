@@ -1,4 +1,4 @@
-"""Measures what the actors of train configs cost a learner: `python -m polypod.networks [CONFIG ...]`."""
+"""Measures what the actors of train configs cost a learner: `python -m lab.networks [CONFIG ...]`."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 import polypod
 from polypod.networks import build_actor
-from polypod.training import config
+from polypod.runs import config
 
 ROWS = 2400
 """Samples of a pass: a multiple of the robots of any shipped task."""

@@ -33,9 +33,9 @@ import torch
 from polypod import _core, descriptions
 from polypod.files import read_bytes, real_path, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
-from polypod.training import manifest
-from polypod.training.python_terms import PythonTerms
-from polypod.training.schema import TrainConfig
+from polypod.runs import manifest
+from polypod.runs.python_terms import PythonTerms
+from polypod.runs.schema import TrainConfig
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from polypod.play.mesh import Array
+from polypod.render.mesh import Array
 
 if TYPE_CHECKING:
     from polypod import _core

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from polypod.play.mesh import Array
+from polypod.render.mesh import Array
 
 NEAR = 0.1
 """Points nearer to the camera are not drawn, m."""

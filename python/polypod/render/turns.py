@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from polypod.play.mesh import Array
+from polypod.render.mesh import Array
 
 
 def product(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:

@@ -1,0 +1,40 @@
+"""Files of trainings: train configs, manifests, checkpoints, and how they are found by name."""
+
+from pathlib import Path
+
+from polypod import bundled
+
+LOGS = Path("logs")
+"""Where `polypod train` keeps its runs, unless it is told otherwise."""
+
+
+def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
+    """A file; where there is no such file, a bundled policy by its name or the last checkpoint of a run by its name.
+
+    Args:
+        given: path, name of a bundled policy, or name of a run or the end of it. None: the bundled policy for flat
+            ground.
+        log_dir: where the runs are.
+
+    Raises:
+        ConfigError: for the end of several runs' names.
+    """
+    if given is None:
+        return bundled.checkpoint()
+    if _exists(given):
+        return given
+    if str(given) in bundled.NAMES:
+        return bundled.checkpoint(str(given))
+    if given.name != str(given) or given.suffix in (".pt", ".onnx") or not _exists(log_dir / "rsl_rl"):
+        return given
+    # it imports torch
+    from polypod.runs.run_dir import find_checkpoint, has_run
+
+    return find_checkpoint(log_dir, str(given)) if has_run(log_dir, str(given)) else given
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that no file can have
+        return False
