@@ -46,7 +46,7 @@ ARGS ?=
 # Time that each fuzz target runs for.
 SECONDS ?= 600
 
-.PHONY: help build train eval demo film films test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench results soak accuracy lint doc docs package format lock clean
+.PHONY: help build train eval demo film films test test-extended test-learners fuzz test-rust test-python wheel wheel-venv compile bench soak accuracy lint doc docs package format lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -134,9 +134,6 @@ wheel-venv: $(VENV)/.requirements
 
 bench: build ## Measure the speed, beside MuJoCo in the same run (ARGS="--quick" takes a minute)
 	$(BIN)/polypod bench $(ARGS)
-
-results: $(VENV)/.extension ## Make the tables and plots of docs/results.md out of docs/results.tar.xz
-	$(BIN)/polypod results docs/results.tar.xz --out docs/results.md --media docs/media $(ARGS)
 
 accuracy: build ## Compare the physics with MuJoCo and write the tables
 	$(BIN)/polypod accuracy --out docs/accuracy.md --readme README.md $(ARGS)

@@ -10,7 +10,7 @@
 >>> sim.step(targets=sim.default_qpos[7:], n=200)
 
 Importing polypod also registers its tasks with Gymnasium, as `polypod/<task>`. `polypod.rsl_rl` holds the adapter for
-rsl_rl; it needs the `train` extra, as does the command line (`polypod --help`).
+rsl_rl; it needs the `train` extra, as do the commands that train policies or run them (`polypod --help`).
 """
 
 from polypod._core import (

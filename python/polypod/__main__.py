@@ -3,20 +3,8 @@
 import os
 import sys
 from collections.abc import MutableMapping
-from importlib.util import find_spec
 
 from polypod import interrupts
-
-_TRAIN_EXTRA = {
-    "filelock": "filelock",
-    "msgspec": "msgspec",
-    "rich": "rich",
-    "rsl_rl": "rsl-rl-lib",
-    "tensordict": "tensordict",
-    "torch": "torch",
-    "tyro": "tyro",
-}
-
 
 _SPIN_COUNT = "1000"
 """Turns, some microseconds, that an idle thread of torch's OpenMP (libgomp) spins before it sleeps."""
@@ -36,11 +24,6 @@ def main() -> int:
     """Runs the command line and returns its exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C."""
     try:
         interrupts.watch()
-        missing = [package for module, package in _TRAIN_EXTRA.items() if find_spec(module) is None]
-        if missing:
-            remedy = "install the train extra: pip install 'polypod[train]'"
-            print(f"polypod: the command line needs {', '.join(missing)}; {remedy}", file=sys.stderr)
-            return 2
         spin_briefly(os.environ)  # libgomp reads it when torch is imported
         from polypod import cli
 

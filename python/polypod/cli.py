@@ -6,6 +6,7 @@ import sys
 import traceback
 import typing
 from collections.abc import Sequence
+from importlib.util import find_spec
 from typing import Annotated, Any
 
 import tyro
@@ -24,7 +25,6 @@ from polypod.commands.film import FilmOf
 from polypod.commands.info import Info
 from polypod.commands.list import List
 from polypod.commands.play import Play
-from polypod.commands.results import ResultsOf
 from polypod.commands.robot import Robot
 from polypod.commands.robustness import Robustness
 from polypod.commands.sim2sim import Sim2sim
@@ -49,7 +49,6 @@ Command = (
     | Annotated[Bodies, tyro.conf.subcommand("bodies")]
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[ResultsOf, tyro.conf.subcommand("results")]
     | Annotated[Terrain, tyro.conf.subcommand("terrain")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
@@ -81,6 +80,7 @@ def main(arguments: Sequence[str]) -> int:
             args=_with_bare_flags(_respelled(arguments)) or ["--help"],
         )
         _check_seed(command)
+        _check_packages(arguments[0])
         code = _run(command)
         sys.stdout.flush()
         return code
@@ -137,6 +137,30 @@ def _check_seed(command: Any) -> None:
     seed = getattr(command, "seed", None)
     if seed is not None and not 0 <= seed < 2**64:
         raise _core.ConfigError(f"--seed {seed} must be from 0 to 2^64 - 1")
+
+
+_TRAIN_EXTRA = {
+    "filelock": "filelock",
+    "msgspec": "msgspec",
+    "rich": "rich",
+    "rsl_rl": "rsl-rl-lib",
+    "tensordict": "tensordict",
+    "torch": "torch",
+}
+"""Modules of the extra train and their packages."""
+_WITH_POLICIES = ("adapt", "eval", "export", "film", "play", "robustness", "sim2sim", "sweep", "train")
+"""Commands that need the extra train."""
+
+
+def _check_packages(command: str) -> None:
+    """Raises ConfigError where a package that a command needs is missing."""
+    if command not in _WITH_POLICIES:
+        return
+    missing = [package for module, package in _TRAIN_EXTRA.items() if find_spec(module) is None]
+    if missing:
+        raise _core.ConfigError(
+            f"the command {command} needs {', '.join(missing)}; install the train extra: pip install 'polypod[train]'"
+        )
 
 
 _DESCRIPTION = """Trains one locomotion policy over many legged robots, on ordinary CPUs.

@@ -199,10 +199,6 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("--out", "map.npz", "--task", "velocity_rough", "--set", "scene.terrain.num_rows=1"),
         {"--out": [*OUTPUTS, "folder/x.npz/y"], "--task": NAMES, "--set": OVERRIDES},
     ),
-    "results": (
-        (Positional(FLAT_POLICY.parents[1]),),
-        {"": FILES, "--out": FILES, "--media": OUTPUTS, "--score": FLOATS, "--baseline": NAMES},
-    ),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},

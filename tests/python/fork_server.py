@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-_MODULES = ("evaluation", "export", "play.session", "sim2sim", "robustness", "training.session", "results", "bench")
+_MODULES = ("evaluation", "export", "play.session", "sim2sim", "robustness", "training.session", "bench")
 _LIBRARIES = ("mujoco", "onnx", "rsl_rl.runners", "torch.utils.tensorboard", "viser", "av", "tyro")
 
 _MEMORY_UNIT = 1 if sys.platform == "darwin" else 1024

@@ -7,12 +7,10 @@ import dataclasses
 import hashlib
 import io
 import json
-import lzma
 import pickle
 import random
 import shutil
 import struct
-import tarfile
 import zipfile
 from collections.abc import Callable
 from functools import cache
@@ -613,44 +611,6 @@ def reads_snapshots(seed: int, count: int) -> int:
     return 0
 
 
-# --- archives of results
-
-
-def _results(draw: random.Random, folder: Path) -> Case:
-    source = ROOT / "docs" / "results.tar.xz"
-    kind = draw.random()
-    if kind < 0.25:
-        (folder / "results.tar.xz").write_bytes(bytes_changed(draw, source.read_bytes(), draw.choice((1, 3))))
-    elif kind < 0.35:
-        raw = bytes_changed(draw, lzma.decompress(source.read_bytes()), draw.choice((1, 3)))
-        (folder / "results.tar.xz").write_bytes(lzma.compress(raw, preset=0))
-    else:
-        with tarfile.open(source) as old, tarfile.open(folder / "results.tar.xz", "w:xz", preset=0) as new:
-            members = [member for member in old.getmembers() if member.isfile()]
-            hit = draw.choice(members)
-            for member in members:
-                data = old.extractfile(member).read()  # type: ignore[union-attr]
-                if member is hit:
-                    data = _result_changed(draw, member.name, data)
-                    if draw.random() < 0.2:
-                        member.name = draw.choice(["../x", "/tmp/x", "a/" * 500 + "x", "loop", member.name + "\u202e"])
-                    if draw.random() < 0.1:
-                        member.type = draw.choice([tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.FIFOTYPE])
-                        member.linkname = draw.choice(["/etc/passwd", "../..", "x"])
-                member.size = len(data)
-                new.addfile(member, io.BytesIO(data))
-    return Case([("polypod", ["results", "results.tar.xz", "--out", "results.md", "--media", "media"])])
-
-
-def _result_changed(draw: random.Random, name: str, data: bytes) -> bytes:
-    if name.endswith(".json") and draw.random() < 0.8:
-        tables = json.loads(data)
-        return json.dumps(
-            mutated(draw, tables, draw.choice((1, 2))) if isinstance(tables, dict) else anything(draw)
-        ).encode()
-    return bytes_changed(draw, data)
-
-
 KINDS: dict[str, tuple[Callable[[random.Random, Path], Case], int]] = {
     "urdf": (_urdf, 280),
     "mesh": (_mesh, 140),
@@ -665,7 +625,6 @@ KINDS: dict[str, tuple[Callable[[random.Random, Path], Case], int]] = {
     "checkpoint": (_checkpoint, 80),
     "dump": (_dump_of_a_state, 60),
     "snapshot": (_snapshot, 60),
-    "results": (_results, 40),
 }
 """By kind of file, what writes one and how many of a thousand files are of it."""
 

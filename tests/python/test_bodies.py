@@ -10,7 +10,8 @@ import tomllib
 
 import polypod
 from common import size
-from polypod import _core, bodies, bodies_coverage
+from lab import bodies_coverage
+from polypod import _core, bodies
 from polypod import files as files_of_polypod
 from polypod.accuracy import reference
 from polypod.accuracy.statics import relative_error

@@ -217,23 +217,6 @@ print({name: os.environ[name] for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT") 
     assert output.splitlines()[-1] == str(given or {"GOMP_SPINCOUNT": "1000"})
 
 
-def test_without_the_train_extra(tmp_path):
-    """The vector env works without torch, and the command line says what is missing."""
-    script = """
-import sys
-for name in ("torch", "tyro", "rsl_rl", "rich", "tensordict"):
-    sys.modules[name] = None
-import polypod
-polypod.make("velocity_flat", num_envs=8).reset(seed=0)
-from polypod.__main__ import main
-sys.exit(main())
-"""
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert "pip install 'polypod[train]'" in done.stderr
-
-
 def test_check_takes_robots_as_well(main, tmp_path, monkeypatch):
     code, output, _ = main("check", "anymal_b_kinova")
     assert code == 0

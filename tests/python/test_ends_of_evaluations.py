@@ -1,4 +1,4 @@
-"""Endless evaluations, documents and figures are refused before they fill the memory."""
+"""Endless evaluations and documents are refused before they fill the memory."""
 
 import pytest
 
@@ -37,12 +37,3 @@ def test_a_document_is_no_device(fork_server, tmp_path):
         assert done.code == 2
         assert "/dev/zero" in done.errors
         assert "MiB" in done.errors
-
-
-def test_figures_are_no_devices(fork_server, tmp_path):
-    run = tmp_path / "results" / "group" / "run"
-    run.mkdir(parents=True)
-    (run / "eval.json").symlink_to("/dev/zero")
-    done = fork_server.run("results", "results", cwd=tmp_path, memory=1 << 30)
-    assert done.code == 2
-    assert "eval.json" in done.errors

@@ -1,6 +1,6 @@
 """Files changed at random are taken or refused in order, and what is taken steps on with finite numbers.
 
-Robots, meshes, configs, manifests, checkpoints, graphs, dumps, snapshots and results: `random_files.KINDS`. Another
+Robots, meshes, configs, manifests, checkpoints, graphs, dumps and snapshots: `random_files.KINDS`. Another
 `POLYPOD_TEST_SEED` draws others. A complaint names the draw; `random_files.case(kind, index, folder)` writes it again.
 """
 

@@ -1,6 +1,7 @@
-"""A sweep trains configs and robots with several seeds, goes on where it was interrupted, and ends in one table."""
+"""A sweep trains configs and robots with several seeds, goes on where it was interrupted, and ends in tables."""
 
 import json
+import re
 
 import pytest
 
@@ -45,15 +46,16 @@ def write(tmp_path):
     return file
 
 
-def test_a_sweep_is_one_table_and_goes_on(cli, write, tmp_path, monkeypatch):
+def test_a_sweep_is_a_table_per_group_and_goes_on(cli, write, tmp_path, monkeypatch):
     file = write(SWEEP.replace("one = ", "# one = "))
     done = cli("sweep", str(file), "--out", "out")
     assert done.returncode == 0, done.stderr
     groups = ("plain_two", "alternate_two")
-    for group in groups:
-        assert done.stdout.count(f"| {group} | `Velocity-Flat-HeteroQuadruped-v0` | 2 | 2 | 1, 2 |") == 1
-    assert "±" in done.stdout
-    assert "| unitree_a1 |" in done.stdout
+    tables = done.stdout[done.stdout.index("\nplain_two\n") :]
+    assert re.findall(r"^(\w+)$", tables, re.MULTILINE) == list(groups)
+    assert tables.count("2 policies, Velocity-Flat-HeteroQuadruped-Play-v0") == 2
+    for robot in ("spot", "unitree_a1"):
+        assert len(re.findall(rf"^{robot} .*±.* of 2$", tables, re.MULTILINE)) == 2
     for group, iterations in zip(groups, (2, 1), strict=True):
         for seed in (1, 2):
             run = tmp_path / "out" / group / f"seed_{seed}"
@@ -62,6 +64,14 @@ def test_a_sweep_is_one_table_and_goes_on(cli, write, tmp_path, monkeypatch):
             assert json.loads((run / EVALUATION).read_text())["checkpoint"]["iteration"] == iterations
 
     run = tmp_path / "out" / "plain_two" / "seed_2"
+    measured = (run / EVALUATION).read_text()
+    for broken in ("{", "[]", json.dumps({**json.loads(measured), "robots": {"spot": {}}})):
+        (run / EVALUATION).write_text(broken)
+        refused = cli("sweep", str(file), "--out", "out")
+        assert refused.returncode == 2
+        assert f"{EVALUATION} is no evaluation" in refused.stderr
+    (run / EVALUATION).write_text(measured)
+
     last = run / "model_2.pt"
     last.rename(tmp_path / "model_2.pt")
     manifest = json.loads((run / "manifest.json").read_text())

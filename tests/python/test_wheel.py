@@ -31,6 +31,9 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert len(folders) == 2, folders
     assert all(folder == "polypod" or folder.endswith(".dist-info") for folder in folders)
     assert any(name.startswith("polypod/_core.") for name in names)
+    laboratory = {path.name for path in (ROOT / "lab").iterdir()} - {"__init__.py", "__pycache__", "networks.py"}
+    assert laboratory
+    assert laboratory.isdisjoint(name.split("/")[1] for name in names if name.startswith("polypod/"))
     suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
     assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml", ".hpp"}
     for folder in NAMES.values():

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from polypod import _core
 from polypod.commands.arguments import Count, Robots, arg, names, positive, thread_count, write_json
+from polypod.extras import package
 
 NUM_ENVS = 4096
 
@@ -108,8 +109,7 @@ class Bench:
 
     def _train(self) -> int:
         """Measures trainings."""
-        import torch
-
+        torch = package("torch", "the measurement of trainings", "train")
         from polypod.bench import learners, walking
         from polypod.training.session import DEFAULT_SEED
 

@@ -11,7 +11,7 @@ from polypod.commands.arguments import arg
 
 @dataclasses.dataclass(frozen=True)
 class SweepOf:
-    """Train several configs and robots with several seeds, and print one table with intervals."""
+    """Train several configs and robots with several seeds, and print tables with intervals."""
 
     file: Annotated[Path, tyro.conf.Positional]
     """A TOML file with seeds, configs and robots; docs/cluster.md describes it."""
@@ -30,8 +30,5 @@ class SweepOf:
         reporter = Reporter()
         code = sweep.run(found, reporter) if self.ray is None else sweep.run_on_ray(found, self.ray, reporter)
         if code == 0:
-            text, drawn = sweep.report(found)
-            print(text)
-            for file in drawn:
-                print(file)
+            sweep.report(found, reporter)
         return code

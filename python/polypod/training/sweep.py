@@ -1,14 +1,14 @@
 """Sweeps: trainings of several configs and robots, each with several seeds, one after the other or on a Ray cluster.
 
-<folder>/<group>/seed_<n>/ is a run with its evaluation, `eval.json`: what `polypod results` reads. A sweep that was
-interrupted goes on when it is begun again.
+<folder>/<group>/seed_<n>/ is a run with its evaluation, `eval.json`. A sweep that was interrupted goes on when it is
+begun again.
 """
 
 import dataclasses
 import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,8 +17,7 @@ from msgspec import Meta
 
 from polypod import _core
 from polypod.compat import tomllib
-from polypod.evaluation import evaluate_checkpoint
-from polypod.extras import package
+from polypod.evaluation import Evaluation, evaluate_checkpoint, summarize
 from polypod.files import read_bytes, real_path, write_text
 from polypod.runs import run_dir
 from polypod.runs.schema import TrainConfig
@@ -29,6 +28,8 @@ from polypod.training.workers import Workers, is_among_workers
 EVALUATION = "eval.json"
 MAX_BYTES = 1 << 20
 """Largest size of a sweep's file, bytes."""
+MAX_EVALUATION = 64 << 20
+"""Largest size of an evaluation, bytes."""
 MOST_TRIALS = 10_000
 METRIC = "error_vel_xy"
 """Velocity error, m/s, of the exploring policy: the mean over the robots, which early stopping compares."""
@@ -203,8 +204,8 @@ def evaluate(trial: Trial) -> bool:
         return False
     checkpoint, file = run_dir.latest_checkpoint(trial.run), trial.run / EVALUATION
     if file.is_file():
-        known = json.loads(file.read_text(encoding="utf-8"))
-        if (known.get("checkpoint") or {}).get("iteration") == run_dir.iterations_of(checkpoint):
+        origin = _evaluation_of(file).checkpoint or {}
+        if origin.get("iteration") == run_dir.iterations_of(checkpoint):
             return True
     evaluation = evaluate_checkpoint(checkpoint, threads=trial.options.threads)
     write_text(file, json.dumps(evaluation.as_dict(), indent=2) + "\n")
@@ -274,16 +275,24 @@ def error_of(scalars: Mapping[str, float]) -> float:
     return sum(errors) / len(errors) if errors else math.inf
 
 
-def report(sweep: Sweep) -> tuple[str, Sequence[Path]]:
-    """The tables of all trials, and the plots, where the extra bench is installed."""
-    from polypod import results
+def report(sweep: Sweep, reporter: Reporter) -> None:
+    """Prints a table per group, as `polypod eval` of its checkpoints: means and intervals over the seeds."""
+    groups: dict[str, list[Evaluation]] = {}
+    for trial in sweep.trials:
+        file = trial.run / EVALUATION
+        if file.is_file():
+            groups.setdefault(trial.group, []).append(_evaluation_of(file))
+    for group, evaluations in groups.items():
+        reporter.message(group)
+        reporter.summary(summarize(evaluations))
 
+
+def _evaluation_of(file: Path) -> Evaluation:
+    """The evaluation in a file. Raises ConfigError for a file that is none."""
     try:
-        package("matplotlib", "plots", "bench")
-        media = sweep.folder / "plots"
-    except _core.ConfigError:
-        media = None
-    return results.write(results.read(sweep.folder), media=media)
+        return Evaluation.from_dict(json.loads(read_bytes(file, MAX_EVALUATION).decode()))
+    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise _core.ConfigError(f"{file} is no evaluation of this version of polypod: {error!r}; remove it") from error
 
 
 def _with_threads(trial: Trial, threads: int) -> Trial:

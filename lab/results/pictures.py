@@ -4,11 +4,11 @@ import dataclasses
 import re
 from pathlib import Path
 
+from lab.results.runs import Results, mean_curve, smoothed
+from lab.results.tables import SMOOTHING, condition_of
 from polypod.drawing import pyplot_for, save
 from polypod.evaluation import Evaluation, summarize
 from polypod.evaluation.plot import picture
-from polypod.results.runs import Results, mean_curve, smoothed
-from polypod.results.tables import SMOOTHING, condition_of
 
 CURVES = {
     "error_vel_xy": "velocity error (m/s)",

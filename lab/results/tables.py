@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from lab.results.runs import Results, Run, final, reached, smoothed
 from polypod import _core
 from polypod.documents import table
 from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command, walking
 from polypod.evaluation.seeds import Interval, interval
 from polypod.provenance import Measured, sentence
-from polypod.results.runs import Results, Run, final, reached, smoothed
 
 FIGURES = {
     "error_vel_xy": ("velocity error (m/s)", ".3f"),

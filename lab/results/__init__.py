@@ -1,11 +1,11 @@
-"""`polypod results`: tables and pictures out of the files that trainings and evaluations left."""
+"""`python -m lab.results`: tables and pictures out of the files that trainings and evaluations left."""
 
 from pathlib import Path
 
+from lab.results import pictures, tables
+from lab.results.runs import Results, read
 from polypod import documents
 from polypod.files import real_path
-from polypod.results import pictures, tables
-from polypod.results.runs import Results, read
 
 MARK = "results"
 """Name of the part of a document that holds the tables."""

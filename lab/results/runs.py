@@ -12,6 +12,8 @@ other. What a policy was trained on is read from the files and not from their na
 
 import dataclasses
 import json
+import tarfile
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,6 @@ from polypod import _core
 from polypod.evaluation import Evaluation
 from polypod.extras import package
 from polypod.files import read_bytes
-from polypod.results.archive import unpacked
 from polypod.runs.run_dir import MANIFEST
 
 MAX_BYTES = 64 << 20
@@ -108,8 +109,13 @@ def read(source: Path) -> Results:
         ConfigError: for an empty one, and for a file that is broken or of another version.
     """
     if source.is_file():
-        with unpacked(source) as folder:
-            return _read(folder, source)
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                with tarfile.open(source, "r:xz") as archive:
+                    archive.extractall(folder, filter="data")
+            except (tarfile.TarError, OSError) as error:
+                raise _core.ConfigError(f"cannot unpack {source}: {error}; pack a folder with tar -cJf") from error
+            return _read(Path(folder), source)
     if not source.is_dir():
         raise _core.ConfigError(f"{source} is no folder and no .tar.xz; pass a folder with one per group and run")
     return _read(source, source)
