@@ -10,7 +10,7 @@ use polypod::components::{
 };
 use polypod::{Sim, SimOptions};
 
-/// A size of a test, such as a number of samples: `core` with `make test`, `extended` with `make test-extended`. What is asserted is
+/// A size of a test, such as a number of samples: `core` with `make test`, `extended` with `make test TIER=extended`. What is asserted is
 /// the same.
 pub fn size<T>(core: T, extended: T) -> T {
     match std::env::var("POLYPOD_TEST_TIER").as_deref() {

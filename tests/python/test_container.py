@@ -3,6 +3,7 @@
 import re
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,7 +57,8 @@ def test_what_is_copied_exists():
 def test_nothing_that_is_built_of_is_ignored():
     """Members of the workspace, targets of cargo and what maturin packs."""
     manifest = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))
-    needed = ["Cargo.lock", "rust-toolchain.toml", "README.md", "pyproject.toml", "requirements.lock", "python/polypod"]
+    needed = ["Cargo.lock", "rust-toolchain.toml", "README.md", "pyproject.toml", "uv.lock", ".ci/locked.awk"]
+    needed += ["python/polypod"]
     needed += manifest["workspace"]["members"]
     targets = [target for kind in ("test", "bench", "example") for target in manifest.get(kind, [])]
     needed += [target["path"] for target in targets if "path" in target]
@@ -72,8 +74,11 @@ def test_nothing_that_is_built_of_is_ignored():
 def test_the_lock_names_the_torch_that_is_installed():
     """One for the Python of the image, without the hashes of PyPI's files."""
     (script,) = re.findall(r"sed -nE '(/\^torch==.*?)'", (ROOT / "Containerfile").read_text(encoding="utf-8"))
-    command = ["sed", "-nE", script, str(ROOT / "requirements.lock")]
-    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    (export,) = re.findall(r"uv (export .*?) > locked.txt", " ".join(map(" ".join, instructions())))
+    command = [Path(sys.executable).with_name("uv"), *export.split()]
+    locked = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    command = ["sed", "-nE", script]
+    lines = subprocess.run(command, input=locked, capture_output=True, text=True, check=True).stdout.splitlines()
     found = [re.fullmatch(r"torch==\d+\.\d+\.\d+ ; (python_full_version (?:<|>=) '3\.11')", line) for line in lines]
     assert sorted(match[1] for match in found) == ["python_full_version < '3.11'", "python_full_version >= '3.11'"]
 

@@ -10,6 +10,7 @@ import importlib.util
 import io
 import itertools
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -124,7 +125,7 @@ def missing_learners(first: Block) -> list[str]:
 def test_python_runs(first, tmp_path, monkeypatch):
     """The blocks of one section run one after another, as a reader would paste them."""
     if missing := missing_learners(first):
-        pytest.skip(f"needs {', '.join(missing)}: make test-learners")
+        pytest.skip(f"needs {', '.join(missing)}: make test ONLY=learners")
     monkeypatch.chdir(tmp_path)
     if first.page == "docs/export.md":
         # what the command at the head of the page leaves, for the one robot that the block uses
@@ -239,6 +240,8 @@ def check_command(words: list[str], page: str) -> None:
             assert f"/{arguments[0]} && cd {arguments[0]}" in page, "only into what was just cloned"
         case ".venv/bin/pytest":
             assert all((ROOT / file).is_file() for file in arguments), shlex.join(words)
+        case "fuzz/run" | "lab/films":
+            assert os.access(ROOT / program, os.X_OK)
         case "cp" | "mkdir" | "tar" | "ray" | "pip" | "uvx" | "podman" | ".venv/bin/tensorboard":
             pass
         case ".venv/bin/python" | "python" if words[1] == "-m":

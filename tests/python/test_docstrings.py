@@ -76,7 +76,7 @@ def test_what_python_defines_says_what_it_is(name):
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] not in OPTIONAL:
             raise
-        pytest.skip(f"needs {error.name}: make test-learners")
+        pytest.skip(f"needs {error.name}: make test ONLY=learners")
     assert module.__doc__
     silent = [
         f"{member}"

@@ -70,7 +70,7 @@ def record(monkeypatch):
 
 
 def test_stable_baselines3(record):
-    sb3 = pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: make test-learners")
+    sb3 = pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: make test ONLY=learners")
     import polypod.sb3
 
     env = polypod.sb3.VecEnv(polypod.make("velocity_flat", ENVS, **OPTIONS))
@@ -87,7 +87,7 @@ def test_stable_baselines3(record):
 
 @pytest.mark.parametrize("algorithm", ["PPO", "PPO with VecNormalize", "SAC"])
 def test_the_actor_of_stable_baselines3(algorithm, tmp_path):
-    sb3 = pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: make test-learners")
+    sb3 = pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: make test ONLY=learners")
     import polypod.policy
     import polypod.sb3
 
@@ -108,7 +108,7 @@ def test_the_actor_of_stable_baselines3(algorithm, tmp_path):
 
 
 def test_the_infos_of_stable_baselines3():
-    pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: make test-learners")
+    pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: make test ONLY=learners")
     import polypod.sb3
 
     env, twin = (polypod.make("velocity_flat", ENVS, **OPTIONS) for _ in range(2))
@@ -139,7 +139,7 @@ def test_the_infos_of_stable_baselines3():
 
 
 def test_skrl(record):
-    pytest.importorskip("skrl", reason="needs skrl: make test-learners")
+    pytest.importorskip("skrl", reason="needs skrl: make test ONLY=learners")
     torch = pytest.importorskip("torch")
     from skrl.envs.wrappers.torch import wrap_env
 
@@ -152,7 +152,7 @@ def test_skrl(record):
 
 
 def test_torchrl(record):
-    pytest.importorskip("torchrl", reason="needs torchrl: make test-learners")
+    pytest.importorskip("torchrl", reason="needs torchrl: make test ONLY=learners")
     from torchrl.envs import GymWrapper
     from torchrl.envs.utils import check_env_specs
 
@@ -165,7 +165,7 @@ def test_torchrl(record):
 
 
 def test_rllib(record):
-    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test-learners")
+    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test ONLY=learners")
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
 
@@ -186,7 +186,7 @@ def test_rllib(record):
 
 
 def test_rllib_needs_a_task():
-    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test-learners")
+    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test ONLY=learners")
     import polypod.rllib
 
     with pytest.raises(polypod.ConfigError, match="env_config names no task"):
@@ -201,7 +201,7 @@ def whole_batch() -> np.ndarray:
 
 
 def test_env_runners_of_rllib_share_one_batch():
-    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test-learners")
+    pytest.importorskip("ray.rllib", reason="needs ray[rllib]: make test ONLY=learners")
     from ray.rllib.algorithms.ppo import PPOConfig
 
     import polypod.rllib
@@ -219,7 +219,7 @@ def test_env_runners_of_rllib_share_one_batch():
 
 
 def test_workers_of_torchrl_share_one_batch():
-    pytest.importorskip("torchrl", reason="needs torchrl: make test-learners")
+    pytest.importorskip("torchrl", reason="needs torchrl: make test ONLY=learners")
     import polypod.torchrl
 
     options = {key: value for key, value in OPTIONS.items() if key != "seed"}
@@ -240,7 +240,7 @@ def test_workers_of_torchrl_share_one_batch():
     [("ray.rllib", "rllib_workers.py", "--runners"), ("torchrl", "torchrl_workers.py", "--workers")],
 )
 def test_examples_train_with_two_workers(package, script, flag, tmp_path):
-    pytest.importorskip(package, reason=f"needs {package}: make test-learners")
+    pytest.importorskip(package, reason=f"needs {package}: make test ONLY=learners")
     words = [sys.executable, ROOT / "examples" / script, flag, "2", "--num-envs", "64", "--iterations", "10"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr

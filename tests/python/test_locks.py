@@ -1,5 +1,6 @@
 """Installations have the packages of the lock, to the hash, and the locks of all workspaces name the same versions."""
 
+import functools
 import hashlib
 import re
 import subprocess
@@ -7,14 +8,34 @@ import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
 
 from polypod.compat import tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
-LOCKS = ["requirements.lock", "requirements-learners.lock", "requirements-docs.lock"]
+EXPORT = ["--frozen", "--quiet", "--no-emit-project", "--no-default-groups", "--no-annotate", "--no-header"]
+ENVIRONMENTS = {
+    ".venv": ["--extra", "all", "--group", "dev"],
+    "target/learners": ["--extra", "all", "--extra", "ray", "--extra", "learners", "--group", "tests"],
+    "target/docs": ["--only-group", "docs"],
+}
+"""What the Makefile takes from the lock for each."""
 ENTRY = re.compile(r"^([a-z0-9][\w.-]*)==(\S+?)(?: ; [^\n\\]*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)")
+
+
+@functools.cache
+def exported(*arguments: str) -> str:
+    """Requirements of the lock, as the Makefile exports them."""
+    uv = Path(sys.executable).with_name("uv")
+    command = [uv, "export", *EXPORT, *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+def packages() -> list[dict[str, Any]]:
+    return list(tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))["package"])
 
 
 def entries(text: str) -> Iterator[str]:
@@ -30,11 +51,50 @@ def show(shell: str, folder: Path) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("lock", LOCKS)
-def test_every_entry_has_hashes(lock):
-    found = list(entries((ROOT / lock).read_text(encoding="utf-8")))
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+def test_every_entry_has_hashes(environment):
+    found = list(entries(exported(*ENVIRONMENTS[environment])))
     assert len(found) > 30
     assert [entry.split("\n")[0] for entry in found if not ENTRY.match(entry)] == []
+
+
+def test_the_makefile_exports_these():
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert f"EXPORT := $(BIN)/uv export {' '.join(EXPORT)}\n" in text
+    used = re.findall(r"\$\(EXPORT\) (.*?) [|>]", text)
+    assert used == [" ".join(arguments) for arguments in ENVIRONMENTS.values()]
+
+
+def test_the_lock_names_no_mirror():
+    """It is written on machines that have an index of their own, and read on all."""
+    text = (ROOT / "uv.lock").read_text(encoding="utf-8")
+    assert set(re.findall(r'registry = "([^"]+)"', text)) == {"https://pypi.org/simple"}
+    urls = re.findall(r'url = "([^"]+)"', text)
+    assert len(urls) > 1000
+    assert [url for url in urls if not url.startswith("https://files.pythonhosted.org/packages/")] == []
+
+
+def test_the_lock_is_that_of_pyproject():
+    """A requirement that was added without `make lock` would not be installed."""
+    tables = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project, groups = tables["project"], tables["dependency-groups"]
+    extras = [line for lines in project["optional-dependencies"].values() for line in lines]
+    (ours,) = [package["metadata"] for package in packages() if package["name"] == "polypod"]
+    of_groups = [line for lines in groups.values() for line in lines if isinstance(line, str)]
+    for wanted, locked in (
+        ([*project["dependencies"], *extras], ours["requires-dist"]),
+        (of_groups, [entry for entries in ours["requires-dev"].values() for entry in entries]),
+    ):
+        needed = {(found.name.lower().replace("_", "-"), str(found.specifier)) for found in map(Requirement, wanted)}
+        known = {(entry["name"], str(Requirement(f"x{entry.get('specifier', '')}").specifier)) for entry in locked}
+        assert known == needed
+
+
+def test_the_learners_have_the_torch_of_the_others():
+    pattern = re.compile(r"^(?:torch|triton|numpy|mujoco|rsl-rl-lib)==.*$", re.MULTILINE)
+    found = [pattern.findall(exported(*ENVIRONMENTS[name])) for name in (".venv", "target/learners")]
+    assert len(found[0]) >= 5
+    assert found[0] == found[1]
 
 
 def test_every_installation_checks_them():
@@ -49,12 +109,14 @@ def test_every_installation_checks_them():
     lines = (ROOT / "Makefile").read_text(encoding="utf-8").splitlines()
     used = [line for line in lines if line.startswith("\t$(INSTALL)")]
     assert len(used) == 4
+    assert "-m pip install --quiet --no-deps --require-hashes" in (ROOT / ".ci" / "torch").read_text(encoding="utf-8")
 
 
 def test_the_base_torch_is_left_out_with_its_hashes(tmp_path):
     """No line of a left out entry stays: a hash without its package would be one of the package above it."""
-    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
-    shell = "$(call without_base_torch,requirements.lock)"
+    lock = exported(*ENVIRONMENTS[".venv"])
+    (tmp_path / "all.txt").write_text(lock, encoding="utf-8")
+    shell = f"cat {tmp_path / 'all.txt'} | {{ $(without_base_torch); }}"
     assert show(shell, tmp_path) == lock
     (tmp_path / ".base-torch").touch()
     left = show(shell, tmp_path)
@@ -64,11 +126,12 @@ def test_the_base_torch_is_left_out_with_its_hashes(tmp_path):
 
 
 @pytest.mark.parametrize("package", ["uv", "maturin"])
-def test_one_entry_is_taken_whole(tmp_path, package):
-    found = show(f"$(call entries,requirements.lock,{package})", tmp_path)
-    (entry,) = entries(found)
-    assert entry.startswith(f"{package}==")
-    assert ENTRY.match(entry)
+def test_one_package_is_taken_whole(package):
+    """With the hashes of all files, for pip, before there is a uv."""
+    command = ["awk", "-v", f"package={package}", "-f", ".ci/locked.awk", "uv.lock"]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    (entry,) = (entry for entry in entries(exported(*ENVIRONMENTS[".venv"])) if entry.startswith(f"{package}=="))
+    assert sorted(found.split()) == sorted(entry.replace("\\\n", "").split())
 
 
 @pytest.fixture

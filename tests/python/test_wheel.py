@@ -47,7 +47,7 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
 
 def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:
     venv = tmp_path / "venv"
-    subprocess.run(["make", "-s", "-C", str(ROOT), "wheel-venv", f"WHEEL={wheel}", f"INTO={venv}"], check=True)
+    subprocess.run(["make", "-s", "-C", str(ROOT), ".wheel-venv", f"WHEEL={wheel}", f"INTO={venv}"], check=True)
     polypod = venv / ("Scripts" if os.name == "nt" else "bin") / "polypod"
     where = "import polypod; print(polypod.__file__)"
     python = polypod.with_name(Path(sys.executable).name)

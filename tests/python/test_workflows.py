@@ -1,6 +1,7 @@
 """All names in the workflows exist: paths, targets of make, packages, filters of tests, jobs and commands."""
 
 import itertools
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +20,7 @@ PATH = re.compile(r"(?<![\w./$-])((?:[\w.-]+/)*[\w-]+\.(?:rs|py|toml|lock|md|yml
 """Words of a comment, a name or a script that are files of the repository or paths in it."""
 NOT_OF_THE_REPOSITORY = ("actions/", "venv/", "target/", "dist/", "whl/", "bin/", "CPU/")
 """Beginnings of what looks like a path and is an action, an output or an address."""
-WRITTEN = {"miri.log", "torch.txt"}
+WRITTEN = {"miri.log"}
 
 
 def text_of(workflow: str) -> str:
@@ -62,11 +63,42 @@ def test_every_path_exists(workflow):
     assert not missing, f"{workflow} names what the repository does not have: {missing}"
 
 
+def test_every_script_exists():
+    scripts = [(place, words[0]) for place, words in commands() if re.fullmatch(r"[\w.-]+/[\w./-]+", words[0])]
+    assert len(scripts) >= 5
+    assert [(place, script) for place, script in scripts if not os.access(ROOT / script, os.X_OK)] == []
+
+
 def test_every_target_of_make_exists():
     targets = set(re.findall(r"^([a-z-]+):(?!=)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     called = [(place, words[1]) for place, words in commands() if words[0] == "make"]
-    assert len(called) >= 7
+    assert len(called) >= 5
     assert [(place, target) for place, target in called if target not in targets] == []
+
+
+def test_every_part_of_the_tests_exists():
+    """`make test ONLY=...` of a workflow names parts, and a part names files of tests."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    parts = set(re.findall(r"^\.test-(\w+):", makefile, re.MULTILINE))
+    assert parts == {"rust", "python", "learners", "fuzz"}
+    called = [word.removeprefix("ONLY=") for _, words in commands() for word in words if word.startswith("ONLY=")]
+    assert called
+    assert set(called) <= parts
+    (files,) = re.findall(r"\$\(addprefix (\S+),([^)]*)\)", makefile)
+    assert [name for name in files[1].split() if not (ROOT / f"{files[0]}{name}").is_file()] == []
+    assert [
+        path
+        for path in re.findall(r"\b(?:tests|fuzz)/[\w./-]+\b", makefile)
+        if "test_" not in path and not (ROOT / path).exists()
+    ] == []
+
+
+def test_the_makefile_has_ten_targets():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    documented = set(re.findall(r"^([a-z-]+):.* ## ", makefile, re.MULTILINE)) - {"help"}
+    (phony, _) = re.findall(r"^\.PHONY: (.*)$", makefile, re.MULTILINE)
+    assert documented == set(phony.split()) - {"help"}
+    assert len(documented) == 10
 
 
 def test_every_package_and_module_that_cargo_is_given_exists():
@@ -159,7 +191,7 @@ def test_every_python_is_tested_and_tried():
 
 
 def test_wheels_are_built_by_the_maturin_of_the_lock():
-    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
-    (locked,) = re.findall(r"^maturin==(\S+)", lock, re.MULTILINE)
+    lock = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))
+    (locked,) = (package["version"] for package in lock["package"] if package["name"] == "maturin")
     built = [step["with"]["maturin-version"] for _, step in steps() if "maturin-action" in step.get("uses", "")]
     assert built == [f"v{locked}"] * 2
