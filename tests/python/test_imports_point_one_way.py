@@ -25,15 +25,16 @@ def lint(folder: Path) -> tuple[int, str]:
     [
         ("files", "from polypod.training import session", "polypod.files -> polypod.training.session"),
         ("new_module", "", "polypod.new_module"),
+        ("cli", "from lab import results", "polypod.cli -> lab.results"),
         ("runs/schema", "from polypod.runs import config", ".schema -> .config"),
     ],
 )
 def test_a_wrong_direction_is_named(tmp_path, module, line, named):
-    source = ROOT / "python" / "polypod"
-    for file in source.rglob("*.py"):
-        copy = tmp_path / "polypod" / file.relative_to(source)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(file, copy)
+    for package in (ROOT / "python" / "polypod", ROOT / "lab"):
+        for file in package.rglob("*.py"):
+            copy = tmp_path / package.name / file.relative_to(package)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file, copy)
     assert lint(tmp_path)[0] == 0
     with (tmp_path / "polypod" / f"{module}.py").open("a", encoding="utf-8") as file:
         file.write(f"\n{line}\n")
