@@ -14,7 +14,7 @@ DOCS := target/docs
 
 # The machine's own index, where pip is told of one and uv is not, and its own certificates.
 ifndef UV_DEFAULT_INDEX
-PIP_INDEX := $(shell $(PYTHON) -m pip config get global.index-url 2>/dev/null)
+PIP_INDEX := $(or $(PIP_INDEX_URL),$(shell $(PYTHON) -m pip config get global.index-url 2>/dev/null))
 ifneq ($(PIP_INDEX),)
 export UV_DEFAULT_INDEX := $(PIP_INDEX)
 endif

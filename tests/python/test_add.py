@@ -19,7 +19,7 @@ import polypod
 from polypod import _core
 from polypod.add import add, archive, description, judge, mjcf, xacro_child
 from polypod.add.description import urdf
-from polypod.training import run_dir
+from polypod.runs import run_dir
 from watched import nothing_started
 
 KNEE = 0.15

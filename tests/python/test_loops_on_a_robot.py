@@ -22,7 +22,7 @@ from polypod.deploy.onboard import ros2_control, unitree
 from polypod.deploy.onboard.policy_contract import Contract, read_contract
 from polypod.deploy.onboard.policy_loop import Loop, Sensors, network_of, open_file, open_loop
 from polypod.export import OnnxPolicy, interfaces
-from polypod.training import run_dir
+from polypod.runs import run_dir
 
 DRIVER = Path(__file__).parents[1] / "data" / "deploy" / "loop_of_lines.cpp"
 

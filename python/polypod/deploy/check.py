@@ -18,18 +18,18 @@ from polypod import _core, bundled
 from polypod.deploy import contract as contracts
 from polypod.deploy.onboard.policy_contract import Contract, ContractError
 from polypod.deploy.onboard.policy_loop import WALK, Command, Loop, Sensors, network_of, open_data
-from polypod.evaluation.policies import NetworkPolicy, reset
 from polypod.export import RobotInterface, interfaces, states
 from polypod.export.torch_graph import RobotPolicy
 from polypod.extras import package
 from polypod.files import read_bytes
 from polypod.networks.onnx_network import OnnxNetwork
 from polypod.networks.onnx_session import check_whole, runtime
+from polypod.networks.policies import NetworkPolicy, reset
 from polypod.policy import METADATA, load
+from polypod.runs import manifest as manifests
 from polypod.sim2sim import run
 from polypod.sim2sim.commands import Array, heading_of
 from polypod.sim2sim.driven import rotations
-from polypod.training import manifest as manifests
 
 Floats = npt.NDArray[np.float32]
 
