@@ -16,9 +16,9 @@ import pytest
 
 import polypod
 from deployed import CASES
-from polypod.deploy import contract as contracts
 from polypod.deploy.onboard.policy_contract import ContractError, read_contract
 from polypod.deploy.onboard.policy_loop import open_file
+from polypod.export import contract as contracts
 
 SCHEMA = jsonschema.Draft202012Validator(json.loads(contracts.SCHEMA.read_text(encoding="utf-8")))
 

@@ -12,7 +12,7 @@ import polypod.policy as policies
 from common import SMALL_TERRAIN
 from deployed import CASES
 from polypod.deploy import check
-from polypod.deploy import contract as contracts
+from polypod.export import contract as contracts
 from polypod.export import export_checkpoint
 
 

@@ -15,13 +15,13 @@ import pytest
 
 import deployed
 from polypod import bundled
-from polypod.deploy import contract as contracts
 from polypod.deploy import files
 from polypod.deploy.header import header_of
 from polypod.deploy.onboard import ros2_control, unitree
 from polypod.deploy.onboard.policy_contract import Contract, read_contract
 from polypod.deploy.onboard.policy_loop import Loop, Sensors, network_of, open_file, open_loop
 from polypod.export import OnnxPolicy, interfaces
+from polypod.export import contract as contracts
 from polypod.runs import run_dir
 
 DRIVER = Path(__file__).parents[1] / "data" / "deploy" / "loop_of_lines.cpp"

@@ -10,8 +10,9 @@ import pytest
 from common import size
 from polypod.accuracy import reference
 from polypod.accuracy.bounds import exceeded
-from polypod.accuracy.robot import load, names, rooted
+from polypod.accuracy.robot import load, names
 from polypod.accuracy.statics import compare_statics
+from polypod.add.root import rooted
 
 
 @pytest.mark.parametrize("name", names())

@@ -41,8 +41,9 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
         assert len(of_policy) == 1
         assert f"polypod/policies/{folder}/manifest.json" in names
     # what `polypod deploy write` copies for a robot
-    for name in ("contract.schema.json", "motors.json", "onboard/policy_loop.py", "onboard/policy_loop.hpp"):
-        assert f"polypod/deploy/{name}" in names
+    for name in ("deploy/onboard/policy_loop.py", "deploy/onboard/policy_loop.hpp", "export/contract.schema.json"):
+        assert f"polypod/{name}" in names
+    assert "polypod/export/motors.json" in names
 
 
 def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import torch
 
 from polypod import _core, bundled
-from polypod.deploy import contract as contracts
 from polypod.deploy.onboard.policy_contract import Contract, ContractError
 from polypod.deploy.onboard.policy_loop import WALK, Command, Loop, Sensors, network_of, open_data
 from polypod.export import RobotInterface, interfaces, states
+from polypod.export import contract as contracts
 from polypod.export.torch_graph import RobotPolicy
 from polypod.extras import package
 from polypod.files import read_bytes

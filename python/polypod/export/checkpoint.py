@@ -12,8 +12,7 @@ import torch
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core, descriptions
-from polypod.deploy import contract
-from polypod.export import metadata, onnx_graph, states
+from polypod.export import contract, metadata, onnx_graph, states
 from polypod.export.robot import OUTPUTS, RobotInterface, changes, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.export.torch_graph import RobotPolicy, torchscript
