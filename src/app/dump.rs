@@ -57,7 +57,7 @@ pub struct Dump {
     pub state: BrokenState,
 }
 
-/// What stepping again gave.
+/// Result of stepping a dumped state again.
 pub struct Replay {
     /// The robot's model, for the names of joints and links.
     pub morphology: MorphologyModel,
@@ -147,7 +147,8 @@ impl Dump {
 
     /// A simulation of this robot alone with one physics step in a control step, and how many the task has.
     fn sim(&self, simd: Option<Simd>) -> Result<(Sim, usize), Error> {
-        // what Library checks of a file is checked here too: a dump may come from anybody
+        // a dump may come from anybody, so the checks that Library makes of a file are made here
+        // too
         let mut config: TaskConfig = self.config(&self.task, TaskConfig::validate)?;
         let decimation = config.sim.decimation as usize;
         let robot = LoadedRobot {

@@ -36,7 +36,8 @@ impl Sim {
         Ok(Learner::new(self.learner_settings(options), self.simd())?)
     }
 
-    /// The same of a worker that simulates its [`Worker::envs`] here and learns with its peers.
+    /// The native learner of one of several workers, which simulates its [`Worker::envs`] and
+    /// learns with its peers.
     ///
     /// # Errors
     /// As [`Sim::learner`]; more workers than blocks of envs; a simulation of another share.
@@ -46,7 +47,8 @@ impl Sim {
         Ok(Learner::with_peers(self.learner_settings(options), self.simd(), worker, peers)?)
     }
 
-    /// For each number of an observation group the share of envs whose robot has it, those of other workers included.
+    /// Share of envs whose robot has each number of an observation group; counts the envs of all
+    /// workers.
     ///
     /// # Errors
     /// An unknown group.

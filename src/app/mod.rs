@@ -31,7 +31,7 @@ pub use sim_queries::RobotStates;
 
 /// A headless Bevy app of many envs, ready to step.
 ///
-/// What it was made from and the schedules are in its world; plugins may have added more.
+/// Its world holds the options, the schedules and whatever plugins have added.
 pub struct Sim {
     world: World,
     seed: u64,
@@ -130,8 +130,8 @@ impl Sim {
 
     /// Begins new episodes: in the envs of the mask, or in all.
     ///
-    /// With a seed everything is as if the simulation had been made anew with it: random streams, and what is randomised
-    /// at startup.
+    /// A seed restarts the random streams and repeats the startup events, as a new simulation with
+    /// that seed does.
     ///
     /// # Errors
     /// A mask of the wrong length, or a seed together with a mask.
@@ -248,7 +248,7 @@ impl Sim {
         self.world.resource::<BlockSizes>().num_envs()
     }
 
-    /// Which envs of the whole batch they are.
+    /// Range of these envs within the whole batch.
     pub fn share(&self) -> &Share {
         self.world.resource::<Share>()
     }

@@ -1,4 +1,5 @@
-//! What a caller may read of the robots and change of their episodes between control steps.
+//! Queries and changes of a caller between control steps: states of the robots, ends of their
+//! episodes.
 
 use bevy_ecs::prelude::*;
 use glam::{DMat3, DQuat, DVec3};
@@ -40,8 +41,9 @@ impl Sim {
         &self.world().resource::<Morphologies>().1
     }
 
-    /// Ends the episodes of these envs as failed, as a termination of the task would have in the last control step: the
-    /// logs count them, and they are to be reset. An episode that ran out of time in that step has failed instead.
+    /// Ends the episodes of these envs as failed, as a termination of the task would have in the
+    /// last control step: the logs count them, and they must be reset. An episode that ran out of
+    /// time in that step has failed instead.
     ///
     /// # Errors
     /// A mask of the wrong length, or a simulation that resets ended episodes by itself.

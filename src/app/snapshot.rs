@@ -32,7 +32,8 @@ struct Snapshot {
     components: Vec<SavedColumn>,
 }
 
-/// What a robot's numbers have in common with its morphology's is kept once again.
+/// Shares the numbers that bodies have in common with their morphology, so that each is stored
+/// once.
 fn share_bodies(world: &mut World) {
     world.resource_scope(|world, morphologies: Mut<Morphologies>| {
         for (tag, mut body, mut stance) in world.query::<(&Morphology, &mut Body, &mut Stance)>().iter_mut(world) {
@@ -128,7 +129,7 @@ impl Sim {
         all.skip(usize::try_from(first_env).unwrap_or(usize::MAX)).take(count).collect()
     }
 
-    /// Where this simulation's envs are among those of a snapshot that begins with `first_env` and has so many.
+    /// Rows of this simulation's envs in a snapshot of the `count` envs from `first_env` on.
     fn rows_in(&self, first_env: u64, count: usize) -> Option<Range<usize>> {
         let (first, own) = (usize::try_from(first_env).ok()?, &self.share().envs);
         let rows = own.start.checked_sub(first)?..own.end.checked_sub(first)?;

@@ -1,4 +1,4 @@
-//! What a viewer reads of the robots, and how it pushes them, between control steps.
+//! Viewer's interface between control steps: reads the robots and pushes them.
 
 use bevy_ecs::prelude::*;
 
