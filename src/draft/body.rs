@@ -21,7 +21,8 @@ const RAISED: f64 = 0.4;
 const CLEARANCE: f64 = 0.35;
 /// Knee angle that the search for a pose begins with, rad: of two legs, and of more.
 const KNEES: [f64; 2] = [0.8, 1.4];
-/// Weight of the distance from the start of the search, per rad, beside a foot's distance in leg lengths.
+/// Weight of the distance from the start of the search, per rad, against a foot's distance in leg
+/// lengths.
 const REST: f64 = 1e-3;
 const ITERATIONS: u32 = 80;
 /// Step of the difference quotients, rad.
@@ -179,7 +180,8 @@ struct Leg<'a> {
     track: f64,
     /// Rotation of the foot's link with all joints at zero, of a leg whose ankle can keep the sole level.
     level: Option<DMat3>,
-    /// Of a leg that points away from the body: the direction, and the lengths of its first part and of the rest, m.
+    /// Direction of a leg that points away from the body, and the lengths of its first part and of
+    /// the rest, m.
     radial: Option<(DVec3, f64, f64)>,
 }
 

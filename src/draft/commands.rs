@@ -67,7 +67,7 @@ impl Commands {
         }
     }
 
-    /// What the body is not asked for, for people.
+    /// Note for people that names the commands which the body cannot follow.
     pub fn note(&self) -> Option<&'static str> {
         match (self.aside > 0.0, self.turn > 0.0) {
             (true, _) => None,

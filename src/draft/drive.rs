@@ -35,8 +35,9 @@ const MOST_EFFORT: f64 = 1000.0;
 const SPEED: f64 = 12.6;
 /// Speed limits beyond this are placeholders, rad/s; the fastest motor in `configs/robots` reaches 52.
 const MOST_SPEED: f64 = 100.0;
-/// Of joints that carry an arm, a head or a torso: stiffness and effort limit over the largest moment of gravity about them, and
-/// the least stiffness over weight times leg length. Arms of the robots in `configs/robots` have 5 to 20 times.
+/// Drives of joints that carry an arm, a head or a torso: stiffness and effort limit over the
+/// largest moment of gravity about them, and the least stiffness over weight times leg length. Arms
+/// of the robots in `configs/robots` have 5 to 20 times.
 const HELD: f64 = 10.0;
 const HELD_EFFORT: f64 = 3.0;
 const HELD_LEAST: f64 = 0.02;
@@ -92,7 +93,7 @@ pub(super) struct Drives<'a> {
     leg_length: f64,
     /// Joints of legs.
     of_legs: Vec<usize>,
-    /// Those of them that are ankles.
+    /// Joints of legs that are ankles.
     ankles: Vec<usize>,
     /// Stiffness of legs, N m/rad.
     stiffness: f64,

@@ -35,7 +35,7 @@ pub struct Draft {
     pub name: String,
     /// The text of `<name>.toml`.
     pub toml: String,
-    /// What was assumed, for people; one line each.
+    /// Assumptions, for people; one line each.
     pub notes: Vec<String>,
     /// `biped`, `humanoid`, `quadruped`, `hexapod` ...
     pub class: String,
@@ -43,12 +43,12 @@ pub struct Draft {
     pub needs_policy: Option<String>,
 }
 
-/// What a draft cannot find out by itself.
+/// Choices that a draft cannot make by itself.
 #[derive(Clone, Debug, Default)]
 pub struct DraftOptions {
     /// The robot's name in configs. Default: the URDF's, or the file's, in small letters.
     pub name: Option<String>,
-    /// What the config says under `urdf`. Default: the file as given.
+    /// Value of `urdf` in the config. Default: the file as given.
     pub urdf: Option<PathBuf>,
     /// ROS package -> folder.
     pub package_dirs: BTreeMap<String, PathBuf>,
@@ -62,12 +62,12 @@ pub struct DraftOptions {
     pub gain_factor: Option<f64>,
 }
 
-/// What the text is written from.
+/// Data from which the text is written.
 struct Findings<'a> {
     name: &'a str,
     title: String,
     urdf: PathBuf,
-    /// Of the known robot of this class whose mass is nearest.
+    /// Reward set of the known robot of this class whose mass is nearest.
     reward_set: String,
     options: &'a DraftOptions,
     model: &'a Model,
@@ -115,8 +115,8 @@ struct Drafted {
 /// Drafts the config of the robot whose URDF is at `file`: roles and feet from geometry, a standing pose with the feet level, gains in
 /// proportion to weight times leg length, rewards as of the known robot of its class whose mass is nearest.
 ///
-/// Of a quadruped with twelve joints in its legs every other joint is held, and the pose is one that policies of the known robots
-/// know. Other bodies keep all joints but fingers, toes, wheels and slides.
+/// A quadruped with twelve joints in its legs keeps those joints alone, in a pose that policies of
+/// the known robots know. Other bodies keep all joints but fingers, toes, wheels and slides.
 ///
 /// # Errors
 /// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot of `POLYPOD_PATH` that cannot be read.
@@ -150,7 +150,7 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
         let held = load_holding(file, &load_options)?.0;
         let roles = match (detect(&held), found) {
             (Ok(roles), _) => roles,
-            // of the robot as it is
+            // report the error of the robot with all its joints
             (Err(_), Err(error)) | (Err(error), Ok(_)) => return Err(error),
         };
         (held, roles)

@@ -15,7 +15,7 @@ pub(super) struct Legs {
 }
 
 impl Legs {
-    /// Those of a robot that has all of them.
+    /// The joints and feet of a quadruped; None for a robot that lacks one of them.
     pub fn of(roles: &Roles) -> Option<Self> {
         let slot = |name: &&str| Slot::parse(name).and_then(|slot| roles.slots.binary_search(&slot).ok());
         let slots: Vec<usize> = CANONICAL_JOINT_NAMES.iter().filter_map(slot).collect();

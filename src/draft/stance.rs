@@ -18,7 +18,7 @@ const BEHIND: [f64; 2] = [0.037, 0.181];
 const OUTWARD: f64 = 0.1;
 /// Share of each joint's range that the pose keeps away from either end.
 const MARGIN: f64 = 0.05;
-/// What a joint without limits is searched over, rad.
+/// Range of the search for a joint without limits, rad.
 const TURN: f64 = std::f64::consts::PI;
 /// Angles of thigh and knee that the search begins with, each.
 const STARTS: u32 = 24;
@@ -63,7 +63,7 @@ impl Stance {
                 *miss = leg.solve(model, target, &mut q);
             }
             let furthest = 0.2 * leg_length;
-            // what the hips of a balanced robot lie about
+            // the hips of a balanced robot lie about its centre of mass
             shift = (centre_of_mass(model, &q).x - hips).clamp(-furthest, furthest);
         }
         let angles = roles.joint_of_slot.map(|joint| q[joint]);

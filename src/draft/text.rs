@@ -183,7 +183,7 @@ fn ranges(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let (kilograms, newtons) = (round(SHARE * mass), round(SHARE * mass * GRAVITY));
     let lever = 0.1 * findings.leg_length;
     let com = round(lever);
-    // what stands on two legs begins exactly in its pose, as in tasks of humanoids
+    // a robot on two legs begins exactly in its pose, as in tasks of humanoids
     let (pose, speed) =
         if findings.feet.len() > 2 { ("[0.9, 1.1]", "[-0.2, 0.2]") } else { ("[1.0, 1.0]", "[0.0, 0.0]") };
     writeln!(
