@@ -1,4 +1,4 @@
-//! What a simulation reads and sets of its envs, which are at home in the engine.
+//! States and parameters of a simulation's envs, which live in the engine.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,7 +24,7 @@ pub(super) struct Env {
     bounds: Vec<f64>,
     /// Contact impulses of the last physics step.
     contacts: Contacts<f64>,
-    /// What the networks of actuators remember.
+    /// Memory of the actuator networks.
     pub(super) memory: Vec<f64>,
     /// Effort of each actuator in the last physics step, N m or N.
     pub(super) effort: Vec<f64>,
@@ -93,7 +93,7 @@ impl Env {
     }
 }
 
-/// What the actuators are asked for.
+/// Input of the actuators.
 #[derive(Clone, Copy)]
 pub(super) enum Actuation<'a> {
     /// These targets, by the gains.
@@ -111,7 +111,7 @@ impl RowFamily for Envs {
     type Rows<'a> = EnvRows<'a>;
 }
 
-/// What is asked of all envs in a step, from env `first` on, without envs; or one env that is read or set.
+/// Inputs of all envs in a step, from env `first` on, without envs; or one env that is read or set.
 pub(super) struct EnvRows<'a> {
     envs: &'a mut [Env],
     first: usize,
@@ -119,7 +119,7 @@ pub(super) struct EnvRows<'a> {
 }
 
 impl<'a> EnvRows<'a> {
-    /// What is asked in a step.
+    /// Rows of the inputs of a step.
     pub(super) fn asking(actuation: Actuation<'a>) -> Self {
         Self { envs: &mut [], first: 0, actuation }
     }

@@ -43,7 +43,8 @@ use rows::{EnvIds, Rows};
 /// Physics steps that the articulated engine makes in one go; its reports grow with it.
 const MAX_RUN: usize = 32;
 
-/// What the actuators do during a [`Simulation::step`]. Rows are one number, `[joints]` or `[num_envs, joints]`.
+/// Inputs of the actuators during a [`Simulation::step`]. Rows are one number, `[joints]` or
+/// `[num_envs, joints]`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Control<'a> {
     /// Joint efforts, N m or N, within the effort limit; excludes `targets`. With neither the joints are passive.
@@ -79,7 +80,7 @@ pub struct Simulation {
     rounds: bool,
     default_qpos: Vec<f64>,
     steps: u64,
-    /// Of all that decides what a step does, but for the state and the envs' numbers.
+    /// Hash of all that decides the result of a step, except the state and the envs' parameters.
     fingerprint: u64,
 }
 
@@ -240,7 +241,7 @@ impl Simulation {
         limits.map(|(&limit, scale)| limit * scale).collect()
     }
 
-    /// What was assumed while reading the URDF.
+    /// Assumptions made while reading the URDF.
     pub fn warnings(&self) -> &[Warning] {
         &self.robot.model.warnings
     }
@@ -282,8 +283,9 @@ impl Simulation {
         move |x| if rounds { f64::from(x as f32) } else { x }
     }
 
-    /// Sets positions (`[n, nq]`), velocities (`[n, nv]`) or both in the `n` envs `env_ids`, or in all; one row serves for
-    /// all of them. Quaternions are normalised. The contact solver and networks of actuators start anew there.
+    /// Sets positions (`[n, nq]`), velocities (`[n, nv]`) or both in the `n` envs `env_ids`, or in
+    /// all; one row serves for all of them. Quaternions are normalised. Contacts and networks of
+    /// actuators lose their memory there.
     ///
     /// # Errors
     /// Another number of values, one that is not finite, a quaternion of length zero, or an env that does not exist.

@@ -1,4 +1,4 @@
-//! What a [`Simulation`](super::Simulation) is made from, and what can be wrong with it.
+//! Options of a [`Simulation`](super::Simulation), and the errors of bad ones.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ pub enum Precision {
     Double,
 }
 
-/// What a simulation is made from. [`SimulationOptions::new`] has the defaults.
+/// Options of a simulation. [`SimulationOptions::new`] has the defaults.
 #[derive(Clone, Debug)]
 pub struct SimulationOptions {
     /// Name of a robot of the library, path of a robot's `.toml`, or path of a URDF (it ends in `.urdf` or exists).
@@ -189,7 +189,7 @@ pub(super) fn check_non_negative(element: &'static str, values: &[f64]) -> Resul
     }
 }
 
-/// The same of limits, which infinity leaves out.
+/// Checks limits, which may be infinite: infinity is no limit.
 pub(super) fn check_not_below_zero(element: &'static str, values: &[f64]) -> Result<(), Error> {
     match values.iter().find(|x| x.is_nan() || **x < 0.0) {
         Some(bad) => {

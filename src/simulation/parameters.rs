@@ -39,7 +39,7 @@ impl Simulation {
     /// Index of a link.
     ///
     /// # Errors
-    /// When there is no such link, or it is fixed to another and has no mass of its own.
+    /// A link that does not exist, or is fixed to another and has no mass.
     pub fn link_index<'a>(&self, link: impl Into<LinkId<'a>>) -> Result<usize, Error> {
         let links = &self.robot.model.links;
         let name = match link.into() {

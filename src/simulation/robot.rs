@@ -101,7 +101,7 @@ impl Robot {
         Self { model, topology, nominal, align, shape_pairs, default_position, networks }
     }
 
-    /// What an engine knows of it; `nominal` are the numbers of `count` of them.
+    /// The engine's view of it; `nominal` are the parameters of `count` robots.
     pub(super) fn kind<'a>(&'a self, nominal: &'a Parameters<f64>, count: usize) -> Kind<'a, f64> {
         let Self { model, topology, align, shape_pairs, networks, .. } = self;
         let (body_groups, feet): (&[_], &[_]) = (&[], &[]);

@@ -59,7 +59,7 @@ impl<'a> Rows<'a> {
         Ok(rows)
     }
 
-    /// The same of numbers that may be infinite.
+    /// Like [`of_joints`](Self::of_joints), for numbers that may be infinite.
     pub(super) fn of_limits(
         element: &'static str,
         values: &'a [f64],

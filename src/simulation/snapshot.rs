@@ -20,7 +20,7 @@ struct Snapshot {
     steps: u64,
     envs: Vec<Env>,
     bodies: Vec<Parameters<f64>>,
-    /// What the engine keeps of each env beyond that.
+    /// Bytes that the engine keeps of each env beyond its numbers.
     engine: Vec<Vec<u8>>,
 }
 
