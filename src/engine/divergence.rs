@@ -8,7 +8,7 @@ use crate::components::{
     JointTargets,
 };
 
-/// What physics moves of one robot.
+/// Motion of one robot: the numbers that physics integrates.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Motion {
     /// Pose of the base.
@@ -39,7 +39,7 @@ impl Motion {
     }
 }
 
-/// What physics saw of a control step that broke a state.
+/// Record of a control step that broke a state: its inputs and its result.
 pub struct DivergenceRecord {
     /// The env's morphology.
     pub morphology: usize,
@@ -47,11 +47,11 @@ pub struct DivergenceRecord {
     pub env: usize,
     /// The robot before the step.
     pub before: Motion,
-    /// What its actuators were asked for.
+    /// Targets of its actuators.
     pub targets: JointTargets,
-    /// How late.
+    /// Delay of its actuators.
     pub delay: ActuatorDelay,
-    /// What the networks of its actuators remembered before the step.
+    /// Memory of its actuator networks before the step.
     pub memory: ActuatorMemory,
     /// Force and torque from outside.
     pub wrench: ExternalWrench,

@@ -8,11 +8,11 @@ use crate::dynamics::lanes::Real;
 #[derive(Serialize, Deserialize, Clone, Copy, Debug)]
 #[serde(deny_unknown_fields, default)]
 pub struct StateLimits {
-    /// Of the base, m/s.
+    /// Largest speed of the base, m/s.
     pub max_lin_vel: f32,
-    /// Of the base, rad/s.
+    /// Largest angular speed of the base, rad/s.
     pub max_ang_vel: f32,
-    /// Of any joint, rad/s.
+    /// Largest speed of any joint, rad/s.
     pub max_joint_vel: f32,
 }
 
@@ -47,9 +47,9 @@ pub(crate) type StateNumbers<'a, T> = [&'a [T]; 7];
 /// A number of a state that is not finite or beyond its limit.
 #[derive(Serialize, Deserialize, Clone, Copy, Debug, PartialEq)]
 pub struct Violation {
-    /// What it belongs to.
+    /// Quantity that the number belongs to.
     pub quantity: Quantity,
-    /// Which number of the quantity: an axis, or a joint in physical order.
+    /// Index within the quantity: an axis, or a joint in physical order.
     pub index: usize,
     /// The number.
     pub value: f32,
@@ -91,7 +91,7 @@ impl StateLimits {
     pub(crate) fn broken_anywhere<S: Real>(&self, numbers: StateNumbers<'_, S>) -> bool {
         let mut allowed = S::one();
         for ((_, limit), xs) in self.of_quantities().into_iter().zip(numbers) {
-            // what is below the next number is not beyond the limit, and a NaN is not below anything
+            // a number below the next larger float is within the limit; a NaN is not below anything
             let limit = S::splat(f64::from(limit.next_up()));
             for x in xs {
                 allowed = S::select(x.abs().lt(limit), allowed, S::zero());

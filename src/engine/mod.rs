@@ -26,7 +26,7 @@ pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
 pub use registry::{EngineFactory, EngineSetup, Engines};
 pub use rows::RobotSlices;
-pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, ask_nothing, get, put};
+pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, clear_drive, get, put};
 
 /// Steps the bodies of a task's robots.
 ///
@@ -34,18 +34,19 @@ pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, 
 /// of their envs. An engine reads states, targets and wrenches there, makes the physics steps of a control step, and writes states
 /// and reports. It may keep more between control steps, such as the same columns in a device's memory.
 ///
-/// What happens to a robot depends on its own row and numbers alone, and no bit on the number of threads. A state that is not
-/// finite stays in its row: the pipeline ends the episode.
+/// A robot's motion depends on its own row and numbers alone, and no bit depends on the number of
+/// threads. A state that is not finite stays in its row: the pipeline ends the episode.
 pub trait Engine: Send + Sync {
     /// Takes over the numbers of an env's robot (masses, lengths, gains, friction): of all before the first step, and then of those
     /// that have changed.
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
 
-    /// Makes the physics steps of a control step. Of each morphology that `run` watches, returns what became of the first env whose
-    /// new state is beyond the limits; an engine that returns none is not dumped.
+    /// Makes the physics steps of a control step. For each morphology that `run` watches, returns
+    /// the record of the first env whose new state is beyond the limits. States of an engine that
+    /// returns no records are not dumped.
     fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord>;
 
-    /// What decides how the envs go on beyond their components, as bytes, of each env. Default: nothing does.
+    /// Bytes of each env that decide how it goes on, beyond its components. Default: empty.
     ///
     /// # Errors
     /// Why it cannot be written.
@@ -56,7 +57,7 @@ pub trait Engine: Send + Sync {
     /// Checks bytes of a snapshot, and changes nothing. Default: there must be none.
     ///
     /// # Errors
-    /// What is wrong with them.
+    /// An error says what is wrong with the bytes.
     fn check(&self, envs: &[Vec<u8>]) -> Result<(), String> {
         if envs.is_empty() { Ok(()) } else { Err("the engine keeps nothing".into()) }
     }
@@ -98,7 +99,7 @@ impl Engine for TaskEngine {
 
 /// Steps the bodies of all robots, which its caller keeps in rows of one family.
 pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
-    /// What decides how the envs go on, beyond their rows, as bytes; of each env.
+    /// Bytes of each env that decide how it goes on, beyond its rows.
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
         Ok(Vec::new())
     }
@@ -127,7 +128,7 @@ pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
     }
 }
 
-/// What one [`Engine::step`] does.
+/// Task of one [`Engine::step`].
 #[derive(Clone, Copy)]
 pub struct Run<'a> {
     /// Number of physics steps.
@@ -140,7 +141,7 @@ pub struct Run<'a> {
     pub watched: &'a [bool],
 }
 
-/// What an engine knows of one kind of robot; `T` is the type of its rows' numbers.
+/// An engine's view of one morphology; `T` is the type of its rows' numbers.
 pub(crate) struct Kind<'a, T> {
     pub(crate) model: &'a Model,
     pub(crate) topology: &'a Topology,
@@ -172,20 +173,21 @@ impl<'a> Kind<'a, f32> {
     }
 }
 
-/// Which engine, and in which numbers it computes.
+/// Engine, and the precision in which it computes.
 pub(crate) enum EngineChoice {
     /// In single precision on an instruction set; robots stand on the terrain, or else on the plane of the settings.
     Articulated(Simd, Option<Arc<HeightGrid>>),
     /// In double precision, one robot at a time.
     ArticulatedDouble,
-    /// With so many substeps, and with what stands on the plane of the settings.
+    /// Avian with a number of substeps, and with the parts of obstacles on the plane of the
+    /// settings.
     Avian(usize, Vec<Part>),
 }
 
 /// The engine of a choice for robots of some kinds, which are in contiguous blocks of rows.
 ///
 /// # Errors
-/// What Avian's engine cannot simulate.
+/// A feature that Avian's engine cannot simulate.
 pub(crate) fn make<F: RowFamily>(
     choice: EngineChoice,
     settings: StepSettings,

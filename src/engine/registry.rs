@@ -16,7 +16,7 @@ use crate::obstacles;
 use crate::workers::{Workers, packs_of};
 use crate::world::Ground;
 
-/// What an engine of a task is made from.
+/// Inputs from which an engine of a task is made.
 #[derive(Clone, Copy)]
 pub struct EngineSetup<'a> {
     /// The task: physics steps, gravity, scene and the `[physics]` table.
@@ -25,7 +25,7 @@ pub struct EngineSetup<'a> {
     pub morphologies: &'a [MorphologyModel],
     /// Number of envs of each, in contiguous blocks.
     pub blocks: &'a BlockSizes,
-    /// What the robots stand on, and gravity.
+    /// Ground that the robots stand on, and gravity.
     pub ground: &'a Ground,
     /// The instruction set that was asked for.
     pub simd: Simd,
@@ -84,7 +84,7 @@ pub trait EngineFactory: Send + Sync + 'static {
     /// The engine of a task.
     ///
     /// # Errors
-    /// What of the task or its robots it cannot simulate, with a remedy.
+    /// A feature of the task or its robots that the engine cannot simulate, with a remedy.
     fn make(&self, setup: &EngineSetup) -> Result<Box<dyn Engine>, Error>;
 }
 

@@ -39,10 +39,12 @@ pub(crate) trait RobotRows: SplitRows {
     /// Writes poses and velocities of a lane into a row.
     fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize);
 
-    /// Reads what the actuators are asked for, and the external wrench. What a caller does not ask for is zero beforehand.
+    /// Reads the drive and the external wrench of a row. Values that a caller does not give are
+    /// zero beforehand.
     fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize);
 
-    /// What the networks of actuators remember, see [`NetworkStep::memory`](crate::dynamics::NetworkStep::memory).
+    /// Memory of the actuator networks, see
+    /// [`NetworkStep::memory`](crate::dynamics::NetworkStep::memory).
     fn memory(&self, row: usize) -> &[Self::Number];
 
     /// The same, to write.
@@ -108,7 +110,7 @@ macro_rules! robot_slices {
         pub(crate) type RobotColumns = ($(&'static mut $component,)*);
 
         impl<'a> RobotSlices<'a> {
-            /// Of the components in the order of [`RobotColumns`].
+            /// Borrows the components in the order of [`RobotColumns`].
             pub(crate) fn new(($($name,)*): ($(&'a mut [$component],)*), origins: &'a [EnvOrigin]) -> Self {
                 Self { origins, $($name,)* }
             }
@@ -142,7 +144,7 @@ robot_slices! {
     targets: JointTargets,
     /// How many physics steps late each joint's target comes.
     delays: ActuatorDelay,
-    /// What the networks of actuators remember: read, then written.
+    /// Memory of the actuator networks: read, then written.
     memories: ActuatorMemory,
     /// Force and torque on the base from outside.
     wrenches: ExternalWrench,
@@ -280,7 +282,7 @@ impl RobotRows for RobotSlices<'_> {
 }
 
 /// Leaves targets, feed-forward efforts and the wrench zero.
-pub(crate) fn ask_nothing<L: Real>(drive: &mut Drive<L>) {
+pub(crate) fn clear_drive<L: Real>(drive: &mut Drive<L>) {
     drive.targets.iter_mut().for_each(|targets| targets.fill(L::zero()));
     drive.feedforward.fill(L::zero());
     drive.base_force = [L::zero(); 3];

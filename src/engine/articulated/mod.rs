@@ -55,7 +55,7 @@ struct Bodies<L, T> {
     nominal: Parameters<L>,
     /// The same, once.
     kind: Parameters<f32>,
-    /// Whether all bodies are [alike](Parameters::is_alike) the morphology's.
+    /// Whether all bodies have the morphology's numbers, see [`Parameters::is_alike`].
     alike: bool,
     own: ParameterDeltas<L, T>,
     bits: DemandBits,
@@ -63,7 +63,7 @@ struct Bodies<L, T> {
 
 /// Where a thread steps packs.
 struct Scratch<L: Kernels> {
-    /// Of each morphology.
+    /// Workspace of each morphology.
     benches: Vec<PackWorkspace<L>>,
     pack_ordering: PackOrder,
 }
@@ -72,13 +72,13 @@ struct Scratch<L: Kernels> {
 pub(crate) struct Packs<L: Kernels, T> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
-    /// Of each morphology.
+    /// Bodies of each morphology.
     bodies: Vec<Bodies<L, T>>,
     /// Morphologies in the order in which their robots are stepped, see [`Packs::share_out`].
     order: Vec<usize>,
-    /// Of each env, see [`DemandBits`]. They decide how fast a step is and nothing else.
+    /// Sort key of each env, see [`DemandBits`]. Keys decide the speed of a step and nothing else.
     keys: Vec<u32>,
-    /// Of all resident robots, the packs of one morphology after the other's.
+    /// Packs of all resident robots, morphology after morphology.
     resident: Vec<Pack<L>>,
     scratch: Pool<Scratch<L>>,
 }
@@ -265,25 +265,25 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
                         }
                         left -= decimation;
                     }
-                    pack.note_touching();
+                    pack.find_touching();
                     if F::RESIDENT {
                         continue;
                     }
                     let broken = if run.watched[morphology] { pack.first_broken(run.limits, lanes) } else { None };
-                    let evidence = rows.record(broken, morphology, first_env + first, |rows| pack.scatter(rows, lanes));
+                    let record = rows.record(broken, morphology, first_env + first, |rows| pack.scatter(rows, lanes));
                     for (lane, &row) in lanes.iter().enumerate() {
                         keys[row] = bits.key(&pack.report.demands, lane);
                     }
-                    if let Some(evidence) = evidence {
-                        found.lock().unwrap_or_else(PoisonError::into_inner).push(evidence);
+                    if let Some(record) = record {
+                        found.lock().unwrap_or_else(PoisonError::into_inner).push(record);
                     }
                 }
             });
         });
-        // of each morphology the first env, whatever the threads did first
+        // the first env of each morphology, in whatever order the threads found them
         let mut found: Vec<DivergenceRecord> = found.into_inner().unwrap_or_else(PoisonError::into_inner);
-        found.sort_unstable_by_key(|evidence| evidence.env);
-        found.dedup_by_key(|evidence| evidence.morphology);
+        found.sort_unstable_by_key(|record| record.env);
+        found.dedup_by_key(|record| record.morphology);
         found
     }
 }

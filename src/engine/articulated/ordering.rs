@@ -1,8 +1,9 @@
-//! Which robots share a pack.
+//! Order of robots in packs.
 //!
-//! A pack works on each contact and each joint limit that any of its lanes has. So robots that have the same bodies near the ground, or
-//! the same legs at their limits, are put side by side, in every control step anew, by what the one before had to deal with. What a
-//! robot does depends neither on its lane nor on its neighbours.
+//! A pack works on each contact and each joint limit that any of its lanes has. So robots that have
+//! the same bodies near the ground, or the same legs at their limits, share a pack. They are sorted
+//! again in every control step by the demands of the one before. A robot's motion depends neither
+//! on its lane nor on its neighbours.
 
 use crate::dynamics::lanes::Real;
 use crate::robot::BodyGroup;
@@ -11,10 +12,11 @@ use crate::robot::BodyGroup;
 pub(super) struct DemandBits(Vec<u32>);
 
 impl DemandBits {
-    /// For a robot whose bodies are of these groups and whose joints form so many blocks.
+    /// Bits for a robot whose bodies are of `groups` and whose joints form `blocks` blocks.
     ///
-    /// The nearer a body is to the base, the fewer robots have it near the ground, for whose sake all lanes of a pack bear its cost. Joint
-    /// limits come after these, and then feet, which are near the ground in nearly all robots.
+    /// Contacts near the base are rare and cost every lane of the pack, so they are the primary
+    /// sort key. Joint limits come next, and then feet, which are near the ground in nearly all
+    /// robots.
     pub(super) fn new(groups: &[BodyGroup], blocks: usize) -> Self {
         let rank = |&demand: &usize| match groups.get(demand) {
             Some(BodyGroup::Other | BodyGroup::Arm | BodyGroup::Head) => 0,
@@ -79,7 +81,8 @@ mod tests {
         let leg = [BodyGroup::Thigh, BodyGroup::Shank, BodyGroup::Foot];
         let groups = [&[BodyGroup::Base][..], &leg, &leg].concat();
         let bits = DemandBits::new(&groups, 2);
-        // what a robot of each kind asks for beyond its feet, in the order they are to stand in: bodies 0 to 6, blocks 7 and 8, a push
+        // demands of each robot beyond its feet, in the expected order: bodies 0 to 6, blocks 7 and
+        // 8, a push
         let kinds: [&[usize]; 6] = [&[], &[9], &[8], &[4], &[1, 9], &[0]];
         // not in that order, and one without its second foot, which comes first of all
         let kind = |row: usize| if row == 42 { None } else { Some((row * 5 + 2) % kinds.len()) };

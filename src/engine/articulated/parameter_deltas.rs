@@ -1,23 +1,25 @@
-//! What bodies have of their own. A pack steps with its morphology's numbers, which a thread has in its cache, and those of its lanes in
-//! their places.
+//! Per-env parameter deltas. A pack starts from the morphology's parameters, which stay in the
+//! cache, and overwrites those that differ in its lanes.
 
 use crate::dynamics::Parameters;
 use crate::dynamics::lanes::{Lanes, Real};
 
-/// Where bodies have more numbers of their own, all are kept, pack by pack.
+/// Largest number of places that are kept as deltas. Beyond it all parameters are kept, pack by
+/// pack.
 const FEW: usize = 64;
 
-/// Of all bodies of a morphology, each a row, whose numbers are `T`.
+/// Parameters of all bodies of a morphology, one body a row, as numbers `T`.
 pub(super) enum ParameterDeltas<L, T> {
-    /// Those that differ from the morphology's in some body, by their places among all of the [`Parameters`], which ascend:
-    /// `[rows][places]`.
+    /// Parameters that differ from the morphology's in some body, and their ascending places among
+    /// all of the [`Parameters`]: `[rows][places]`.
     Few { places: Vec<u32>, values: Vec<T> },
-    /// All, of `L::LANES` rows after the other; lists without a difference are the morphology's.
+    /// All parameters, in packs of `L::LANES` rows; lists without a difference are the
+    /// morphology's.
     All(Vec<Parameters<L>>),
 }
 
 impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
-    /// None: the bodies are as the morphology has them.
+    /// No deltas: all bodies have the morphology's parameters.
     pub(super) fn none() -> Self {
         Self::Few { places: Vec::new(), values: Vec::new() }
     }

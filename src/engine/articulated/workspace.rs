@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::{Kind, RobotRows, StateLimits, StateNumbers, ask_nothing, get, history_length, put, state_numbers};
+use super::super::{Kind, RobotRows, StateLimits, StateNumbers, clear_drive, get, history_length, put, state_numbers};
 use crate::components::ContactImpulse;
 use crate::dynamics::lanes::{Kernel, Lanes, Real};
 use crate::dynamics::{ActuatorNetwork, Drive, Parameters, Report, State, Workspace};
@@ -14,25 +14,25 @@ pub(super) struct Pack<L: Real> {
     pub(super) origin: [L; 2],
     pub(super) state: State<L>,
     pub(super) drive: Drive<L>,
-    /// What the networks of actuators remember.
+    /// Memory of the actuator networks.
     pub(super) memory: Vec<L>,
     pub(super) report: Report<L>,
-    /// Which of the state's impulses are pressing.
+    /// Whether each of the state's contacts presses.
     presses: Vec<bool>,
     /// The contact bodies that are feet.
     feet: Vec<usize>,
-    /// The others that the pack had touched something with.
+    /// Other contact bodies that touch something in any lane.
     touching: Vec<usize>,
 }
 
 /// Where a thread steps one pack of a morphology after the other.
 pub(super) struct PackWorkspace<L: Real> {
-    /// Of a body as the morphology has it.
+    /// Parameters of the morphology.
     pub(super) nominal: Parameters<L>,
-    /// The same without gains.
+    /// Parameters of the morphology without gains.
     pub(super) without_gains: Parameters<L>,
     pub(super) work: Workspace<L>,
-    /// Of the networks of actuators.
+    /// Inputs of the actuator networks.
     pub(super) features: Vec<L>,
     /// A pack whose robots are at home in rows; its contents mean nothing between two.
     pub(super) pack: Pack<L>,
@@ -74,7 +74,7 @@ impl<L: Lanes> Pack<L> {
         }
         self.presses.fill(false);
         self.state.pressing.clear();
-        ask_nothing(&mut self.drive);
+        clear_drive(&mut self.drive);
         for lane in 0..L::LANES {
             let row = order[lane.min(order.len() - 1)];
             self.read_row(rows, row, lane);
@@ -85,13 +85,13 @@ impl<L: Lanes> Pack<L> {
 
     /// Reads what is asked of the robots in rows alone.
     pub(super) fn gather_drive(&mut self, rows: &impl RobotRows, order: &[usize]) {
-        ask_nothing(&mut self.drive);
+        clear_drive(&mut self.drive);
         for lane in 0..L::LANES {
             rows.read_drive(order[lane.min(order.len() - 1)], &mut self.drive, lane);
         }
     }
 
-    /// Makes room for the normal forces of so many physics steps.
+    /// Makes room for the normal forces of `steps` physics steps.
     pub(super) fn make_room(&mut self, steps: usize) {
         let Report { normal_force, body_force, .. } = &mut self.report;
         if normal_force.len() < steps {
@@ -113,7 +113,7 @@ impl<L: Lanes> Pack<L> {
             rows.read_report(row, &mut self.report, lane);
         }
         self.state.pressing.sort_unstable();
-        self.note_touching();
+        self.find_touching();
     }
 
     #[inline]
@@ -138,7 +138,7 @@ impl<L: Lanes> Pack<L> {
     /// The first of the lanes' rows whose new state is not finite or beyond the limits.
     pub(super) fn first_broken(&self, limits: &StateLimits, order: &[usize]) -> Option<usize> {
         let numbers = state_numbers(&self.state, &self.report.joint_effort);
-        // of all lanes at once, and only then one by one
+        // all lanes at once, and only then one by one
         let broken = L::vectorize(BrokenAnywhere { limits, numbers });
         let breaks = |lane: usize| limits.violation(numbers, |x| x.lane_f32(lane)).is_some();
         let rows = order.iter().enumerate().filter(|&(lane, _)| broken && breaks(lane));
@@ -146,7 +146,7 @@ impl<L: Lanes> Pack<L> {
     }
 
     /// Finds the bodies that [`write_row`](Self::write_row) reports, after a step.
-    pub(super) fn note_touching(&mut self) {
+    pub(super) fn find_touching(&mut self) {
         let Self { report, feet, touching, .. } = self;
         touching.clear();
         touching.extend((0..report.touched.len()).filter(|body| report.touched[*body] && !feet.contains(body)));
@@ -170,7 +170,7 @@ impl<L: Lanes> Pack<L> {
         for &contact in &state.pressing {
             let mut impulse = [R::Number::zero(); 3];
             get(&state.impulse[contact as usize], &mut impulse, lane);
-            // those of the lane's own alone
+            // write the contacts of this lane alone
             if impulse.iter().any(|x| x.lane(0) != 0.0) {
                 contacts.push(ContactImpulse { contact, impulse });
             }

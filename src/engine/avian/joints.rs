@@ -24,12 +24,12 @@ const MAX_RETURN: f32 = 4.0;
 /// Share of the inertia behind a joint that corrections of its bounds count with: what is before the joint yields, too.
 const BOUND_MASS: f32 = 0.4;
 
-/// What acts about a joint's axis, as impulses over one substep.
+/// Impulses about a joint's axis over one substep.
 #[derive(Clone, Copy, Debug, Default)]
 struct AxisRow {
     /// Actuator impulse at zero speed, N m s.
     drive: f32,
-    /// What the actuator loses per speed, N m s^2: nothing beyond its limits.
+    /// Impulse that the actuator loses per speed, N m s^2; zero at the actuator's limits.
     slope: f32,
     /// Rotor inertia, viscous damping and the spring's implicit share, kg m^2.
     drag: f32,
@@ -133,7 +133,7 @@ pub(super) struct Joint {
     /// Impulses of dry friction and of the bounds in a substep, N m s.
     rub: f32,
     bound: f32,
-    /// What has acted about the axis in the present substep, N m s.
+    /// Impulse about the axis so far in the present substep, N m s.
     applied: f32,
     /// Speed that the joints were last solved for, rad/s: the rotor's. Contacts change that of the links alone.
     rotor: f32,
@@ -144,7 +144,8 @@ pub(super) struct Joint {
     angle: f32,
     /// From the parent's reference point to its anchor, m.
     reach: Vec3,
-    /// Of the child and all that it carries, about the anchor, with the joint free to give way.
+    /// Inertia of the child and all that it carries, about the anchor, with the joint free to give
+    /// way.
     carried: Inertia,
     /// Impulse at the anchor per speed of the joint, and one over its part along the axis.
     push: Twist,
@@ -190,7 +191,7 @@ pub(super) struct LinkPose {
     pub(super) rotation: Quat,
 }
 
-/// What acts on a base from outside, base axes.
+/// External force and torque on a base, base axes.
 #[derive(Clone, Copy, Default, PartialEq)]
 pub(super) struct Wrench {
     /// At the centre of mass, N.

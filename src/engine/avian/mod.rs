@@ -47,7 +47,7 @@ pub(crate) enum EngineError {
     Order,
 }
 
-/// What all envs share.
+/// Settings that all envs share.
 #[derive(Clone, Copy)]
 pub(crate) struct Settings {
     /// Physics step, s.
@@ -56,7 +56,7 @@ pub(crate) struct Settings {
     pub(crate) substeps: usize,
     /// m/s^2, world axes.
     pub(crate) gravity: [f64; 3],
-    /// What the robots stand on.
+    /// Plane that the robots stand on.
     pub(crate) ground: Option<Plane>,
 }
 
@@ -85,11 +85,11 @@ struct Chunk {
     h: Duration,
 }
 
-/// What is known of an env between steps.
+/// State of an env between steps.
 struct Env {
     /// Where its origin is in the world, m. A state that is set afterwards is about it.
     origin: DVec3,
-    /// What was set, or what its bodies came to since.
+    /// State that was set, or that the bodies have reached since.
     state: State<f64>,
     parameters: Parameters<f64>,
     /// Mean effort of each actuator in the last physics step, N m.
@@ -155,19 +155,19 @@ impl Worlds {
         (&mut self.chunks[env / self.per_chunk], env % self.per_chunk)
     }
 
-    /// What is known of an env.
+    /// State of an env.
     fn env(&self, env: usize) -> &Env {
         let (chunk, i) = self.at(env);
         &chunk.envs[i]
     }
 
-    /// The same. Numbers that the world also has are set by methods of their own.
+    /// Mutable state of an env. Numbers that the world also holds have setters of their own.
     fn env_mut(&mut self, env: usize) -> &mut Env {
         let (chunk, i) = self.at_mut(env);
         &mut chunk.envs[i]
     }
 
-    /// Puts all links where forward kinematics has them; contacts and joints begin anew.
+    /// Puts all links at the poses of forward kinematics; contacts and joints start without memory.
     pub(crate) fn set_state(&mut self, env: usize, state: &State<f64>) {
         let (chunk, i) = (&mut self.chunks[env / self.per_chunk], env % self.per_chunk);
         chunk.set_state(&self.topology, i, state);

@@ -1,12 +1,13 @@
 //! The control step on Avian's rigid bodies.
 //!
-//! The engine keeps the robots between control steps. What a reset or a push has written into a robot's row is set
-//! there first, and the robot's contacts begin anew; a robot whose row is as the engine left it goes on.
+//! The engine keeps the robots between control steps. A state that a reset or a push has written
+//! into a robot's row is set first, and the robot's contacts start without memory. A robot whose
+//! row is as the engine left it goes on.
 
 use glam::DVec2;
 
 use super::super::{
-    DivergenceRecord, Kind, RobotRows, RowEngine, RowFamily, Run, StateLimits, ask_nothing, get, history_length, put,
+    DivergenceRecord, Kind, RobotRows, RowEngine, RowFamily, Run, StateLimits, clear_drive, get, history_length, put,
     state_numbers,
 };
 use super::{EngineError, Env, Settings, Worlds};
@@ -33,10 +34,10 @@ struct Block {
     work: Workspace<f64>,
     report: Report<f64>,
     state: State<f64>,
-    /// Of each robot.
+    /// Drive of each robot.
     drives: Vec<Drive<f64>>,
     networks: Vec<ActuatorNetwork>,
-    /// What the networks of each robot remember.
+    /// Memory of each robot's actuator networks.
     memories: Vec<Vec<f64>>,
     /// Scratch memory of the networks.
     features: Vec<f64>,
@@ -223,7 +224,7 @@ impl Block {
     /// Takes over what is asked of the robots.
     fn gather_drive(&mut self, rows: &impl RobotRows) {
         for (row, drive) in self.drives.iter_mut().enumerate() {
-            ask_nothing(drive);
+            clear_drive(drive);
             rows.read_drive(row, drive, 0);
             let [force, torque] = [drive.base_force, drive.base_torque].map(|v| v.map(|x| x as f32));
             self.worlds.set_wrench(row, force, torque);

@@ -1,4 +1,4 @@
-//! What decides how a robot goes on, beyond its state: where its links really are, and the impulses of its joints and
+//! Engine state beyond the components: where links really are, and the impulses of joints and
 //! contacts.
 
 use avian3d::collision::contact_types::{ContactEdgeFlags, ContactPairFlags, PackedFeatureId};
@@ -16,7 +16,7 @@ use super::{Chunk, Worlds};
 /// One robot, to the bit.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SavedRobot {
-    /// Of its env in the world.
+    /// Origin of its env in the world.
     origin: [f64; 3],
     /// Position, rotation, linear and angular velocity of the base.
     base: ([f64; 3], [f64; 4], [f64; 3], [f64; 3]),
@@ -42,7 +42,7 @@ struct SavedJoint {
     kept: [f32; 3],
 }
 
-/// What two colliders did to each other in the last physics step.
+/// Contact between two colliders in the last physics step.
 #[derive(Serialize, Deserialize)]
 struct SavedPair {
     /// Its place among those of the robot.
@@ -186,7 +186,8 @@ fn load_contacts(world: &mut World, pairs: std::ops::Range<usize>, saved: &[Save
 }
 
 impl SavedPair {
-    /// As far as the next step looks at them: it finds contacts anew, and knows them by their features or places.
+    /// Manifolds with the data that the next step reads. It finds contacts again and recognises
+    /// them by their features or places.
     fn manifolds(&self) -> Vec<ContactManifold> {
         let points = |points: &Vec<SavedPoint>| points.iter().map(SavedPoint::point).collect::<Vec<_>>();
         self.manifolds.iter().map(|manifold| ContactManifold::new(points(manifold), Vec3::ZERO)).collect()

@@ -16,7 +16,7 @@ pub(super) struct LinkCollider {
     pub(super) link: usize,
     /// Contact body whose force it adds to.
     pub(super) body: usize,
-    /// Which of the robot's shapes it is, counted body after body.
+    /// Number of the robot's shape, counted body after body.
     pub(super) shape: usize,
     /// Factor on sliding friction.
     pub(super) friction: f32,
@@ -28,7 +28,8 @@ pub(super) struct LinkCollider {
     pub(super) rotation: Quat,
 }
 
-/// The colliders of a robot; `align` turns a link's URDF axes into the engine's. What cannot move has none.
+/// The colliders of a robot; `align` turns a link's URDF axes into the engine's. Links that cannot
+/// move have none.
 pub(super) fn colliders(model: &Model, align: &[DMat3], floating: bool) -> Vec<LinkCollider> {
     // cylinders and capsules lie along z in a URDF and along y in Avian
     let upright = Quat::from_rotation_x(std::f32::consts::FRAC_PI_2);

@@ -1,9 +1,10 @@
 //! One of Avian's worlds: robots of one kind as rigid bodies on a plane.
 //!
-//! Robots touch the ground, what stands on it and themselves only, and every one is in the frame of its own env, at the same
-//! place as all others. There is no broad phase: each collider and the ground, or an obstacle's part, or another collider of
-//! the robot that it may meet, are one pair for good. What happens to a robot depends neither on the
-//! other robots of its world nor on what it touched before.
+//! Robots touch the ground, obstacles and themselves only. Every robot is in the frame of its env,
+//! at the same place as all others. There is no broad phase: each collider forms a permanent pair
+//! with the ground, with each part of an obstacle, and with each other collider of the robot that
+//! it may meet. A robot's motion depends neither on the other robots of its world nor on its
+//! earlier contacts.
 
 use std::time::Duration;
 
@@ -36,7 +37,8 @@ const CONTACT_TOLERANCE: f32 = 0.002;
 /// Half edge of a box that holds all that can be, m: every collider may touch the ground.
 const EVERYWHERE: f32 = 1e30;
 
-/// What Avian prepares before a step; the engine sets all of it itself and never runs this.
+/// Schedule of the systems that Avian runs before a step. The engine never runs it: it sets that
+/// data itself.
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
 struct Unused;
 
@@ -65,18 +67,18 @@ struct Impulses {
 pub(super) struct Bodies {
     pub(super) links: Vec<Entity>,
     pub(super) colliders: Vec<Entity>,
-    /// What each collider makes a pair with: the ground and the obstacles' parts.
+    /// Number of partners of each collider: the ground and the obstacles' parts.
     pub(super) statics: usize,
 }
 
-/// What is in a world.
+/// Contents of a world.
 pub(super) struct Contents<'a> {
     pub(super) robots: usize,
     /// Links of each robot.
     pub(super) links: usize,
     /// Whether bases move.
     pub(super) floating: bool,
-    /// Of each robot.
+    /// Colliders of each robot.
     pub(super) colliders: &'a [LinkCollider],
     /// Colliders of a robot that touch each other.
     pub(super) self_pairs: &'a [[usize; 2]],
@@ -247,7 +249,8 @@ pub(super) fn surface(friction: f32, restitution: f32) -> (Friction, Restitution
     )
 }
 
-/// Of a robot: its coefficients count with what it stands on, and among its own links as they are.
+/// Surface of a robot: its coefficients are combined with those of the ground, and count as they
+/// are among its own links.
 pub(super) fn robot_surface(friction: f32, restitution: f32) -> (Friction, Restitution) {
     let (friction, restitution) = surface(friction, restitution);
     let combine_rule = CoefficientCombine::GeometricMean;
@@ -284,7 +287,7 @@ pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3, f
     }
 }
 
-/// Makes contacts of some colliders begin anew.
+/// Clears the memory of contacts of some pairs.
 pub(super) fn forget_contacts(world: &mut World, pairs: std::ops::Range<usize>) {
     let Some(mut graph) = world.get_resource_mut::<ContactGraph>() else {
         return;
@@ -354,8 +357,8 @@ pub(super) fn push_contacts(world: &mut World) {
 /// Solves contacts in an order that depends on nothing but which there are, and warm-starts friction with the impulses of
 /// the last step.
 ///
-/// Avian keeps them along tangents that it chooses anew in every step, by the direction of a velocity that is all but zero
-/// for feet that stand, and would apply them in another direction.
+/// Avian keeps them along tangents that it chooses again in every step, by the direction of a
+/// velocity that is all but zero for feet that stand, and would apply them in another direction.
 fn order_contacts(
     mut constraints: ResMut<ConstraintGraph>,
     mut contacts: ResMut<ContactGraph>,
