@@ -177,8 +177,8 @@ impl Learner {
         fits.then_some(()).ok_or_else(|| LearnerError::new("state", "its arrays have other sizes than the network's"))
     }
 
-    /// Deviations that the actions are drawn with, `[num_actions]`: at least 1e-6. Of a network of joints, those of
-    /// the last actions of all envs, one for each joint that a robot has.
+    /// Standard deviations of the actions' distribution, `[num_actions]`: at least 1e-6. A network
+    /// of joints gives those of the last actions of all envs, one for each joint that a robot has.
     pub fn deviations(&self) -> Vec<f32> {
         if self.actor.joints().is_some() {
             return self.parts.iter().flat_map(|part| part.bodies[0].last_deviations()).collect();
@@ -196,7 +196,7 @@ impl Learner {
     /// Takes over one of a network's statistics; a network without them ignores it.
     ///
     /// # Errors
-    /// Those of other numbers, a variance below 0, and a number that is not finite.
+    /// A normalizer of another size, a variance below 0, and a number that is not finite.
     pub fn set_normalizer(&mut self, which: Which, index: usize, normalizer: Normalizer) -> Result<(), LearnerError> {
         let normalizers = &mut self.net_mut(which).normalizers;
         if normalizers.is_empty() {
@@ -223,7 +223,8 @@ impl Learner {
     /// Takes over statistics of the returns, and the discounted returns so far, `[envs]`.
     ///
     /// # Errors
-    /// Those of other robots or envs, a count or variance below 0, and a number that is not finite.
+    /// A scale of other robots or envs, a count or variance below 0, and a number that is not
+    /// finite.
     pub fn set_reward_scale(&mut self, scale: RewardScale, discounted: &[f32]) -> Result<(), LearnerError> {
         let robots = self.settings.robots.len();
         let lengths = [scale.count.len(), scale.mean.len(), scale.variance.len()];

@@ -7,7 +7,7 @@ use polypod_dynamics::lanes::{Kernel, Lanes, Portable, Real};
 /// Numbers in a line.
 pub(crate) const WIDTH: usize = 16;
 
-/// Sixteen numbers in a cache line of their own.
+/// Sixteen numbers in one aligned cache line.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub(crate) struct Line(pub(crate) [f32; WIDTH]);

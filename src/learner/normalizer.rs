@@ -57,11 +57,13 @@ impl Normalizer {
         (x - self.mean_lines[line].0[lane]) * self.inverse_lines[line].0[lane]
     }
 
-    /// Takes in the samples of an iteration, `[num_obs]`; so many in all, of which each number may be missing in
-    /// some, and in the same share of them at all times. A number that none has keeps what it has.
+    /// Takes in the moments of an iteration's samples, `[num_obs]`. `added` is the number of
+    /// samples; a number that some lack is missing in the same share of them at all times. A number
+    /// that all samples lack keeps its statistics.
     ///
-    /// What is missing is 0 in observations, and stays 0: a number that is missing in some, as `is_padded` says, is
-    /// divided by the root of its mean square, and nothing is subtracted from it.
+    /// Missing entries are 0 in observations and stay 0: a number that some samples lack, as
+    /// `is_padded` says, is divided by the root of its mean square, and nothing is subtracted from
+    /// it.
     pub(crate) fn update(&mut self, samples: &[Moments], added: u64, is_padded: &[bool]) {
         self.count += added;
         let rate = added as f64 / self.count.max(1) as f64;

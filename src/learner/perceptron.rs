@@ -38,7 +38,8 @@ impl Tile {
     }
 }
 
-/// Bytes of a tile's activations that stay in the second-level cache beside the weights of a common network.
+/// Bytes of a tile's activations that fit in the second-level cache together with the weights of a
+/// common network.
 const TILE_BYTES: usize = 512 << 10;
 const MOST_ROWS: usize = 128;
 const LEAST_ROWS: usize = 32;

@@ -24,7 +24,7 @@ impl RewardScale {
         Self { count: vec![EPSILON; robots], mean: vec![0.0; robots], variance: vec![1.0; robots] }
     }
 
-    /// Takes in the returns of one step; what a robot's rewards of that step are to be multiplied by.
+    /// Takes in the returns of one step and returns the factor for a robot's rewards of that step.
     pub(crate) fn update(&mut self, robot: usize, step: Moments) -> f32 {
         if step.count > 0.0 {
             let (count, mean) = (self.count[robot], self.mean[robot]);

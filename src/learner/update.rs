@@ -387,7 +387,7 @@ impl Learner {
             if self.shares.worker.count <= MOST_GATHERED { self.gather(&nodes)? } else { self.reduce(&nodes)? };
         let leaf = |range: Range<usize>| all.iter().map(|node| &node[range.clone()]).collect::<Vec<_>>();
         let leaves = [leaf(0..lengths[0]), leaf(lengths[0]..lengths[0] + lengths[1])];
-        // what is summed already is one leaf
+        // a range that is already summed is one leaf
         let one = Tree::of_parts(1);
         let tree = if all.len() == 1 { &one } else { &self.shares.top };
         let [actor, critic] = leaves;
