@@ -66,7 +66,7 @@ impl Articulation {
             .bodies
             .iter()
             .enumerate()
-            // what cannot move feels no ground
+            // a fixed base feels no ground
             .filter(|(_, b)| floating || b.link != 0)
             .flat_map(|(body, b)| b.shapes.iter().flat_map(move |shape| candidates(shape, b.link, body)))
             .collect();
@@ -172,9 +172,9 @@ impl Candidate {
     }
 }
 
-/// Whether a candidate lies inside a sphere of the same link, which then always touches first: a corner of the shank
-/// in the foot. Of two equal ones of a body the first is kept. Candidates are in the order of their links; `spheres`
-/// are those that are one.
+/// Whether a candidate lies inside a sphere of the same link, which then always touches first: a
+/// corner of the shank in the foot. Among equal candidates of a body the first is kept. Candidates
+/// are in the order of their links; `spheres` are those that are one.
 fn is_hidden(candidates: &[Candidate], spheres: &[usize], i: usize) -> bool {
     let c = &candidates[i];
     let covers = |k: usize, sphere: &Candidate| {

@@ -26,7 +26,8 @@ const JOINT_TAGS: [&str; 9] =
 const JOINT_TYPES: [&str; 7] = ["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical"];
 const SHAPES: [&str; 5] = ["sphere", "box", "cylinder", "capsule", "mesh"];
 
-/// Links of a file. What is looked for in a robot's tree takes time that grows with their square.
+/// Largest number of links in a file. Searches in a robot's tree take time that grows with their
+/// square.
 const MAX_LINKS: usize = 4096;
 /// Collision shapes of a file.
 const MAX_SHAPES: usize = 4096;

@@ -37,7 +37,7 @@ pub(super) type LegJoints = [Option<usize>; 3];
 pub(super) struct LimbChain {
     /// At least one.
     pub joints: Vec<usize>,
-    /// Joints that hang on the limb beside its chain: fingers, toes.
+    /// Joints that hang on the limb outside its chain: fingers, toes.
     pub twigs: Vec<usize>,
 }
 

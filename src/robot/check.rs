@@ -16,7 +16,7 @@ use super::urdf::{Coupled, LoadOptions, load};
 /// has, and every warning. A robot without legs is none the worse for it. Joints that mimic others are held, with a warning.
 ///
 /// # Errors
-/// Those of [`load`].
+/// Any error of [`load`].
 pub fn check(path: &Path, options: &LoadOptions) -> Result<String, RobotError> {
     let model = load(path, &LoadOptions { coupled: Coupled::Held, ..options.clone() })?;
     let mut out = String::new();

@@ -71,7 +71,7 @@ pub(super) fn add_pairs(
     let kept = can_meet(topology, parameters, reference);
     let shapes = shapes.into_iter().zip(&kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
     let mut pairs: Vec<_> = pairs.into_iter().zip(kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
-    // those of the same two links side by side
+    // put pairs of the same two links next to each other
     pairs.sort_by_key(|(pair, _)| pair.map(|c| colliders[c].topology.link));
     // only colliders of some pair stay
     let mut used: Vec<usize> = pairs.iter().flat_map(|(pair, _)| *pair).collect();

@@ -9,8 +9,9 @@ use parry3d::shape::Triangle;
 
 /// A hull has at most this many points: the simulator tests each of them against the ground.
 pub(super) const MAX_POINTS: usize = 32;
-/// Largest number of points that are all kept. Of more, only the extreme ones along [`DIRECTIONS`] directions and a
-/// few go on: it bounds the work, and the recursion of the hull algorithm.
+/// Largest number of points that are all kept. A larger set keeps the extreme points along
+/// [`DIRECTIONS`] directions and a few others: this bounds the work, and the recursion of the hull
+/// algorithm.
 const MANY: usize = 4096;
 const DIRECTIONS: usize = 1024;
 /// A hull with all its corners that leaves a point farther outside than this, relative to its size, has failed.
@@ -251,7 +252,8 @@ impl Facets {
         }
         let near = (point - self.origin).as_vec3();
         let mut nearest = f32::INFINITY;
-        // what faces the point is probably the nearest, and soon shows that others lie farther outside
+        // the face opposite the point is probably the nearest, and soon shows that others lie
+        // farther outside
         let facing = heights.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index);
         for triangle in facing.into_iter().chain(0..self.near.len()) {
             nearest = nearest.min(self.near[triangle].distance_to_local_point(near, false));

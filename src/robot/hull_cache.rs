@@ -41,7 +41,7 @@ static CACHE: LazyLock<Mutex<Cache>> = LazyLock::new(Mutex::default);
 /// its origin.
 ///
 /// # Errors
-/// What keeps it from being read, as a clause.
+/// Reason why the mesh cannot be read, as a clause.
 pub(super) fn hull_of(bytes: Vec<u8>, ending: &str, scale: DVec3, most: f64) -> Result<Taken, String> {
     // a cache whose holder panicked is still whole
     let lock = || CACHE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);

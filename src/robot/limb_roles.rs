@@ -78,7 +78,8 @@ impl ZeroPose<'_> {
             .collect()
     }
 
-    /// Roles of joints of a quadruped's leg beside abduction, flexion and knee, which are at `known`.
+    /// Roles of joints of a quadruped's leg other than abduction, flexion and knee, which are at
+    /// `known`.
     pub(super) fn quadruped_leg(&self, chain: &[usize], known: &[Option<usize>; 3]) -> Vec<Role> {
         let wheel = self.wheel(chain);
         let knee = chain.iter().position(|joint| Some(*joint) == known[2]).unwrap_or(chain.len());

@@ -236,7 +236,7 @@ impl Merger<'_> {
     fn place_with_attached(&mut self, base: &Base, motions: &[Motion], ready: &mut BinaryHeap<Reverse<usize>>) {
         let merged = self.parts.len();
         let mut parts = Vec::new();
-        // what is above the base comes last
+        // transform of the links above the base, applied last
         let mut above = Pose::IDENTITY;
         let mut tops: Vec<(usize, Pose)> = Vec::new();
         for &joint in &base.above {

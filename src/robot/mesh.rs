@@ -38,7 +38,7 @@ impl From<Vec<DVec3>> for Vertices {
 /// Reads the vertices of a mesh file with these bytes; `ending` says what it is.
 ///
 /// # Errors
-/// What keeps it from being read, as a clause.
+/// Reason why the mesh cannot be read, as a clause.
 pub(super) fn read(bytes: Vec<u8>, ending: &str) -> Result<Vertices, String> {
     // The readers are other people's: none of them may take the simulator down.
     let vertices = catch_unwind(AssertUnwindSafe(|| match ending {
@@ -67,7 +67,7 @@ pub(crate) struct Surface {
 /// Reads the surface in the file at `path`, whose ending says what it is.
 ///
 /// # Errors
-/// What keeps it from being read, as a clause.
+/// Reason why the mesh cannot be read, as a clause.
 pub(crate) fn read_surface(path: &Path) -> Result<Surface, String> {
     let (bytes, ending) = contents(path)?;
     let corners = catch_unwind(AssertUnwindSafe(|| match ending.as_str() {
@@ -95,7 +95,7 @@ pub(crate) fn read_surface(path: &Path) -> Result<Surface, String> {
 /// Content of a file, and its ending in small letters.
 ///
 /// # Errors
-/// What keeps it from being read, as a clause.
+/// Reason why the mesh cannot be read, as a clause.
 pub(super) fn contents(path: &Path) -> Result<(Vec<u8>, String), String> {
     let bytes = files::read_up_to(path, MAX_BYTES).map_err(|error| error.to_string())?;
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();

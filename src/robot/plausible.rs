@@ -50,7 +50,7 @@ pub(super) fn implausible(
     let sizes = Sizes::new(robot, model, places);
     let mut found = Found { file, warnings: Vec::new() };
     lengths(robot, model, &mut found);
-    // what follows from lengths says nothing where these are wrong
+    // checks that follow from lengths mean nothing where lengths are wrong
     let are_metres = found.warnings.is_empty();
     angles(robot, &mut found);
     if are_metres {
@@ -208,7 +208,7 @@ fn lengths(robot: &urdf_rs::Robot, model: &Model, found: &mut Found<'_>) {
         .collect();
     found.push(&long, "millimetres", "write metres");
 
-    // of a robot without joints there is nothing to compare with
+    // a robot without joints has nothing to compare with
     let reach = reach(model);
     let is_large = |size: f64| size > LARGEST_LENGTH || (reach > 0.0 && size > LONG && size > TIMES_USUAL * reach);
     let (mut meshes, mut shapes, mut tiny) = (Vec::new(), Vec::new(), Vec::new());
@@ -340,7 +340,7 @@ fn inertias(robot: &urdf_rs::Robot, sizes: &Sizes, found: &mut Found<'_>) {
             || (of_shapes > 0.0 && gyration > GYRATION_OF_SHAPES * of_shapes);
         if is_wide {
             let largest = if of_shapes > 0.0 { of_shapes } else { size };
-            // that of a uniform box of this diagonal is at most 0.29 of it
+            // the ratio of a uniform box of this diagonal is at most 0.29
             ratio = ratio.max((gyration / (0.25 * largest)).powi(2));
             let value = format!(
                 "its inertia is that of {} kg spread over {gyration:.3} m, in a robot of {size:.3} m",

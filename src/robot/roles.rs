@@ -173,7 +173,7 @@ fn named_feet(model: &Model, overrides: &BTreeMap<String, String>) -> Result<BTr
 fn found_limbs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<Vec<RawLimb>, RobotError> {
     let chains = pose.limb_chains();
     let mut legs = pose.grounded(&chains.limbs);
-    // what has no knee is no leg
+    // a limb without a knee is no leg
     legs.retain(|leg| {
         let chain = &chains.limbs[*leg];
         pose.biped_leg(&chain.joints).contains(&Role::Knee) || pose.points_away(&chain.joints, tip(pose, chain))
@@ -384,7 +384,7 @@ fn foot(pose: &ZeroPose<'_>, limb: &Limb, named: Option<usize>) -> Result<Foot, 
         return Err(option_error(model, "feet", place, problem, "name a body of the leg".to_string()));
     }
     let knee = limb.joints.iter().find(|joint| joint.slot.role == Role::Kfe).map(|joint| joint.joint);
-    // of a leg with an ankle, what is above it is no foot
+    // on a leg with an ankle, bodies above the ankle are no feet
     let ankle = limb.joints.iter().position(|joint| joint.slot.role == Role::AnklePitch).unwrap_or(0);
     let chain = limb.joints[ankle..].iter().rev().filter(|joint| joint.slot.role != Role::Toe).map(|joint| joint.joint);
     let found = match knee {

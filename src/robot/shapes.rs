@@ -181,7 +181,7 @@ fn convex(filename: &str, path: &Path, scale: DVec3, warn: &mut impl FnMut(Remar
 /// The existing file a mesh `filename` of the URDF at `source` means, if there is one.
 ///
 /// `package://<package>/<rest>` is looked up in the package's directory when the options name it,
-/// else in a directory called `<package>` beside the URDF or beside one of its parent directories.
+/// else in a directory called `<package>` next to the URDF or to one of its parent directories.
 /// Other names are files, relative to the URDF.
 fn resolve(filename: &str, source: &Path, options: &LoadOptions) -> Option<PathBuf> {
     let source = std::path::absolute(source).ok()?;

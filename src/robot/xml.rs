@@ -133,7 +133,7 @@ mod tests {
         let fault = parse(&format!("<robot>\n  <link{}/></robot>", attributes(300_000))).err().unwrap();
         assert_eq!((fault.line, fault.column), (2, 3));
         assert!(fault.problem.contains("300000 attributes"), "{}", fault.problem);
-        // what only looks like attributes
+        // text that only resembles attributes
         assert_eq!(problem(&format!("<r><!-- <a{0}/> --><![CDATA[<a{0}/>]]></r>", attributes(1000))), "");
     }
 
