@@ -48,7 +48,8 @@ impl Layers {
     /// Layers and `overrides` as a checked `T`, and the same as a table with all defaults spelled out.
     ///
     /// # Errors
-    /// What the type, `validate` or an override objects to, blamed on the file that holds it.
+    /// Converts to a type; blames an objection of the type, of `validate` or of an override on the
+    /// file that caused it.
     pub(super) fn typed<T: DeserializeOwned + Serialize>(
         &self,
         overrides: &[String],
@@ -217,7 +218,7 @@ fn known_depth(table: &Table, merged: &Table, path: &str) -> usize {
     for (i, segment) in segments(path).enumerate() {
         let next = match (at, whole) {
             _ if i == 0 => table.get(segment),
-            // what is an array of elements in the whole may be a table of their names in a layer
+            // an array of elements may be, in a layer, a table of their names
             (Some(Value::Table(inner)), Some(Value::Array(items))) => element_index(items, segment)
                 .and_then(|index| inner.get(element_name(&items[index]).unwrap_or(segment))),
             (Some(value), _) => element(value, segment),

@@ -162,7 +162,8 @@ impl Library {
         let mut document = top.clone();
         let mut layers = self.layers(Kind::Robot, top)?;
         if let Some((task, changes)) = task.and_then(|task| Some((task, task.robot_overrides.get(&document.stem)?))) {
-            // what tells one robot from another is never inherited, and a task does not make another robot
+            // keys that tell one robot from another are never inherited, and a task does not make
+            // another robot
             let own = layers.0.last().into_iter().flat_map(|layer| &layer.table);
             let mut table: Table = own
                 .filter(|(key, _)| IDENTITY.contains(&key.as_str()))
@@ -347,7 +348,7 @@ impl Library {
         let table = parse(&document)?;
         let title = string_key(&document, &table, "title")?.unwrap_or(&document.stem).to_owned();
         let (name, file) = (document.stem.clone(), document.file.clone());
-        // what a broken layer says is told where the robot is used
+        // an error in a layer is reported where the robot is used
         let merged = self.layers(Kind::Robot, document).and_then(|layers| layers.merged()).unwrap_or_default();
         let pose = merged.get("default_pose").and_then(Value::as_table).into_iter().flatten();
         let is_quadruped = pose.into_iter().all(|(joint, _)| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
@@ -554,8 +555,8 @@ impl Library {
         Ok(listed)
     }
 
-    /// Path and content of a file that a robot's config names: beside the configs, in their roots, in the library's
-    /// roots, among the built-in assets.
+    /// Path and content of a file that a robot's config names: next to the configs, in their roots,
+    /// in the library's roots, among the built-in assets.
     fn beside(
         &self,
         layers: &Layers,

@@ -6,8 +6,9 @@ use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{OVERRIDE, element_index, merge, unknown_element};
 use super::suggest::did_you_mean;
 
-/// Tables whose keys are not known beforehand: robots, with what a task changes in their configs and their shares of the
-/// envs. What is missing on the way into them is made; it is checked where the robots are read.
+/// Tables whose keys are not known beforehand: robots, with a task's changes of their configs and
+/// their shares of the envs. Missing tables on the way into them are made; they are checked where
+/// the robots are read.
 const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 
 /// Tables that a task may be without: they are not among the keys of its resolved config then.

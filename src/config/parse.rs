@@ -39,7 +39,7 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
         // A path of no segments is shown as a lone dot.
         let path = track.path().to_string();
         let path = if path == "." { "" } else { path.as_str() };
-        // what follows on other lines is where, which the path says
+        // the first line is the problem; the others say where, as the path does
         let message = error.to_string();
         let message = message.lines().next().unwrap_or_default();
         let (kind, problem, remedy) = explain(message, find(params, path).as_ref());
@@ -61,8 +61,8 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
     }
 }
 
-/// The keys of a table beside those that its type names itself (`own`): the parameters of a term.
-/// A near miss of an own key is an error here, since it would otherwise pass for a parameter.
+/// Keys of a table other than those that its type names (`own`): the parameters of a term. A near
+/// miss of an own key is an error here, since it would otherwise pass for a parameter.
 pub(super) fn params_beside<'de, D: Deserializer<'de>>(deserializer: D, own: &[&str]) -> Result<Table, D::Error> {
     let params: Table = serde::Deserialize::deserialize(deserializer)?;
     for key in params.keys() {

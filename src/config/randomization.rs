@@ -202,8 +202,8 @@ impl TryFrom<UncheckedDraw> for Draw {
     }
 }
 
-/// Ranges of factors that the event `body_variation` draws a body from, uniformly and each for itself. What belongs to
-/// a leg is the same for all four. Default: 1, the body of the URDF.
+/// Ranges of factors from which the event `body_variation` samples a body, each uniformly and
+/// independently. A factor of a leg holds for all legs. Default: 1, the body of the URDF.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VariationConfig {

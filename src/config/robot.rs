@@ -488,8 +488,8 @@ impl RobotConfig {
         )
     }
 
-    /// Checks what no single value can tell; errors name the robot in place of a file. Which joints the robot has is
-    /// known once its URDF is read.
+    /// Checks values against each other; errors name the robot in place of a file. Names of joints
+    /// are checked once the URDF is read.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         self.check_slots("default_pose", self.default_pose.keys())?;
         self.refuse_missing(self.corners())?;
