@@ -141,7 +141,7 @@ fn check_efforts(loaded: &LoadedRobot, model: &Model, roles: &Roles) -> Result<(
 }
 
 fn check_base(loaded: &LoadedRobot, model: &Model) -> Result<(), ConfigError> {
-    /// What a base must keep of its mass, kg.
+    /// Least mass that a base must keep, kg.
     const LEAST: f64 = 0.01;
     let (config, mass) = (&loaded.config, model.links.first().map_or(0.0, |base| base.mass));
     let lightest = mass * config.variation.base_mass[0].min(1.0);

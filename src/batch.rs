@@ -26,7 +26,7 @@ pub struct Batch {
     pub truncated: Vec<bool>,
     /// Last observation of an episode that ended in this control step, `[num_envs, num_obs]`; other rows are stale.
     pub final_observations: Vec<f32>,
-    /// Which rows of `final_observations` are valid, `[num_envs]`.
+    /// Whether each row of `final_observations` is valid, `[num_envs]`.
     pub has_final: Vec<bool>,
 }
 

@@ -77,7 +77,7 @@ impl<'a> BlockFinder<'a> {
 
 /// Marks the entities of a kind of which every env, or every env of some morphologies, has one.
 pub trait RowKind: Component {
-    /// What an entity of this kind is called in errors.
+    /// Name of an entity of this kind in errors.
     const NAME: &'static str;
 
     /// Whether the envs of a morphology have one in a task. Default: they have.

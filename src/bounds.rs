@@ -41,7 +41,7 @@ pub(crate) const BYTES_PER_ENV: usize = 8 << 10;
 /// Bytes that a link takes in an env without a task.
 pub(crate) const BYTES_PER_LINK: usize = 256;
 
-/// Whether there may be so many threads: problem and remedy if not.
+/// Checks a number of threads; the error holds problem and remedy.
 pub(crate) fn check_threads(threads: Option<usize>) -> Result<(), (String, String)> {
     match threads {
         Some(threads) if !(1..=MAX_THREADS).contains(&threads) => {

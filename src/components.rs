@@ -17,20 +17,20 @@ use crate::hash::fnv1a;
 
 /// One number per joint of a robot, in physical order; in place for up to 12 joints.
 pub type PerJoint = SmallVec<[f32; 12]>;
-/// Contact bodies of a robot that components have room for in place: the most that a robot of the library has.
+/// Inline capacity of lists of contact bodies: the largest number in a bundled robot.
 const BODIES: usize = 19;
-/// Physics steps of a control step, likewise.
+/// Inline capacity of lists of physics steps: the decimation of the bundled tasks.
 const PHYSICS_STEPS: usize = 4;
 /// One number, or whatever it is, per foot; order of the morphology's feet. In place for up to 4 feet.
 pub type PerFoot<T = f32> = SmallVec<[T; 4]>;
 /// One number per contact body of a robot; in place for those of the library.
 pub type PerBody = SmallVec<[f32; BODIES]>;
 
-/// Which independent world an entity belongs to, `0..num_envs`.
+/// Independent world that an entity belongs to, `0..num_envs`.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct EnvId(pub u32);
 
-/// What kind of robot an entity belongs to: an index into [`Morphologies`](crate::morphology::Morphologies).
+/// Morphology of an entity: an index into [`Morphologies`](crate::morphology::Morphologies).
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Morphology(pub u16);
 
@@ -49,7 +49,7 @@ pub struct Robot;
 #[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct EnvRng(Pcg32);
 
-/// What 24 random bits are counted in.
+/// Value of the lowest of 24 random bits.
 const UNIT: f32 = 1.0 / 16_777_216.0;
 
 impl EnvRng {
@@ -132,7 +132,7 @@ pub struct Episode {
     /// Terms that ended it, as bits: that of the guard against broken states, then in the order of the task's terminations. None where a
     /// caller ended it.
     pub causes: u32,
-    /// The env is to be reset before it goes on.
+    /// The env must be reset before it goes on.
     pub needs_reset: bool,
     /// The state became non-finite or ran away; nothing of it may be used.
     pub invalid: bool,
@@ -160,16 +160,17 @@ pub struct Command {
     pub holds_heading: bool,
     /// Whether the robot is to stand still.
     pub standing: bool,
-    /// Seconds until the next draw.
+    /// Seconds until the next command is sampled.
     pub time_left: f32,
-    /// Set from outside: neither drawn anew nor changed by the heading.
+    /// Set by the caller: the command is neither sampled again nor changed by the heading.
     pub pinned: bool,
 }
 
 /// Where an env is on the ground.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnvOrigin {
-    /// x and y of the env's origin in the world, m; zero where every env has ground and obstacles of its own.
+    /// x and y of the env's origin in the world, m; zero where each env has separate ground and
+    /// obstacles.
     pub position: [f32; 2],
     /// Row of its tile, if the ground is generated terrain.
     pub terrain_level: u32,
@@ -227,9 +228,9 @@ impl BasePose {
 /// Velocity of the base link.
 #[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct BaseVelocity {
-    /// Of the link's origin, world axes, m/s.
+    /// Velocity of the link's origin, world axes, m/s.
     pub linear: [f32; 3],
-    /// Base axes, rad/s.
+    /// Angular velocity, base axes, rad/s.
     pub angular: [f32; 3],
 }
 
@@ -244,7 +245,7 @@ macro_rules! joint_lists {
             }
 
             impl $component {
-                /// Zeros for so many joints.
+                /// Zeros for a number of joints.
                 pub fn zeros(joints: usize) -> Self {
                     Self { $($list: smallvec![0.0; joints],)* }
                 }
@@ -266,25 +267,25 @@ macro_rules! joint_lists {
 joint_lists! {
     /// Joint positions (rad) and velocities (rad/s), physical order.
     JointState {
-        /// rad.
+        /// Joint positions, rad.
         position,
-        /// rad/s.
+        /// Joint velocities, rad/s.
         velocity,
     }
 
-    /// What the policy asked for, raw, in the order of the robot's slots.
+    /// Raw action of the policy, in the order of the robot's slots.
     Action {
-        /// The present one.
+        /// Action of the present control step.
         current,
-        /// The one before.
+        /// Action of the control step before.
         previous,
     }
 
-    /// What the joints did in the last physics step, physical order.
+    /// Efforts and accelerations of the joints in the last physics step, physical order.
     JointEffort {
         /// Effort that the actuators applied, N m.
         applied,
-        /// rad/s^2.
+        /// Joint accelerations, rad/s^2.
         acceleration,
     }
 }
@@ -302,26 +303,27 @@ pub struct JointTargets {
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ActuatorDelay(pub PerJoint);
 
-/// What the networks of actuators remember: past position errors, rad, and velocities, rad/s, and states of LSTMs; zero at reset. Empty for
-/// robots without networks. `[networks, slots, joints of the network]`.
+/// Memory of the actuator networks: past position errors (rad) and velocities (rad/s), and states
+/// of LSTMs; zero at reset. Empty for robots without networks. `[networks, slots, joints of the
+/// network]`.
 #[derive(Component, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActuatorMemory(pub Box<[f32]>);
 
 /// A force and a torque from outside that hold until the next reset or event, base axes.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ExternalWrench {
-    /// At the base's centre of mass, N.
+    /// Force at the base's centre of mass, N.
     pub force: [f32; 3],
-    /// N m.
+    /// Torque, N m.
     pub torque: [f32; 3],
 }
 
 /// A contact's impulse.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ContactImpulse<T = f32> {
-    /// Which contact candidate, or after those which pair of links.
+    /// Number of the contact candidate; pairs of links are counted after the candidates.
     pub contact: u32,
-    /// Along the normal and two tangents, N s.
+    /// Impulse along the normal and two tangents, N s.
     pub impulse: [T; 3],
 }
 
@@ -355,7 +357,7 @@ pub struct ContactForces {
 /// The contact force on a body.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct BodyForce {
-    /// Which contact body.
+    /// Number of the contact body.
     pub body: u32,
     /// Net force in the last physics step, world axes, N.
     pub net: [f32; 3],
@@ -364,7 +366,7 @@ pub struct BodyForce {
 }
 
 impl ContactForces {
-    /// None, on so many feet, in control steps of `decimation` physics steps.
+    /// Zero forces on `feet` feet, for control steps of `decimation` physics steps.
     pub fn zeros(feet: usize, decimation: usize) -> Self {
         Self { feet: smallvec![[0.0; 3]; feet], feet_normal: smallvec![0.0; feet * decimation], ..Self::default() }
     }
@@ -429,12 +431,12 @@ pub struct Feet {
     pub position: PerFoot<[f32; 3]>,
     /// World axes, m/s.
     pub velocity: PerFoot<[f32; 3]>,
-    /// Of the centres above the ground below them, m.
+    /// Heights of the centres above the ground below them, m.
     pub height: PerFoot,
 }
 
 impl Feet {
-    /// So many, at rest at the origin.
+    /// `feet` feet at rest at the origin.
     pub fn zeros(feet: usize) -> Self {
         Self { position: smallvec![[0.0; 3]; feet], velocity: smallvec![[0.0; 3]; feet], height: smallvec![0.0; feet] }
     }
@@ -489,12 +491,15 @@ pub struct ContactSensor {
     pub last_air_time: PerFoot,
 }
 
-/// What each joint of a robot's body is, as the body is since its episode began; for networks that learn bodies by their joints.
+/// Descriptions of a robot's joints, as its body is in this episode, for networks that read bodies
+/// joint by joint.
 ///
-/// Of each joint, in the default pose, base frame and the direction of its slot: position (3, m), axis (3), default position, lower
-/// and upper limit (rad, at most half a turn), largest effort (100 N m), largest speed (20 rad/s), stiffness (100 N m/rad), damping
-/// (5 N m s/rad), rotor inertia (0.1 kg m^2), dry friction (N m), inertia of what hangs on it about its axis (kg m^2), share of the
-/// robot's mass that hangs on it, radians per unit of action, and the robot's mass (50 kg).
+/// A row describes a joint in the default pose, in the base frame and the direction of its slot:
+/// position (3, m), axis (3), default position, lower and upper limit (rad, at most half a turn),
+/// largest effort (100 N m), largest speed (20 rad/s), stiffness (100 N m/rad), damping (5 N m
+/// s/rad), rotor inertia (0.1 kg m^2), dry friction (N m), inertia of the links that it carries
+/// about its axis (kg m^2), their share of the robot's mass, radians per unit of action, and the
+/// robot's mass (50 kg).
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct JointDescriptors {
     /// All joints' first number, then their next, `[19, slots]`.
@@ -543,7 +548,7 @@ mod tests {
     #[test]
     fn contact_forces_are_those_of_every_body() {
         let feet = [2, 5, 6, 0];
-        // of seven bodies 1 touched nothing, 3 pressed in the first physics step alone, and 4 in the last
+        // seven bodies: 1 touched nothing, 3 pressed in the first physics step alone, 4 in the last
         let net = |body: usize| if [1, 3].contains(&body) { [0.0; 3] } else { [0.5, -1.0, body as f32] };
         for decimation in [1, 2, 4] {
             let normal = |step: usize, body: usize| match body {

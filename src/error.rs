@@ -28,9 +28,9 @@ pub enum Error {
     Argument {
         /// Name of the argument.
         element: &'static str,
-        /// What is wrong with it.
+        /// Problem with the argument.
         problem: String,
-        /// What to do.
+        /// Remedy.
         remedy: String,
     },
     /// A snapshot.
@@ -41,9 +41,9 @@ pub enum Error {
     File {
         /// Path of the file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Problem with the option.
         problem: String,
-        /// What to do.
+        /// Remedy.
         remedy: String,
     },
     /// Entities of one kind that are not one per env, in the order of their env ids, with the same components.
@@ -51,9 +51,9 @@ pub enum Error {
     Rows {
         /// Kind of the entities: robot, env or a sensor.
         kind: &'static str,
-        /// What is wrong; names the entity.
+        /// Problem with the rows; names the entity.
         problem: String,
-        /// What to do.
+        /// Remedy.
         remedy: String,
     },
     /// A system of the pipeline, maybe a user's.

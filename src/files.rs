@@ -70,7 +70,7 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Writes a temporary file beside `target` and renames it.
+/// Writes a temporary file next to `target` and renames it.
 fn replace(target: &Path, bytes: &[u8], permissions: Option<fs::Permissions>) -> io::Result<()> {
     let Some(name) = target.file_name() else {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
@@ -89,7 +89,7 @@ fn replace(target: &Path, bytes: &[u8], permissions: Option<fs::Permissions>) ->
         fs::rename(&temporary, target)
     };
     write().inspect_err(|_| {
-        // what is left of it, if anything, is of no use
+        // a remaining temporary file is of no use
         let _ = fs::remove_file(&temporary);
     })?;
     sync_folder(folder)

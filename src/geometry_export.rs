@@ -1,4 +1,4 @@
-//! What a viewer or another simulator asks of a running simulation: where the robots are and what they are made of.
+//! Poses and geometry of a running simulation, for viewers and other simulators.
 
 use glam::{DMat3, DQuat};
 use serde::Serialize;
@@ -33,15 +33,15 @@ pub struct BodyOutline {
 /// A collision shape; cylinders and capsules lie along z.
 #[derive(Clone, Debug, Serialize)]
 pub struct ShapeOutline {
-    /// What it is.
+    /// The shape.
     #[serde(flatten)]
     pub geometry: Geometry,
     /// Faces of a convex hull, outward, as indices of its points; none where they cannot be told.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub triangles: Option<Vec<[usize; 3]>>,
-    /// Of the shape's frame in that of the link that carries it, m.
+    /// Position of the shape's frame in the frame of its link, m.
     pub position: [f64; 3],
-    /// Likewise; w, x, y, z.
+    /// Orientation of the shape's frame in the frame of its link; w, x, y, z.
     pub quaternion: [f64; 4],
 }
 

@@ -3,9 +3,9 @@
 //! The engine moves the robots; Avian only moves their mirrors along, from where they were to where they are, while it steps
 //! its world once per control step. Its rays hit them and its bodies bounce off them, but no robot feels that.
 //!
-//! Envs lie on a square grid in that world, [`LinkMirrors::origin`], `sim.env_spacing` apart, each with its own copies of the
-//! obstacles. What carries an [`EnvId`] touches nothing of another env, wherever it is; what carries none, such as the
-//! ground, touches all.
+//! Envs lie on a square grid in that world, [`LinkMirrors::origin`], `sim.env_spacing` apart, each
+//! with its own copies of the obstacles. An entity with an [`EnvId`] touches nothing of another
+//! env, wherever it is. An entity without one, such as the ground, touches all.
 
 use std::ops::Range;
 
@@ -35,17 +35,17 @@ const FARTHEST: f64 = 1e5;
 /// Marks the mirror of a link.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct LinkMirror {
-    /// Which link of its robot: 0 is the base, `j + 1` what joint `j` carries.
+    /// Link of its robot: 0 is the base, `j + 1` the link that joint `j` carries.
     pub link: u16,
 }
 
-/// Where a link is to be and how it moves, in Avian's world.
+/// Target pose and velocity of a link in Avian's world.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LinkMotion {
-    /// Of the link's URDF frame.
+    /// Position of the link's URDF frame.
     pub(crate) position: Vec3,
     pub(crate) rotation: Quat,
-    /// Of the centre of mass, m/s.
+    /// Velocity of the centre of mass, m/s.
     pub(crate) linear: Vec3,
     /// World axes, rad/s.
     pub(crate) angular: Vec3,
@@ -55,12 +55,13 @@ pub(crate) struct LinkMotion {
 #[derive(Debug)]
 pub(crate) struct MirroredRobot {
     pub(crate) parameters: Parameters<f64>,
-    /// Of the env's place on the grid of worlds, m; and of its origin, which is there or on terrain that all share.
+    /// Place of the env on the grid of worlds, m; and its origin, which is there or on terrain that
+    /// all share.
     place: [f32; 2],
     origin: [f32; 2],
     state: State<f64>,
     work: Workspace<f64>,
-    /// Of the last state that was finite, `[links]`.
+    /// Motions of the last finite state, `[links]`.
     pub(crate) motions: Vec<LinkMotion>,
 }
 
@@ -83,7 +84,7 @@ impl LinkMirrors {
         (envs, of): (Range<usize>, usize),
     ) {
         let num_envs = envs.len();
-        // on ground that all share, envs have origins of their own
+        // envs have separate origins on ground that all share
         let shared = config.scene.terrain.is_some() || config.scene.placement == Placement::Global;
         let places = grid(envs, of, if shared { 0.0 } else { config.sim.env_spacing as f32 });
         hide_links_from_scene(world);
@@ -138,7 +139,7 @@ fn hide_links_from_scene(world: &mut World) {
     }
 }
 
-/// Gives every env but the first, whose origin is the world's, obstacles of its own.
+/// Copies the obstacles to every env but the first, whose origin is the world's.
 fn copy_obstacles(world: &mut World, origins: &[[f32; 2]]) {
     if origins.iter().all(|origin| *origin == [0.0; 2]) {
         return;
@@ -203,7 +204,7 @@ fn spawn_link(
     entity.id()
 }
 
-/// Of a link, in its URDF frame.
+/// Mass properties of a link, in its URDF frame.
 pub(crate) fn mass_properties(p: &Parameters<f64>, align: &DMat3, link: usize) -> (Mass, CenterOfMass, AngularInertia) {
     let [xx, yy, zz, xy, xz, yz] = p.inertia[link];
     let inertia = DMat3::from_cols_array_2d(&[[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]);

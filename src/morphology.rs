@@ -1,4 +1,4 @@
-//! What a kind of robot is: its URDF and its config brought together, ready for the engine and the task.
+//! Morphologies: a URDF and a config brought together, ready for the engine and the task.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -28,9 +28,9 @@ pub struct MorphologyModel {
     pub config: RobotConfig,
     /// The merged articulation, in the URDF's frames.
     pub model: Model,
-    /// Which joint is which.
+    /// Roles of the joints.
     pub roles: Roles,
-    /// What all robots of the kind share.
+    /// Topology that all robots of the morphology share.
     pub topology: Topology,
     /// Turns a link's URDF axes into those of the engine, `[links]`.
     pub align: Vec<DMat3>,
@@ -64,7 +64,7 @@ pub struct MorphologyModel {
 /// Physical joints of a quadruped's legs, `[role][leg]`.
 pub type QuadrupedJoints = [[usize; robot::LEGS.len()]; robot::ROLES.len()];
 
-/// A slot of a robot: which joint it is and where the batch has it.
+/// A slot of a robot: its joint, and its place in the batch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlotJoint {
     /// Column of the batch's actions and per-joint observations.
@@ -144,7 +144,7 @@ impl MorphologyModel {
     /// Reads the URDF, finds the joints' roles and applies the config.
     ///
     /// # Errors
-    /// What is wrong with the URDF or the config, with file, element and remedy.
+    /// An error in the URDF or the config, with file, element and remedy.
     pub fn new(loaded: &LoadedRobot) -> Result<Self, Error> {
         let config = loaded.config.clone();
         let ConfiguredRobot { model, roles, articulation, networks, default_position } =
@@ -245,7 +245,7 @@ impl MorphologyModel {
         self.slots.iter().map(|slot| slot.joint()).collect()
     }
 
-    /// Which of `columns` the robot has.
+    /// Whether the robot has each of `columns`.
     pub fn action_mask(&self, columns: usize) -> Vec<bool> {
         let mut mask = vec![false; columns];
         self.slots.iter().for_each(|slot| mask[slot.column()] = true);
@@ -286,7 +286,7 @@ impl ConfiguredRobot {
     /// `floating`, or with the base fixed to the world. Without `self_collision` the config says whether links collide.
     ///
     /// # Errors
-    /// What is wrong with the URDF or the config, with file, element and remedy.
+    /// An error in the URDF or the config, with file, element and remedy.
     pub(crate) fn new(
         loaded: &LoadedRobot,
         more: &robot::LoadOptions,
@@ -375,7 +375,7 @@ fn networks(
     Ok(networks)
 }
 
-/// What a network is given, in order.
+/// Inputs of a network, in order.
 fn network_inputs(config: &ActuatorConfig) -> Vec<NetworkInput> {
     let ages = config.input_idx.as_deref().unwrap_or(&[0]);
     let of = |is_velocity: bool| {
@@ -522,7 +522,8 @@ pub(crate) fn lowest_point(
     heights.reduce(f64::min).unwrap_or(0.0)
 }
 
-/// What a deployment must know of a robot to run a policy on it; SI units, physical joint order unless said otherwise.
+/// Description of a robot for deployments of a policy; SI units, physical joint order unless said
+/// otherwise.
 #[derive(serde::Serialize, Clone, Debug)]
 pub struct RobotDescription {
     /// Name for people.
@@ -586,13 +587,14 @@ pub struct NetworkDescription {
     pub checksum: String,
     /// Physical joints that it drives, each for itself.
     pub joints: Vec<usize>,
-    /// What it is given, in order: `pos_error[0]` is the target less the position, rad, `vel[1]` the velocity one physics step ago, rad/s.
+    /// Inputs, in order: `pos_error[0]` is the target less the position, rad, `vel[1]` the velocity
+    /// one physics step ago, rad/s.
     pub inputs: Vec<String>,
-    /// What position errors are multiplied by.
+    /// Factor of position errors.
     pub pos_scale: f64,
-    /// What velocities are multiplied by.
+    /// Factor of velocities.
     pub vel_scale: f64,
-    /// What the output is multiplied by, N m.
+    /// Factor of the output, N m.
     pub torque_scale: f64,
 }
 

@@ -1,4 +1,4 @@
-//! What a caller asks for.
+//! Options of a simulation.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use bevy_ecs::prelude::Resource;
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 
-/// What a simulation is made of.
+/// Options from which a simulation is made.
 #[derive(Resource, Clone, Debug)]
 pub struct SimOptions {
     /// Name, alias or path of the task.
@@ -19,7 +19,8 @@ pub struct SimOptions {
     pub slots: Vec<String>,
     /// Number of envs, shared out among the robots.
     pub num_envs: usize,
-    /// Which of them are simulated here, in the order of the robots' blocks; the others are another process's. All when absent.
+    /// Envs that are simulated here, in the order of the robots' blocks; other processes have the
+    /// rest. All when absent.
     pub share: Option<Range<usize>>,
     /// Seed of all random streams.
     pub seed: u64,
@@ -27,7 +28,7 @@ pub struct SimOptions {
     pub threads: Option<usize>,
     /// `key=value` changes to the task.
     pub overrides: Vec<String>,
-    /// Who resets ended episodes.
+    /// How ended episodes are reset.
     pub autoreset: Autoreset,
     /// Directories laid out like the project in which configs and assets are looked for first.
     pub roots: Vec<PathBuf>,
@@ -57,7 +58,7 @@ impl SimOptions {
     }
 }
 
-/// Who resets an env whose episode has ended.
+/// Party that resets an env whose episode has ended.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Autoreset {
     /// The control step in which it ended.

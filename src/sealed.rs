@@ -11,7 +11,7 @@ const CHECKSUM: usize = size_of::<u64>();
 /// Says what the bytes are and what they are of.
 #[derive(Serialize, Deserialize, PartialEq, Eq, Clone, Debug)]
 pub(crate) struct Header {
-    /// What it is, such as "polypod snapshot".
+    /// Kind of file, such as "polypod snapshot".
     pub(crate) kind: String,
     /// Changes whenever the layout of the kind does.
     pub(crate) format: u32,
@@ -25,7 +25,7 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Of this version of polypod.
+    /// Header of a file that this version of polypod writes.
     pub(crate) fn new(kind: &str, format: u32, robots: String, fingerprint: u64, num_envs: usize) -> Self {
         let version = env!("CARGO_PKG_VERSION").to_string();
         Self { kind: kind.into(), format, version, robots, fingerprint, num_envs: num_envs as u64 }

@@ -1,4 +1,5 @@
-//! What threads share, for [`thread_team`](crate::thread_team) alone. `tests/loom` puts loom's types, which try every order of steps, in place of these.
+//! Synchronisation primitives of [`thread_team`](crate::thread_team). `tests/loom` replaces them
+//! with loom's, which try every order of steps.
 
 pub(crate) use std::hint::spin_loop as pause;
 pub(crate) use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -10,10 +11,11 @@ use std::time::Duration;
 
 use bevy_tasks::{TaskPool, TaskPoolBuilder};
 
-/// How long a thread waits awake for the next job: longer than what lies between two jobs of a control step, and little beside one.
-pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
-/// Looks at what a thread waits for before it lets others have the core between two.
-pub(crate) const LOOKS: usize = 2000;
+/// How long an idle thread spins before it sleeps. Longer than the gap between two jobs, short
+/// compared with a control step.
+pub(crate) const SPIN_TIME: Duration = Duration::from_micros(200);
+/// Number of times that a thread spins before it yields the core between two tries.
+pub(crate) const SPINS: usize = 2000;
 
 /// Threads that sleep until they are given something to do.
 pub(crate) struct Pool {
@@ -23,7 +25,7 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
-    /// So many threads.
+    /// A pool of `threads` threads.
     pub(crate) fn new(threads: usize) -> Self {
         let pool = TaskPoolBuilder::new().num_threads(threads).thread_name("polypod".to_string()).build();
         Self { pool: Some(pool), process: std::process::id() }

@@ -14,7 +14,7 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
 use crate::sync::{
-    Arc, AtomicBool, AtomicUsize, Instant, LOOKS, LockResult, Mutex, Ordering, PATIENCE, PoisonError, Pool, RwLock,
+    Arc, AtomicBool, AtomicUsize, Instant, LockResult, Mutex, Ordering, PoisonError, Pool, RwLock, SPIN_TIME, SPINS,
     pause, yield_now,
 };
 
@@ -32,7 +32,7 @@ pub(crate) struct ThreadTeam {
 
 type Job<'a> = dyn Fn() + Sync + 'a;
 
-/// A cache line of its own (two, which some processors fetch together): one thread's writes do not slow what others look at.
+/// Pads to a cache line, or two where processors fetch pairs, and so avoids false sharing.
 #[derive(Default)]
 #[repr(align(128))]
 struct CachePadded<T>(T);
@@ -40,36 +40,37 @@ struct CachePadded<T>(T);
 struct Shared {
     /// Jobs so far.
     jobs: CachePadded<AtomicUsize>,
-    /// Helpers that the present one has work for, the first so many.
+    /// Number of helpers that the current job uses.
     wanted: AtomicUsize,
-    /// It itself.
+    /// The current job.
     job: CachePadded<RwLock<Option<&'static Job<'static>>>>,
-    /// Helpers that look at it or work on it.
+    /// Number of helpers that read the job or work on it.
     inside: CachePadded<AtomicUsize>,
-    /// Which helpers are awake, or on the way.
+    /// Whether each helper is awake, or on the way.
     awake: CachePadded<Vec<AtomicBool>>,
-    /// What a helper panicked with.
+    /// Payload of a helper's panic.
     panic: Mutex<Option<Box<dyn Any + Send>>>,
 }
 
-/// What a lock holds, even if a thread panicked with it: panics are passed on, and nothing is left half done.
+/// Content of a lock, even if a thread panicked with it: panics are passed on, and nothing is left
+/// half done.
 fn open<T>(lock: LockResult<T>) -> T {
     lock.unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Waits a moment; longer moments after many.
+/// Waits: spins first, then yields.
 struct Wait {
-    looks: usize,
+    spins: usize,
 }
 
 impl Wait {
     fn new() -> Self {
-        Self { looks: 0 }
+        Self { spins: 0 }
     }
 
-    fn moment(&mut self) {
-        if self.looks < LOOKS {
-            self.looks += 1;
+    fn pause(&mut self) {
+        if self.spins < SPINS {
+            self.spins += 1;
             pause();
         } else {
             yield_now();
@@ -77,12 +78,12 @@ impl Wait {
     }
 
     fn is_long(&self) -> bool {
-        self.looks == LOOKS
+        self.spins == SPINS
     }
 }
 
 impl ThreadTeam {
-    /// The caller's thread and so many helpers.
+    /// A team of the caller's thread and `helpers` helpers.
     pub(crate) fn new(helpers: usize) -> Self {
         let pool = Pool::new(helpers);
         let shared = Shared {
@@ -112,7 +113,8 @@ impl ThreadTeam {
         self.run(tasks.len().min(threads).saturating_sub(1), &job);
     }
 
-    /// Has up to `helpers` threads beside the caller's call `job`; returns when all have returned.
+    /// Calls `job` on the caller's thread and on up to `helpers` others; returns when all have
+    /// returned.
     ///
     /// A job within a job is the caller's alone.
     fn run(&self, helpers: usize, job: &Job) {
@@ -137,7 +139,7 @@ impl ThreadTeam {
         *open(shared.job.0.write()) = None;
         let mut wait = Wait::new();
         while shared.inside.0.load(Ordering::Acquire) > 0 {
-            wait.moment();
+            wait.pause();
         }
         let theirs = open(shared.panic.lock()).take();
         self.busy.store(false, Ordering::Release);
@@ -160,10 +162,10 @@ impl Shared {
                     self.work();
                 }
                 (wait, last) = (Wait::new(), None);
-            } else if wait.is_long() && last.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+            } else if wait.is_long() && last.get_or_insert_with(Instant::now).elapsed() > SPIN_TIME {
                 break;
             } else {
-                wait.moment();
+                wait.pause();
             }
         }
         self.awake.0[helper].store(false, Ordering::Relaxed);
@@ -188,14 +190,14 @@ mod tests {
 
     #[test]
     fn every_task_is_done_once_before_the_job_ends() {
-        let crew = ThreadTeam::new(3);
+        let team = ThreadTeam::new(3);
         let mut counts = vec![0u32; 1000];
         for round in 0..2000 {
             let n = 1 + round % 40;
-            crew.for_each(counts[..n].iter_mut(), 1 + round % 7, |x| *x += 1);
+            team.for_each(counts[..n].iter_mut(), 1 + round % 7, |x| *x += 1);
             if round % 500 == 0 {
                 // long enough for the helpers to fall asleep
-                std::thread::sleep(2 * PATIENCE);
+                std::thread::sleep(2 * SPIN_TIME);
             }
         }
         let expected: Vec<u32> = (0..1000).map(|i| if i < 40 { 50 * (40 - i) } else { 0 }).collect();
@@ -204,18 +206,18 @@ mod tests {
 
     #[test]
     fn a_job_within_a_job_is_done() {
-        let (crew, sum) = (ThreadTeam::new(2), AtomicUsize::new(0));
-        crew.for_each(0..10, 3, |i| crew.for_each(0..i, 3, |_| _ = sum.fetch_add(1, Ordering::Relaxed)));
+        let (team, sum) = (ThreadTeam::new(2), AtomicUsize::new(0));
+        team.for_each(0..10, 3, |i| team.for_each(0..i, 3, |_| _ = sum.fetch_add(1, Ordering::Relaxed)));
         assert_eq!(sum.into_inner(), 45);
     }
 
     #[test]
     fn a_panic_reaches_the_caller_after_all_have_returned() {
-        let crew = ThreadTeam::new(2);
+        let team = ThreadTeam::new(2);
         for bad in [0, 7, 99] {
             let done = AtomicUsize::new(0);
             let result = catch_unwind(AssertUnwindSafe(|| {
-                crew.for_each(0..100, 3, |i| {
+                team.for_each(0..100, 3, |i| {
                     assert_ne!(i, bad, "as it should");
                     done.fetch_add(1, Ordering::Relaxed);
                 });
@@ -223,9 +225,9 @@ mod tests {
             assert!(result.is_err());
             assert!(done.into_inner() <= 99);
         }
-        // and the crew still works
+        // and the team still works
         let sum = AtomicUsize::new(0);
-        crew.for_each(1..=100, 3, |i| _ = sum.fetch_add(i, Ordering::Relaxed));
+        team.for_each(1..=100, 3, |i| _ = sum.fetch_add(i, Ordering::Relaxed));
         assert_eq!(sum.into_inner(), 5050);
     }
 }

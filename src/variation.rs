@@ -1,12 +1,14 @@
 //! Bodies that differ from their URDF: links stretched and weighed otherwise, another pose to stand in, another size, with all
 //! that follows from it.
 //!
-//! Every number of a body may be its own ([`Parameters`]), and varied bodies step by the same instructions as equal ones. Only that
-//! their numbers come from memory, where those of equal bodies stay in the cache, costs some hundredths more
-//! (docs/performance.md). A link is stretched by a linear map of its points: joint origins, centres of mass, collision shapes and
-//! feet go along, spheres, capsules and cylinders keep their radius unless all of the robot is of another size, and the second
-//! moments of its mass follow the same map. Left and right legs are stretched alike and stay mirror images. Which shapes can touch
-//! what is the kind's: parts that are stretched by more than 1.15 times the size may reach a little where nothing is looked for.
+//! Every parameter of a body may differ from its morphology's ([`Parameters`]), and varied bodies
+//! step by the same instructions as equal ones. Their parameters come from memory, where those of
+//! equal bodies stay in the cache, which costs some hundredths more time (docs/performance.md). A
+//! link is stretched by a linear map of its points. Joint origins, centres of mass, collision
+//! shapes, feet and the second moments of its mass follow the map. Spheres, capsules and cylinders
+//! keep their radius unless the whole robot is scaled. Left and right legs are stretched equally
+//! and stay mirror images. The pairs of shapes that can touch are the morphology's: parts that are
+//! stretched by more than 1.15 times the size may reach a little where no contact is looked for.
 //!
 //! A body of another size is dynamically similar (Alexander and Jayes, A dynamic similarity hypothesis for the gaits of quadrupedal
 //! mammals, 1983): under the same gravity and of the same density, what the one does in a time the other does in that time by the root
@@ -136,8 +138,8 @@ impl BodyScales {
         }
     }
 
-    /// What the actuators of a body of this size give and how its joints turn. A torque is a weight times a length, a time the root
-    /// of a length.
+    /// Scales the actuators' efforts and the joints' rates to a body of this size. A torque is a
+    /// weight times a length, a time the root of a length.
     fn drive(&self, p: &mut Parameters<f64>) {
         let size = self.size;
         let (torque, time) = (size * size * size * size, size.sqrt());

@@ -131,8 +131,9 @@ impl Workers {
         if self.threads == 1 { 1 } else { self.threads * CHUNKS_PER_THREAD }
     }
 
-    /// How many of `left` pieces of work the next task takes: the first tasks are large and the last ones small, so that the
-    /// threads end together and few tasks are started. At least `min`, as long as there are so many; one thread takes all.
+    /// Number of the `left` pieces of work that the next task takes: the first tasks are large and
+    /// the last ones small, so that the threads end together and few tasks are started. It is at
+    /// least `min` while `left` allows; one thread takes all.
     pub fn share(&self, left: usize, min: usize) -> usize {
         share(left, min, self.threads)
     }
@@ -211,20 +212,20 @@ fn share(left: usize, min: usize, threads: usize) -> usize {
     if threads == 1 { left } else { (left / (2 * threads)).max(min).min(left) }
 }
 
-/// Scratch memory of the threads. What a task does must not depend on which piece it gets.
+/// Scratch memory of the threads. The result of a task must not depend on the piece that it gets.
 pub struct Pool<T> {
     first: Mutex<T>,
     others: Vec<Mutex<T>>,
 }
 
 impl<T> Pool<T> {
-    /// A piece for each of so many threads, at least one.
+    /// A pool with a piece for each of `threads` threads, at least one.
     pub fn new(threads: usize, make: impl Fn() -> T) -> Self {
         let others = (1..threads).map(|_| Mutex::new(make())).collect();
         Self { first: Mutex::new(make()), others }
     }
 
-    /// Works with a piece that no other thread has; where there are fewer than threads, after waiting for one.
+    /// Borrows a piece of scratch memory that no other thread uses; blocks if all are in use.
     #[inline]
     pub fn with<R>(&self, f: impl FnOnce(&mut T) -> R) -> R {
         let free = self.others.iter().find_map(|piece| piece.try_lock().ok());

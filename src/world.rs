@@ -1,7 +1,7 @@
 //! The world that robots stand in: Avian's static colliders, materials and gravity.
 //!
-//! The articulated engine does not search for contacts among colliders inside a step. What it needs of them is baked once,
-//! by Avian's own rays, into a [`Ground`].
+//! The articulated engine does not search for contacts among colliders inside a step. A [`Ground`]
+//! holds what it needs of them, baked once by Avian's own rays.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -189,7 +189,7 @@ fn surface(ground: &GroundConfig) -> (Friction, Restitution) {
     (friction, Restitution::new(ground.restitution as f32))
 }
 
-/// What the articulated engine knows of the world.
+/// The articulated engine's view of the world.
 #[derive(Resource, Clone, Debug)]
 pub struct Ground {
     /// Height of the plane, m.

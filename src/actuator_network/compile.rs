@@ -561,7 +561,7 @@ fn reshape(
                 after
             }
         }
-        // of a sequence, which is one long, or of all rows
+        // a sequence has one step; all rows are taken
         "Slice" => {
             let moved = ints_of(3).ok_or_else(|| failed("does not say which axes".into()))?;
             if moved.iter().any(|&axis| negative(axis, axes) >= axes as i64 - 1) {

@@ -40,7 +40,7 @@ pub(crate) enum NetworkKind {
 /// Reads an ONNX file whose network takes `inputs` numbers of a joint and gives one.
 ///
 /// # Errors
-/// What the file lacks or has beyond what a program can hold.
+/// The file lacks something, or holds more than a program can.
 pub(crate) fn read_onnx(bytes: &[u8], inputs: usize, kind: NetworkKind) -> Result<NetworkProgram, NetworkError> {
     let again = "pass the ONNX file of an actuator network; docs/actuator-networks.md shows how torch writes one";
     let model = onnx::Model::decode(bytes)

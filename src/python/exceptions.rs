@@ -153,7 +153,7 @@ impl<S: Send + Sync> Guarded<S> {
     /// Changes it within [`Guarded::run`] or [`Guarded::look`] of something else, whose guard catches a panic.
     ///
     /// # Errors
-    /// Those of `f`.
+    /// Any error of `f`.
     pub(super) fn try_run<T>(&mut self, f: impl FnOnce(&mut S) -> Result<T, Error>) -> Result<T, Error> {
         f(&mut self.sim)
     }
@@ -183,7 +183,7 @@ pub(super) fn guarded<T: Send>(py: Python<'_>, f: impl FnOnce() -> T + Send) -> 
     Ok(done)
 }
 
-/// What `f` returns, or the message that it panics with.
+/// Result of `f`, or the message of its panic.
 fn caught<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(f)).map_err(|panic| match panic.downcast::<String>() {
         Ok(message) => *message,

@@ -23,7 +23,7 @@ pub(super) struct Learner {
     raised: Raised,
 }
 
-/// What a call into Python raised while the learner was at work.
+/// Exception of a call into Python while the learner was at work.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
 /// Peers that are asked through a Python object. Only its calls hold the interpreter.

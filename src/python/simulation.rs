@@ -160,7 +160,7 @@ fn options(
     })
 }
 
-/// Of a number or a vector; the simulation checks the length.
+/// Numbers of a scalar or a vector; the simulation checks the length.
 fn numbers_of_any_length(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     let length = value.py().import("numpy")?.call_method1("size", (value,))?.extract()?;
     numbers(name, value, &[vec![], vec![length]])

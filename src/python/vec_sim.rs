@@ -148,7 +148,7 @@ impl VecSim {
         })
     }
 
-    /// What `of` says of each robot, by name.
+    /// JSON of `of` for each robot, by name.
     fn json_of_robots<T: Serialize>(&self, py: Python<'_>, of: fn(&MorphologyModel) -> T) -> PyResult<String> {
         let json = self.sim.look(py, |sim| {
             let robots: BTreeMap<&str, T> = sim.morphologies().iter().map(|m| (m.name(), of(m))).collect();

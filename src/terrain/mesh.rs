@@ -89,7 +89,7 @@ impl Mesh {
             let [a, b, c] = triangle.map(cells);
             let (ab, ac) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
             let area = ab[0] * ac[1] - ab[1] * ac[0];
-            // what is thinner than an edge is a vertical face
+            // a triangle thinner than an edge is a vertical face
             let longest = ab[0].hypot(ab[1]).max(ac[0].hypot(ac[1])).max((c[0] - b[0]).hypot(c[1] - b[1]));
             if area.abs() <= EDGE * longest {
                 continue;

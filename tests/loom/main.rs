@@ -58,8 +58,8 @@ fn main() {
 
 fn a_job_has_ended_everywhere_when_the_call_returns() {
     explore(3, || {
-        let (crew, numbers) = (ThreadTeam::new(1), Watched::zeros(2));
-        crew.for_each(0..2, 2, |i| numbers.increase(i));
+        let (team, numbers) = (ThreadTeam::new(1), Watched::zeros(2));
+        team.for_each(0..2, 2, |i| numbers.increase(i));
         // the caller's memory is its own again: loom would see a helper that still writes
         assert_eq!(numbers.all(), [1, 1]);
     });
@@ -67,10 +67,10 @@ fn a_job_has_ended_everywhere_when_the_call_returns() {
 
 fn jobs_follow_one_another_whether_helpers_are_awake_or_asleep() {
     explore(2, || {
-        let crew = ThreadTeam::new(1);
+        let team = ThreadTeam::new(1);
         for _ in 0..2 {
             let numbers = Watched::zeros(2);
-            crew.for_each(0..2, 2, |i| numbers.increase(i));
+            team.for_each(0..2, 2, |i| numbers.increase(i));
             assert_eq!(numbers.all(), [1, 1]);
         }
     });
@@ -78,16 +78,16 @@ fn jobs_follow_one_another_whether_helpers_are_awake_or_asleep() {
 
 fn two_helpers_share_a_job() {
     explore(2, || {
-        let (crew, numbers) = (ThreadTeam::new(2), Watched::zeros(3));
-        crew.for_each(0..3, 3, |i| numbers.increase(i));
+        let (team, numbers) = (ThreadTeam::new(2), Watched::zeros(3));
+        team.for_each(0..3, 3, |i| numbers.increase(i));
         assert_eq!(numbers.all(), [1, 1, 1]);
     });
 }
 
 fn a_job_within_a_job_is_done() {
     explore(2, || {
-        let (crew, numbers) = (ThreadTeam::new(1), Watched::zeros(2));
-        crew.for_each(0..2, 2, |i| crew.for_each(0..1, 2, |_| numbers.increase(i)));
+        let (team, numbers) = (ThreadTeam::new(1), Watched::zeros(2));
+        team.for_each(0..2, 2, |i| team.for_each(0..1, 2, |_| numbers.increase(i)));
         assert_eq!(numbers.all(), [1, 1]);
     });
 }

@@ -20,9 +20,9 @@ impl Instant {
     }
 }
 
-pub(crate) const PATIENCE: Duration = Duration::ZERO;
+pub(crate) const SPIN_TIME: Duration = Duration::ZERO;
 /// Every look lets the others go on.
-pub(crate) const LOOKS: usize = 0;
+pub(crate) const SPINS: usize = 0;
 
 pub(crate) fn pause() {
     yield_now();

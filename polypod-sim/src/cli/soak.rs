@@ -43,8 +43,8 @@ const PASSIVE_S: f64 = 2.0;
 const HOLD_S: f64 = 3.0;
 /// How long a target stands, s.
 const TARGET_S: f64 = 0.25;
-/// How often to look at the state while a target stands.
-const LOOKS: usize = 10;
+/// Number of checks of the state while a target stands.
+const OBSERVATIONS: usize = 10;
 /// Limits of joints without any, rad or m.
 const UNLIMITED: f64 = 3.0;
 /// How far a robot at rest may be in the ground, m.
@@ -174,8 +174,8 @@ impl Soak {
                     }
                 }
                 let control = Control { targets: Some(&targets), ..Control::default() };
-                for _ in 0..LOOKS {
-                    sim.step(&control, steps(TARGET_S / LOOKS as f64))?;
+                for _ in 0..OBSERVATIONS {
+                    sim.step(&control, steps(TARGET_S / OBSERVATIONS as f64))?;
                     worst.look(&mut sim)?;
                 }
             }
