@@ -19,15 +19,15 @@ pub struct BrokenState {
     pub step: u64,
     /// Control steps of the episode before this one.
     pub episode_step: u32,
-    /// What counted as broken.
+    /// Limits beyond which a state counts as broken.
     pub limits: StateLimits,
     /// The robot before the control step's physics; pushes and the like have happened.
     pub before: Motion,
-    /// What its actuators were asked for.
+    /// Targets of its actuators.
     pub targets: JointTargets,
-    /// How late they were asked for it.
+    /// Delay of its actuators.
     pub delay: ActuatorDelay,
-    /// What its actuators' networks remembered.
+    /// Memory of its actuator networks.
     pub memory: ActuatorMemory,
     /// Force and torque from outside.
     pub wrench: ExternalWrench,
@@ -48,7 +48,7 @@ pub struct BrokenStates {
 }
 
 impl BrokenStates {
-    /// Watches none of so many morphologies.
+    /// Watches none of `morphologies` morphologies.
     pub fn new(morphologies: usize) -> Self {
         let none = vec![false; morphologies];
         Self { watched: none.clone(), seen: none, step: 0, evidence: Vec::new(), found: Vec::new() }
@@ -61,7 +61,7 @@ impl BrokenStates {
         }
     }
 
-    /// What was found since the last call, each with the place of its morphology.
+    /// Broken states since the last call, each with the place of its morphology.
     pub fn take(&mut self) -> Vec<(usize, BrokenState)> {
         std::mem::take(&mut self.found)
     }

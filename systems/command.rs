@@ -22,7 +22,7 @@ impl Plugin for CommandPlugin {
     }
 }
 
-/// Counts down, draws anew where the time is up, and lets the yaw rate follow the heading.
+/// Counts down, samples a command where the time is up, and lets the yaw rate follow the heading.
 pub(super) fn update_commands(
     workers: Res<Workers>,
     task: Res<CompiledTask>,

@@ -24,7 +24,7 @@ impl Plugin for DisturbPlugin {
     }
 }
 
-/// Counts each event's timer down; where it is up, the event happens and the timer starts anew.
+/// Counts each event's timer down; where it is up, the event happens and the timer is set again.
 pub(super) fn apply_interval_events(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,

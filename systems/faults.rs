@@ -1,4 +1,5 @@
-//! What happens when a system of the pipeline fails: the sets after it are left out, and the caller gets its error.
+//! Failure of a system of the pipeline: the sets after it are left out, and the caller gets its
+//! error.
 
 use std::cell::RefCell;
 

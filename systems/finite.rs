@@ -35,13 +35,13 @@ pub struct NonFiniteNumber {
 /// Numbers that are not finite, the first one of each env and component.
 #[derive(Resource, Default, Debug)]
 pub struct NonFinite {
-    /// Those that no broken episode explains.
+    /// Numbers that no broken episode explains.
     pub found: Vec<NonFiniteNumber>,
     fresh: Vec<(usize, &'static str, PipelineSet)>,
     known: BTreeSet<(usize, &'static str)>,
 }
 
-/// Who writes what.
+/// Components and the systems that write them.
 #[derive(Resource, Default)]
 struct Writers {
     /// The components that each system writes.
@@ -95,7 +95,7 @@ fn note_written(world: &mut World) {
         ("ContactSensor", world.register_component::<ContactSensor>()),
         ("HeightScan", world.register_component::<HeightScan>()),
     ];
-    // without the schedule PipelinePlugin is missing, which is an error of its own
+    // without the schedule PipelinePlugin is missing, which another error reports
     let _ = world.try_schedule_scope(ControlStep, |world, schedule| {
         let systems = &mut schedule.graph_mut().systems;
         let keys: Vec<SystemKey> = systems.iter().map(|(key, ..)| key).collect();

@@ -41,7 +41,7 @@ pub(crate) struct Loaded {
 #[derive(Resource, Clone, Copy)]
 pub(crate) struct InstructionSet(pub(crate) Simd);
 
-/// Which envs of the whole batch are here.
+/// Range of these envs within the whole batch.
 #[derive(Resource, Clone, Debug, PartialEq, Eq)]
 pub struct Share {
     /// Their numbers in the whole batch. Row `i` is env `envs.start + i` there.
@@ -50,12 +50,13 @@ pub struct Share {
     pub num_envs: usize,
     /// Envs of each robot in the whole batch.
     pub counts: Vec<usize>,
-    /// Of each robot, the place in its block in the whole batch that its first env here has.
+    /// Place of each robot's first env here within that robot's block of the whole batch.
     pub first_places: Vec<usize>,
 }
 
 impl Share {
-    /// Of a batch with `totals` envs of each robot; and how many envs of each robot it has.
+    /// The share `envs` of a batch with `totals` envs of each robot, and the number of its envs of
+    /// each robot.
     fn new(envs: Range<usize>, totals: Vec<usize>) -> (Self, Vec<usize>) {
         let (mut first_places, mut counts, mut start) = (Vec::new(), Vec::new(), 0);
         for total in &totals {

@@ -1,4 +1,4 @@
-//! What is known about finished episodes, per robot.
+//! Statistics of finished episodes, per robot.
 
 use std::collections::BTreeMap;
 
@@ -213,7 +213,8 @@ impl Logs {
 
     /// Log entries over the episodes that ended since the last call; none if there were none.
     ///
-    /// Reward terms are episode sums divided by the full episode's length in seconds, as Isaac Lab has it.
+    /// Reward terms are episode sums divided by the full episode's length in seconds, as in Isaac
+    /// Lab.
     pub fn take(&mut self, task: &CompiledTask, morphologies: &Morphologies) -> BTreeMap<String, f64> {
         let logs = std::mem::replace(&mut self.recent, Self::empty(task));
         let step_dt = f64::from(task.step_dt);

@@ -58,7 +58,7 @@ fn spawn_mirrors(world: &mut World) {
     }
 }
 
-/// What moves of a mirror.
+/// Components of a mirror that moves.
 type Moving = (
     &'static EnvId,
     &'static LinkMirror,
@@ -69,7 +69,7 @@ type Moving = (
     &'static mut AngularVelocity,
 );
 
-/// What is set of a mirror that is put somewhere.
+/// Components that are set when a mirror is placed.
 type Placed = (
     &'static mut Position,
     &'static mut Rotation,
@@ -127,7 +127,7 @@ pub(super) fn aim_mirrors(
     Ok(())
 }
 
-/// One step of Avian's world. What it told in the step before last is forgotten.
+/// One step of Avian's world. Messages of the step before last are forgotten.
 pub(super) fn step_avian(world: &mut World) -> Result {
     faults::outcome(world.run_system_cached(message_update_system))?;
     let seconds = world.resource::<CompiledTask>().config.sim.step_dt();

@@ -133,7 +133,7 @@ pub enum SetupSet {
 pub enum PipelineSet {
     /// Actions become joint targets.
     Act,
-    /// Velocity commands are drawn anew and follow the heading.
+    /// Velocity commands are sampled and follow the heading.
     Command,
     /// Interval events, such as pushes.
     Disturb,
@@ -143,11 +143,11 @@ pub enum PipelineSet {
     Mirror,
     /// Sensors read the new state.
     Sense,
-    /// Which episodes end.
+    /// Terminations: ends of episodes.
     Terminate,
     /// Rewards of the step, of ended episodes too.
     Reward,
-    /// Final observations; then curriculum, and ended episodes begin anew: see [`ResetSet`].
+    /// Final observations; then curriculum and the reset of ended episodes: see [`ResetSet`].
     Reset,
     /// Observations of all envs.
     Observe,
@@ -160,7 +160,7 @@ pub enum ResetSet {
     Observe,
     /// Ended episodes are counted.
     Log,
-    /// Bodies of the envs that begin anew are drawn.
+    /// Bodies of the envs that are reset are sampled.
     Bodies,
     /// States, targets, commands and sums of these envs.
     Envs,
@@ -298,7 +298,7 @@ fn for_both<M, S: IntoScheduleConfigs<ScheduleSystem, M>>(app: &mut App, systems
     app.add_systems(ControlStep, systems()).add_systems(ResetEnvs, systems());
 }
 
-/// Keeps the entities of a kind in blocks: those of each morphology in tables of their own, in the order of their env ids.
+/// Keeps the entities of a kind in blocks: one table per morphology, in the order of their env ids.
 pub fn keep_blocks<K: RowKind>(app: &mut App) {
     app.add_observer(separate_morphologies::<K>);
     for_both(app, || restore_order::<K>.in_set(RowOrder).ambiguous_with_all());

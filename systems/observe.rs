@@ -144,7 +144,7 @@ impl ObservationTerm {
     /// Observes an env's numbers, or keeps those that last an episode: `write` is handed those of its robot, in a batch of so many columns of joints. `row` holds the
     /// term's numbers as they were observed in the step before. What a new episode remembers is its first numbers.
     ///
-    /// `treat` is called from here and from no closure, so that it is compiled for the instruction set of its caller.
+    /// `apply_noise_and_scale` is called from here and from no closure, so that it is compiled for the instruction set of its caller.
     #[inline(always)]
     fn observe(
         &self,
@@ -168,7 +168,7 @@ impl ObservationTerm {
             _ => size,
         };
         write(&mut newest[..own]);
-        self.treat(&mut newest[..own], rng);
+        self.apply_noise_and_scale(&mut newest[..own], rng);
         if own != size {
             match self.spec.kind {
                 TermKind::PerFoot => spread(robot.foot_columns.iter().copied(), size, newest),
@@ -334,7 +334,7 @@ fn height_scan(p: &ScanOffset, r: &RobotView, out: &mut [f32]) {
 /// Numbers of the term `morphology`.
 const MORPHOLOGY_SIZE: usize = 35;
 
-/// What they belong to; see [`morphology`].
+/// Blocks of its numbers; see [`morphology`].
 const MORPHOLOGY_BLOCKS: [Block; 7] = [
     Block::new(Per::Body, 1),
     Block::new(Per::Length, 1),
@@ -345,11 +345,12 @@ const MORPHOLOGY_BLOCKS: [Block; 7] = [
     Block::new(Per::Body, 1),
 ];
 
-/// What body this is, each number of the order of one: total mass / 50 kg; distance of the hips along and across the
-/// base, m; upper and lower leg and offset of the hip, mean over the legs, m; radians per unit of action; then per role
-/// (HAA, HFE, KFE), mean over the legs: stiffness / 100, damping / 5, effort limit / 100 (at most 10, also of a joint
-/// without a limit), armature * 10, and the torque of one unit of action / weight / leg length, 0 without gravity; the
-/// default joint positions in canonical order, rad; the spawn height, m.
+/// Description of the body, each number of the order of one: total mass / 50 kg; distance of the
+/// hips along and across the base, m; upper and lower leg and offset of the hip, mean over the
+/// legs, m; radians per unit of action; then per role (HAA, HFE, KFE), mean over the legs:
+/// stiffness / 100, damping / 5, effort limit / 100 (at most 10, also of a joint without a limit),
+/// armature * 10, and the torque of one unit of action / weight / leg length, 0 without gravity;
+/// the default joint positions in canonical order, rad; the spawn height, m.
 ///
 /// Randomised bodies describe themselves as they are.
 fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {

@@ -1,4 +1,4 @@
-//! Physics: makes the engine that the task names, and has it step the robots.
+//! Physics: makes the engine that the task names, and steps the robots with it.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -62,7 +62,7 @@ fn make_engine(
     Ok(())
 }
 
-/// What the engine knows of each env beyond its components, as bytes.
+/// Engine state of each env beyond its components, as bytes.
 pub(crate) fn save_engine(world: &World) -> Result<Vec<Vec<u8>>, Error> {
     let saved = world.get_resource::<PhysicsEngine>().map_or_else(|| Ok(Vec::new()), |engine| engine.0.save());
     saved.map_err(Error::Snapshot)

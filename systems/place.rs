@@ -16,7 +16,7 @@ const FOOTPRINT: f32 = 0.5;
 /// A shape that is this much nearer to the ground than the margin is where it should be, m: the default pose is, but for rounding.
 const TOLERANCE: f32 = 1e-4;
 
-/// What is read and written of robots.
+/// Components of robots that are read and written.
 type RobotColumns =
     (&'static Body, &'static BaseVelocity, &'static JointState, &'static mut BasePose, &'static mut Feet);
 

@@ -1,4 +1,4 @@
-//! Ended episodes begin anew.
+//! Reset of ended episodes.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -42,7 +42,7 @@ impl Plugin for ResetPlugin {
     }
 }
 
-/// What a reset reads and writes of robots.
+/// Components of robots that a reset reads and writes.
 type RobotColumns = (
     &'static Body,
     &'static Stance,
@@ -59,7 +59,7 @@ type RobotColumns = (
     &'static mut ExternalWrench,
 );
 
-/// What a reset writes of envs.
+/// Components of envs that a reset writes.
 type EnvColumns = (
     &'static mut Episode,
     &'static mut EnvRng,
@@ -71,8 +71,9 @@ type EnvColumns = (
 
 /// Resets what is due: state, targets, delays, timers, sums and command, each from the env's own stream.
 ///
-/// What belongs to a physics step (efforts, accelerations, contact forces, impulses) is zero: none has been made. What follows from the
-/// state is computed for the new one afterwards, by [`place_robots`] and [`Sensor::begin`](super::Sensor::begin).
+/// Quantities of a physics step (efforts, accelerations, contact forces, impulses) are zero: none
+/// has been made. [`place_robots`] and [`Sensor::begin`](super::Sensor::begin) then compute the
+/// quantities that follow from the new state.
 pub(super) fn reset_envs(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
@@ -113,7 +114,7 @@ pub(super) fn reset_envs(
             if episodes[i].lived > 0 && (episodes[i].done() || !request.0) {
                 let episode = &episodes[i];
                 let seconds = |steps: u32| steps as f32 * task.step_dt;
-                // what a fall leaves of the episode counts as the robot's
+                // the time that a fall cuts off counts as the robot's
                 let left = match task.has_failed(episode.causes) {
                     true => task.max_episode_length.saturating_sub(episode.length),
                     false => 0,

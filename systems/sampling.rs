@@ -43,7 +43,7 @@ fn standard_normal(rng: &mut EnvRng) -> f64 {
     }
 }
 
-/// Whose ranges an event draws from.
+/// Owner of the ranges that an event samples from.
 pub(super) enum Source<T> {
     /// Each robot's own, from its config.
     Robot,

@@ -1,4 +1,4 @@
-//! What snapshots hold of entities: components, one line each.
+//! Snapshots of entities: the saved components, one line each.
 
 use std::ops::Range;
 
@@ -22,9 +22,9 @@ use crate::world::Ground;
 
 /// Where a saved component is to go.
 pub struct Place<'a> {
-    /// What kind of robot the env has.
+    /// Morphology of the env.
     pub morphology: &'a MorphologyModel,
-    /// What the robots stand on.
+    /// Ground that the robots stand on.
     pub ground: &'a Ground,
 }
 
@@ -56,7 +56,7 @@ struct SavedComponent {
 /// Whether a morphology has a component in a task.
 type IsOn = fn(&MorphologyModel, &TaskConfig) -> bool;
 
-/// The components that snapshots hold, and what is measured anew after one is restored.
+/// Components that snapshots hold, and callbacks that run after a restore.
 #[derive(Resource, Default)]
 pub(crate) struct SavedComponents {
     all: Vec<SavedComponent>,
@@ -71,14 +71,14 @@ pub fn save_component<C: Saved>(app: &mut App) {
     save_component_of::<C, Env>(app);
 }
 
-/// The same of a component that the entities of a kind have.
+/// Adds a component of the entities of a kind to snapshots.
 pub(super) fn save_component_of<C: Saved, K: RowKind>(app: &mut App) {
     let component =
         SavedComponent { name: std::any::type_name::<C>(), is_on: K::is_on, save: save::<C>, load: load::<C> };
     app.world_mut().get_resource_or_init::<SavedComponents>().all.push(component);
 }
 
-/// Has something measured anew after a snapshot was restored.
+/// Registers a callback to run after a restore.
 pub(super) fn measure_after_restore(app: &mut App, measure: fn(&mut World) -> Result<(), Error>) {
     app.world_mut().get_resource_or_init::<SavedComponents>().measured.push(measure);
 }

@@ -1,4 +1,4 @@
-//! Events of a robot's body: what is randomised once, when the envs are made, or anew at each reset.
+//! Events of a robot's body: randomisation when the envs are made, and at each reset.
 
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
@@ -57,7 +57,8 @@ pub(super) fn is_due(episode: &Episode, autoreset: Autoreset, request: ResetRequ
             })
 }
 
-/// Bodies of the envs that are about to be reset are drawn anew, from what startup made of them.
+/// Samples the bodies of the envs that are about to be reset, starting from the bodies of the
+/// startup events.
 pub(super) fn reset_bodies(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
@@ -163,7 +164,7 @@ struct MotorStrength {
     strength_range: Option<[f64; 2]>,
 }
 
-/// What a task says of its bodies, for all robots alike, beside each robot's own `[variation]`.
+/// Variation that a task gives all robots, in addition to each robot's own `[variation]`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TaskVariation {

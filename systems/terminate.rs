@@ -1,4 +1,4 @@
-//! Which episodes end, and why.
+//! Terminations: ends of episodes and their causes.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;

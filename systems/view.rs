@@ -1,4 +1,4 @@
-//! What terms see and may change: a robot, its body, its new state, the end of an episode.
+//! Views for terms: a robot, its body, its new state, the end of an episode.
 
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
@@ -18,7 +18,7 @@ use crate::world::Ground;
 /// All that reward, observation and termination terms may read of one robot and its env.
 #[derive(Clone, Copy)]
 pub struct RobotView<'a> {
-    /// What kind of robot it is.
+    /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
     /// Forward and left velocity (m/s) and yaw rate (rad/s) that it is to follow, base frame.
     pub command: &'a [f32; 3],
@@ -40,13 +40,14 @@ pub struct RobotView<'a> {
     pub feet: &'a Feet,
     /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has none.
     pub height_scan: &'a [f32],
-    /// What its joints are, see [`JointDescriptors`]; empty where the task does not observe it.
+    /// Descriptions of its joints, see [`JointDescriptors`]; empty where the task does not observe
+    /// them.
     pub joint_descriptors: &'a [f32],
     /// The robot's own numbers, as randomised.
     pub body: &'a Parameters<f32>,
     /// Default pose and action scale of this body.
     pub stance: &'a Stance,
-    /// What the robots stand on, and gravity.
+    /// Ground that the robots stand on, and gravity.
     pub ground: &'a Ground,
     /// Where the env is on the ground.
     pub origin: &'a EnvOrigin,
@@ -83,7 +84,7 @@ pub(super) struct ViewParam<'w, 's> {
     descriptors: Blocks<'w, 's, &'static JointDescriptors, JointDescriptors>,
 }
 
-/// What terms read of robots themselves.
+/// Components of robots that terms read.
 type RobotColumns = (
     &'static BasePose,
     &'static BaseVelocity,
@@ -186,13 +187,14 @@ impl<'a> Views<'a> {
 
 /// A robot's numbers, as events of its body may change them.
 pub struct NewBody<'a> {
-    /// What kind of robot it is.
+    /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
-    /// What it will stand on.
+    /// Ground that it will stand on.
     pub ground: &'a Ground,
-    /// Masses, lengths, gains and friction: at startup those of the morphology, at a reset what startup made of them.
+    /// Masses, lengths, gains and friction: at startup the morphology's, at a reset the result of
+    /// the startup events.
     pub parameters: &'a mut Parameters<f32>,
-    /// Default pose, action scale and the height at which its episodes begin: likewise.
+    /// Default pose, action scale and the height at which its episodes begin, with the same start.
     pub stance: &'a mut Stance,
 }
 
@@ -221,7 +223,7 @@ impl NewBody<'_> {
 
 /// The state in which an episode begins, as reset events may change it.
 pub struct NewState<'a> {
-    /// What kind of robot it is.
+    /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
     /// Pose of the base; starts at the env's origin, at the spawn height above level ground, level. Afterwards it is lifted onto
     /// what stands there, and further until no collision shape is nearer to the ground than the reset's `spawn_margin`.
@@ -244,7 +246,7 @@ pub struct EpisodeEnd<'a> {
     pub episode: &'a Episode,
     /// Where the robot was then.
     pub pose: &'a BasePose,
-    /// What it was told to do then.
+    /// Command at the end.
     pub command: &'a Command,
     /// Length of a full episode, s.
     pub episode_length_s: f32,
@@ -259,9 +261,9 @@ pub struct EpisodeEnd<'a> {
     pub origin: &'a mut EnvOrigin,
 }
 
-/// What an interval event may change.
+/// Robot as an interval event may change it.
 pub struct EventBody<'a> {
-    /// What kind of robot it is.
+    /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
     /// Force and torque from outside; hold until the next reset or event.
     pub wrench: &'a mut ExternalWrench,

@@ -1,7 +1,7 @@
 //! Reward terms on joints: all of a robot's, or those that patterns name; their sum, or their mean.
 //!
-//! Formulas: Isaac Lab's velocity-tracking tasks (BSD-3-Clause), names as there. A sum grows with the number of joints; a mean
-//! weighs robots of 6 and of 29 joints alike.
+//! Formulas: Isaac Lab's velocity-tracking tasks (BSD-3-Clause), names as there. A sum grows with
+//! the number of joints; a mean gives robots of 6 and of 29 joints the same weight.
 
 use serde::Deserialize;
 
@@ -13,7 +13,7 @@ use crate::robot::{Place, Role, Slot};
 use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
 
-/// Which joints a term is about. The default: the sum over all of them.
+/// Joints of a term. The default: the sum over all of them.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Joints {
@@ -72,7 +72,7 @@ impl OnJoints {
         Ok(Self { joints, factor: if mean { 1.0 / count.max(1) as f32 } else { 1.0 } })
     }
 
-    /// Of `value`, by physical joint.
+    /// Sum or mean of `value` over the joints, by physical joint.
     #[inline(always)]
     fn of(&self, count: usize, value: impl Fn(usize) -> f32) -> f32 {
         let sum: f32 = match &self.joints {
@@ -82,7 +82,7 @@ impl OnJoints {
         self.factor * sum
     }
 
-    /// Of squares.
+    /// Sum or mean of the squares.
     #[inline(always)]
     fn squares(&self, x: &[f32]) -> f32 {
         let sum = match &self.joints {

@@ -30,8 +30,8 @@ impl Plugin for RewardPlugin {
 
 /// `reward = sum of weight * value * step_dt`, summed per term for the logs, as are the tracking errors.
 ///
-/// A robot only computes the terms of its own set. An env whose state broke gets 0, as does one that is only reset in
-/// this step.
+/// A robot computes only the terms of its own set. An env gets 0 if its state broke or if this step
+/// does nothing but reset it.
 pub(super) fn compute_rewards(
     workers: Res<Workers>,
     task: Res<CompiledTask>,

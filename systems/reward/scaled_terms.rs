@@ -24,13 +24,13 @@ fn mean_square(x: &[f32]) -> f32 {
     sum_of_squares(x) / x.len().max(1) as f32
 }
 
-/// Of the robot as randomised, N.
+/// Weight of the robot as randomised, N.
 #[inline(always)]
 fn weight(r: &RobotView) -> f32 {
     r.body.total_mass() * r.ground.free_fall()
 }
 
-/// Of the base above level ground in this body's default pose, m.
+/// Height of the base above level ground in this body's default pose, m.
 #[inline(always)]
 fn stance_height(r: &RobotView) -> f32 {
     r.stance.spawn_height - r.morphology.config.reset.spawn_margin as f32

@@ -35,7 +35,7 @@ pub struct ScanRays {
 }
 
 impl ScanRays {
-    /// Of a scanner.
+    /// Settings of a scanner.
     fn new(scanner: &HeightScannerConfig) -> Self {
         let rays = scanner.rays();
         let group = |rays: &[[f32; 2]]| [0, 1].map(|axis| std::array::from_fn(|k| rays[k.min(rays.len() - 1)][axis]));

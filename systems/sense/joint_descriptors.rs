@@ -1,4 +1,4 @@
-//! What each joint of a body is: where it is, how it turns, what drives it, what hangs on it.
+//! Descriptions of a body's joints: place, axis, drive, and the links that they carry.
 
 use super::{SensedRobot, Sensor};
 use crate::components::JointDescriptors;

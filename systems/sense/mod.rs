@@ -1,8 +1,8 @@
 //! Sensors read the state that the physics left.
 //!
-//! A sensor is a component of an entity of its own, one per env, and an implementation of [`Sensor`]; one line,
-//! [`add_sensor`], registers it. It is then spawned, measured, cleared at the beginning of an episode and saved in snapshots.
-//! [`RowKind::is_on`] says which morphologies have it.
+//! A sensor is a component of a separate entity, one per env, and an implementation of [`Sensor`];
+//! one line, [`add_sensor`], registers it. It is then spawned, measured, cleared at the beginning
+//! of an episode and saved in snapshots. [`RowKind::is_on`] says which morphologies have it.
 
 mod contact;
 mod feet;
@@ -34,9 +34,9 @@ use crate::world::Ground;
 
 pub use height_scan::ScanRays;
 
-/// What a sensor may read of the robot that it is mounted on.
+/// A sensor's view of the robot that it is mounted on.
 pub struct SensedRobot<'a> {
-    /// What kind of robot it is.
+    /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
     /// Where the env is on the ground.
     pub origin: &'a EnvOrigin,
@@ -52,7 +52,7 @@ pub struct SensedRobot<'a> {
     pub body: &'a Parameters<f32>,
     /// Default pose and action scale of this body.
     pub stance: &'a Stance,
-    /// What the robots stand on.
+    /// Ground that the robots stand on.
     pub ground: &'a Ground,
     /// Length of a physics step, s.
     pub dt: f32,
@@ -62,12 +62,13 @@ pub struct SensedRobot<'a> {
 ///
 /// Functions that are `#[inline(always)]` are compiled for each instruction set.
 pub trait Sensor: saved::Saved + RowKind + Component<Mutability = Mutable> {
-    /// What all sensors of a kind have in common, such as the directions of rays.
+    /// Data that all sensors of a kind share, such as the directions of rays.
     type Settings: Send + Sync + 'static;
 
     /// Whether it looks at the terrain: robots on the same tile are then measured in turn, whose heights are in the cache.
     const READS_TERRAIN: bool = false;
-    /// Whether snapshots hold it. One that follows from the robot's state alone is measured anew instead.
+    /// Whether snapshots hold it. A sensor that follows from the robot's state alone is measured
+    /// after a restore instead.
     const IS_SAVED: bool = true;
 
     /// The settings in a task; `None` where the task has no such sensor.
@@ -128,7 +129,7 @@ fn spawn<S: Sensor>(world: &mut World) {
     world.insert_resource(SensorSettings::<S>(settings));
 }
 
-/// What sensors read of robots.
+/// Components of robots that sensors read.
 type SensedColumns = (
     &'static BasePose,
     &'static BaseVelocity,
@@ -203,7 +204,7 @@ enum Occasion {
     Renew,
 }
 
-/// What all rows have in common.
+/// Data that all rows share.
 struct Common<'a, S: Sensor> {
     morphology: &'a MorphologyModel,
     ground: &'a Ground,

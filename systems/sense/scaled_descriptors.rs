@@ -10,7 +10,7 @@ use crate::systems::view::RobotView;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::systems) struct DescriptorUnits {
-    /// What its numbers count in. Default: metric.
+    /// Units of its numbers. Default: metric.
     #[serde(default)]
     units: Units,
 }

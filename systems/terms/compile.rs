@@ -44,7 +44,7 @@ pub struct ObservationTerm {
     pub size: usize,
     /// How many control steps it remembers, the present one included: the oldest comes first.
     pub history: usize,
-    /// What these are.
+    /// Description of the term.
     pub spec: TermSpec,
     /// Number that the term takes off its source, before noise, limits and factor.
     pub offset: f32,
@@ -57,7 +57,7 @@ pub struct ObservationTerm {
     /// Factor of the limited numbers.
     pub scale: f32,
     pub(in crate::systems) write: ObservationFn,
-    /// Whether a morphology has it in a task; the others have zeros.
+    /// Whether a morphology has the term in a task; the others have zeros.
     is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
 }
 
@@ -370,7 +370,8 @@ impl CompiledTask {
         self.action_delay.as_ref().map_or(0, |event| event.range(morphology)[1])
     }
 
-    /// What friction with the ground resists in the motion of a robot's contacts, by the largest coefficients that the task gives it.
+    /// Kinds of friction between a robot's contacts and the ground, by the largest coefficients
+    /// that the task gives it.
     pub fn contact_friction(&self, morphology: &MorphologyModel) -> ContactFriction {
         let (ground, robot) = (&self.config.scene.ground, &self.config.robot_material);
         let drawn = self.physics_material.as_ref().map_or([None; 2], |event| event.spin_ranges(morphology));
@@ -425,7 +426,8 @@ impl CompiledTask {
         mirror
     }
 
-    /// Which numbers of an observation this robot has: those of joints, feet and sensors that it lacks are zero, and count for nothing.
+    /// Whether this robot has each number of an observation: numbers of joints, feet and sensors
+    /// that it lacks are zero, and count for nothing.
     pub fn observation_mask(&self, robot: &MorphologyModel) -> Vec<bool> {
         let joints = robot.action_mask(self.num_joints);
         let mut mask = Vec::with_capacity(self.num_obs());

@@ -23,7 +23,8 @@ pub(crate) struct NoParams {}
 type RewardBuilder = Box<dyn Fn(&str, &str, &Table, &MorphologyModel) -> Result<RewardFn, ConfigError> + Send + Sync>;
 type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
 pub(super) type RewardFn = Box<dyn Fn(&RobotView, SimdDispatch) -> f32 + Send + Sync>;
-/// Writes an observation; none where a system of its own does so, see [`add_observation`](super::super::add_observation).
+/// Writes an observation; absent where a separate system does so, see
+/// [`add_observation`](super::super::add_observation).
 pub(super) type ObservationFn = Option<Box<dyn Fn(&RobotView, &mut [f32]) + Send + Sync>>;
 pub(super) type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + Send + Sync>;
 pub(super) type BodyFn = Box<dyn Fn(&mut NewBody, &mut EnvRng) + Send + Sync>;
@@ -50,7 +51,7 @@ pub(super) struct RegisteredObservation {
     pub(super) spec: TermSpec,
     pub(super) size: SizeFn,
     pub(super) build: Builder<BuiltObservation>,
-    /// Whether a morphology has it in a task.
+    /// Whether a morphology has the term in a task.
     pub(super) is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
 }
 
@@ -160,7 +161,8 @@ impl Registry {
         self.observations.insert(name, registered);
     }
 
-    /// An observation term that a system of its own writes, for the morphologies that `is_on` says yes to in a task.
+    /// An observation term that a separate system writes, for the morphologies for which `is_on` is
+    /// true in a task.
     pub(in crate::systems) fn observation_by_system(
         &mut self,
         name: &'static str,

@@ -1,4 +1,5 @@
-//! What an observation term is: stated once, where it is registered, and read there by export, mirror images and docs.
+//! Descriptions of observation terms: stated once, where a term is registered, and read there by
+//! export, mirror images and docs.
 
 use serde::Serialize;
 
@@ -9,7 +10,7 @@ use crate::robot::{CANONICAL_JOINT_NAMES, ROLES, Slot};
 /// Joints of a body that blocks describe: a quadruped's.
 const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
 
-/// What the numbers of a term are, which says how they change in a mirror that exchanges left and right.
+/// Kind of a term's numbers: how they change in a mirror that exchanges left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TermKind {
@@ -29,18 +30,21 @@ pub enum TermKind {
     PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
-    /// What body the robot is, in blocks ([`TermSpec::blocks`]): numbers of joints change like those of `PerJoint`.
+    /// Description of the robot's body, in blocks ([`TermSpec::blocks`]): numbers of joints change
+    /// like those of `PerJoint`.
     Body,
 }
 
-/// What a term is computed from on a robot, and by which formula. Exported graphs and the comparison with MuJoCo compute it,
-/// so that a deployment gives what its sensors read. In Python: `polypod.export.sources`.
+/// Source of a term on a robot, and its formula. Exported graphs and the comparison with MuJoCo
+/// compute it, so that a deployment gives what its sensors read. In Python:
+/// `polypod.export.sources`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TermSource {
     /// The term as it is: a deployment measures it and gives it by the term's name.
     Measured,
-    /// What body the robot is: numbers that do not change, which a graph folded for a robot holds.
+    /// Description of the robot's body: numbers that do not change, which a graph folded for a
+    /// robot holds.
     RobotConstant,
     /// Velocity of the base's centre of mass in base axes, from that of the base link's origin and the angular velocity.
     CenterOfMassVelocity,
@@ -52,9 +56,9 @@ pub enum TermSource {
     VelocityCommand,
     /// Joint positions, in the batch's columns and canonical directions.
     JointPosition,
-    /// Joint positions less the default pose, likewise.
+    /// Joint positions less the default pose, in the batch's columns and canonical directions.
     JointPositionMinusDefault,
-    /// Joint velocities, likewise.
+    /// Joint velocities, in the batch's columns and canonical directions.
     JointVelocity,
     /// The action of the previous control step.
     LastAction,
@@ -80,7 +84,7 @@ impl TermSource {
     }
 }
 
-/// What each number of a block belongs to.
+/// Part of the body that each number of a block belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Per {
@@ -88,7 +92,8 @@ pub enum Per {
     Body,
     /// The whole body: a distance between front and hind legs. A leg stands half of it ahead of the middle or behind it.
     Length,
-    /// The whole body: a distance between left and right legs. A leg stands half of it beside the middle.
+    /// The whole body: a distance between left and right legs. A leg stands half of it from the
+    /// middle.
     Width,
     /// A role of joints: all numbers of the first role, then those of the next.
     Role,
@@ -99,7 +104,7 @@ pub enum Per {
 /// Consecutive numbers of a term of the kind [`TermKind::Body`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Block {
-    /// What they belong to.
+    /// Part of the body.
     pub per: Per,
     /// How many numbers for each: of the body, of one role, of one joint.
     pub count: usize,
@@ -121,21 +126,21 @@ impl Block {
     }
 }
 
-/// What an observation term is. Mirror images, exported graphs, networks of joints and the comparison with MuJoCo read it, and
-/// so does Python (`VecSim.observation_terms`).
+/// Description of an observation term. Mirror images, exported graphs, networks of joints and the
+/// comparison with MuJoCo read it, and so does Python (`VecSim.observation_terms`).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TermSpec {
-    /// What its numbers are.
+    /// Kind of its numbers.
     pub kind: TermKind,
     /// SI units; empty for numbers without.
     pub units: &'static str,
-    /// What it says, with its frame.
+    /// Meaning, with the frame.
     pub description: &'static str,
-    /// What it is computed from on a robot.
+    /// Source of the term on a robot.
     pub source: TermSource,
     /// Typical magnitude of its numbers, in `units`: networks of joints divide by it where nothing else normalises.
     pub magnitude: f32,
-    /// What its numbers belong to, in order, for the kind [`TermKind::Body`]; empty for the others.
+    /// Blocks of its numbers, in order, for the kind [`TermKind::Body`]; empty for the others.
     pub blocks: &'static [Block],
     /// Signs that the numbers of one joint take in a mirror on top of the joint's own, for the kind [`TermKind::PerJoint`]; empty
     /// where each takes the joint's own sign.
