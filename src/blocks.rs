@@ -3,11 +3,12 @@
 //! A block is a table of Bevy's: its components are slices, row `i` belonging to env `first + i`. Systems ask for the blocks of a
 //! kind with [`Blocks`], join them with those of other kinds by [`BlockIter::zip`], and work on them in chunks.
 //!
-//! Each morphology has tables of its own, so that its entities may have components that others lack, and a kind may be missing
-//! for whole morphologies: see [`RowKind::is_on`]. Within a block all entities have the same components. Each time that blocks are
-//! read, the entities' [`EnvId`]s are compared with their rows: about a microsecond for 4096 envs. Where a component was inserted
-//! into one robot alone, a robot was despawned or an entity spawned on top of it, the blocks are an [`Error::Rows`] that names the
-//! entity, never another env's numbers.
+//! Each morphology has separate tables, so that its entities may have components that others lack,
+//! and a kind may be missing for whole morphologies: see [`RowKind::is_on`]. Within a block all
+//! entities have the same components. Each time that blocks are read, the entities' [`EnvId`]s are
+//! compared with their rows: about a microsecond for 4096 envs. Where a component was inserted into
+//! one robot alone, a robot was despawned or an entity spawned on top of it, the blocks are an
+//! [`Error::Rows`] that names the entity, never another env's numbers.
 //!
 //! Bevy moves an entity into another table when it gains or loses a component. Before each control step the entities of a table
 //! are put in the order of their env ids again. Components with `#[component(storage = "SparseSet")]` move nothing: they may be

@@ -161,7 +161,7 @@ impl Worlds {
         &chunk.envs[i]
     }
 
-    /// Mutable state of an env. Numbers that the world also holds have setters of their own.
+    /// Mutable state of an env. Numbers that the world also holds have separate setters.
     fn env_mut(&mut self, env: usize) -> &mut Env {
         let (chunk, i) = self.at_mut(env);
         &mut chunk.envs[i]
