@@ -132,7 +132,7 @@ fn delayed_targets_are_replayed() {
     });
     let env = with_delay.expect("one of the robots has delayed actuators");
     for most in 1..=4u32 {
-        // what the joints do depends on the targets, the base's speed is what breaks
+        // the joints' motion depends on the targets; the base's speed is what breaks
         let mut sim = under_way(&options(Some(&dir)));
         let world = sim.world_mut();
         let mut robots = world.query::<(&EnvId, &mut ActuatorDelay, &mut BaseVelocity)>();
@@ -219,7 +219,7 @@ fn a_dump_that_cannot_be_written_stops_nothing() {
     step(&mut sim, 11);
     assert_eq!(fs::read_to_string(&file).unwrap(), "in the way");
 
-    // what an earlier run left is evidence too
+    // a file of an earlier run is evidence too
     let taken = dir.join("broken_anymal_d_env6_step10.polypod");
     fs::write(&taken, "evidence").unwrap();
     let mut sim = under_way(&options(Some(&dir)));

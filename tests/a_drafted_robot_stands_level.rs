@@ -13,7 +13,7 @@ fn assets() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots");
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path().join("robot.urdf")).collect();
-    // those with twelve joints in four legs
+    // twelve joints in four legs
     let is_quadruped = |file: &Path| {
         let model = load(file, &LoadOptions::default()).ok()?;
         let slots = detect(&model, &BTreeMap::new(), &BTreeMap::new()).ok()?.slots;

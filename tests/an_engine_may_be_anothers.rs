@@ -1,4 +1,4 @@
-//! A plugin brings an engine of its own, which a task names: blocks of robots in, blocks of robots out.
+//! A plugin brings its own engine, which a task names: blocks of robots in, blocks of robots out.
 
 use bevy_app::{App, Plugin};
 use polypod::blocks::BlockList;

@@ -151,7 +151,7 @@ fn files_of_the_pipeline() {
         let (name, depth) = room(&systems, file);
         let code = code(file);
         let stem = file.file_stem().unwrap().to_str().unwrap();
-        // what reaches into the folder itself
+        // paths that reach into the folder itself
         let supers = match (depth, stem) {
             (0, _) | (_, "mod") => names_after(&code, "super::"),
             _ => code

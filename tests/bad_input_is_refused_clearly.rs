@@ -174,7 +174,7 @@ fn the_command_line_refuses_bad_input_with_one_line_and_exit_code_2() {
         assert!(words.iter().all(|word| text.contains(word)), "{arguments:?}: {text}");
         assert!(output.stdout.is_empty(), "{arguments:?}");
     }
-    // what clap refuses is bad input, too
+    // an error of clap is bad input, too
     assert_eq!(polypod_sim(&["rollout", "--num-envs", "many"]).status.code(), Some(2));
 }
 

@@ -1,5 +1,5 @@
-//! A contact candidate inside a sphere of its own link never touches the ground first, and is skipped; all others
-//! are tested.
+//! A contact candidate inside a sphere of the same link never touches the ground first, and is
+//! skipped; all others are tested.
 
 use polypod::dynamics::ContactKind;
 use polypod::robot::{Articulation, LoadOptions, load_str};

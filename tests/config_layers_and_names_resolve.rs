@@ -133,7 +133,7 @@ fn a_task_without_a_play_variant_gets_one() {
         ("hills", "Hills-Play-v2"),
         ("bare", "bare_play"),
         (&path, &path.replace(".toml", "_play.toml")),
-        // those that have a file, by all their names
+        // the tasks that have a file, by all their names
         ("velocity_flat", "Velocity-Flat-HeteroQuadruped-Play-v0"),
         ("velocity_flat_play", "Velocity-Flat-HeteroQuadruped-Play-v0"),
         ("Isaac-Velocity-Flat-Spot-v0", "Velocity-Flat-Spot-Play-v0"),
@@ -285,7 +285,7 @@ fn a_task_may_change_its_robots() {
     let reference = task("reference_flat", &["robot_overrides.unitree_b2.action_scale=0.4"]).config;
     let b2 = library.robot_in("unitree_b2", &reference).unwrap();
     assert_eq!((b2.config.action_scale, b2.config.actuators["legs"].stiffness), (0.4, Some(160.0)));
-    // what is not overridden stays, and so does the robot outside the task
+    // keys without an override stay, and so does the robot outside the task
     assert_eq!(b2.config.actuators["legs"].effort_limit, Some(200.0));
     assert_eq!(library.robot("unitree_b2").unwrap().config.actuators["legs"].stiffness, Some(250.0));
     assert!(b2.resolved.to_string().contains("160"));

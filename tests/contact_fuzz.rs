@@ -192,7 +192,7 @@ impl Sample {
 
     /// How far a step may take the lowest point off its tangent, as the body turns: constraints hold for velocities.
     fn curvature(&self, start: &State<f32>, end: &State<f32>) -> f64 {
-        // what pushes out also turns, but is no part of the velocity
+        // the motion that pushes a body out also turns it, but is no part of the velocity
         let [a, b] = [start, end].map(|state| DQuat::from_array(state.rotation.map(f64::from)).normalize());
         let angle = a.angle_between(b).max(DVec3::from_array(end.angular_velocity.map(f64::from)).length() * DT);
         let rim = match self.geometry {
@@ -393,7 +393,7 @@ fn bodies_are_pushed_out() {
             let now = sample.distance(&next);
             let lost = distance.min(0.0) - now - sample.curvature(&state, &next);
             assert!(
-                lost < 3e-4, // of speeds up to 1 m/s and what eight sweeps leave; measured: 0.12 mm
+                lost < 3e-4, // at speeds up to 1 m/s, after eight sweeps; measured: 0.12 mm
                 "SEED {SEED}, Sample::new({index}, 0.0), step {step}: from {distance} m to {now} m\n{sample:?}"
             );
             (state, distance, highest) = (next, now, highest.max(now));

@@ -26,7 +26,7 @@ fn the_library_is_small() {
         |file: &&String| file.contains('/') && !folders.iter().any(|folder| file.starts_with(folder)) && *file != page;
     assert_eq!(files.iter().find(stray), None);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    // those that cargo writes itself are not there
+    // files that cargo writes itself are not there
     let bytes: u64 =
         files.iter().filter_map(|file| std::fs::metadata(root.join(file)).ok()).map(|file| file.len()).sum();
     assert!((500_000..2_500_000).contains(&bytes), "{bytes} bytes before they are compressed");

@@ -62,7 +62,7 @@ fn a_number_that_one_robot_is_given_is_its_own() {
     let own: Vec<usize> =
         (0..20).filter(|&env| bodies(&mut changed)[env].stiffness[2] != nominal.stiffness[2]).collect();
     assert_eq!(own, [7]);
-    // and so is the way it goes: the lanes beside it do not see it
+    // and so is the way it goes: the neighbouring lanes do not see it
     let rows =
         |sim: &Sim| sim.batch().observations.chunks(sim.batch().num_obs).map(<[f32]>::to_vec).collect::<Vec<_>>();
     let differ: Vec<usize> =

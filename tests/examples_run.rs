@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-/// Cargo builds the examples together with the tests, in the folder beside theirs.
+/// Cargo builds the examples together with the tests, in the folder next to theirs.
 fn run(example: &str) -> Output {
     let tests = std::env::current_exe().unwrap();
     let program = tests

@@ -71,7 +71,7 @@ fn stones_and_pits_alternate() {
     ] {
         assert!((sampled(&sim, place) - height).abs() < 0.005, "{place:?}: {}", sampled(&sim, place));
     }
-    // what stands in a pit is seen there
+    // an obstacle in a pit is seen there
     let scene = "scene.obstacles=[{shape=\"heightfield\", size=[4.0, 4.0], position=[0.0, 0.0, 0.0], \
         heights=[[-1.0, -1.0], [-1.0, -1.0]]}, {shape=\"box\", size=[1.0, 1.0, 0.4], position=[1.0, 0.0, -0.8]}]";
     let sim = Sim::new(&options(&[scene.into()], &[])).unwrap();

@@ -58,7 +58,7 @@ fn the_environment_variable_chooses_the_instruction_set() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         let first = text.lines().next().unwrap();
         assert!(first.contains(&format!("threads, {},", simd.name())), "{first}");
-        // what follows the speed are statistics of the episodes
+        // the lines after the speed are statistics of the episodes
         tables
             .push(text.lines().skip_while(|line| !line.starts_with("finished")).map(String::from).collect::<Vec<_>>());
     }

@@ -205,7 +205,7 @@ fn a_ball_bounces_off_the_robot_of_its_env_only() {
         let speed = Vec3::new(0.0, -3.0, 0.0);
         let from = at(&sim, 0) + side;
         let hits = ball(&mut sim, 0, from, speed);
-        // of the other env, thrown at the same robot
+        // a ball of the other env, thrown at the same robot
         let misses = ball(&mut sim, 1, from, speed);
         let robots = [0, 1].map(|env| links(&sim, env));
         let mut met = 0;

@@ -399,7 +399,7 @@ fn document() -> impl Strategy<Value = Element> {
 
 /// A robot whose links and joints form a tree, or nearly, with any numbers.
 fn robot() -> impl Strategy<Value = String> {
-    // of the many numbers of a robot, a few are odd at most, or none would load
+    // a few of a robot's many numbers are odd at most, or none would load
     let number = || {
         prop_oneof![
             2000 => -2.0..2.0f64,

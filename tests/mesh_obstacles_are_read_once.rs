@@ -12,7 +12,7 @@ use polypod::{Sim, SimOptions};
 /// 1 m long, 1 m wide, 0.2 m high at its end.
 const WEDGE: &str = include_str!("data/wedge.obj");
 
-/// A folder with a task `mine`, which has this obstacle, and the wedge beside it.
+/// A folder with a task `mine`, which has this obstacle, and with the wedge.
 fn folder(test: &str, obstacle: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("mesh_obstacles").join(test);
     let tasks = root.join("configs/tasks");

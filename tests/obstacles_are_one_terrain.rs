@@ -46,7 +46,7 @@ fn the_grid_is_what_rays_see() {
     for _ in 0..5_000 {
         let (x, y) = (rng.uniform([grid.origin[0], end[0]]), rng.uniform([grid.origin[1], end[1]]));
         let seen = height(x, y);
-        // what is steeper than 45 degrees within a cell and a half is a wall
+        // a slope steeper than 45 degrees within a cell and a half is a wall
         let pitch = 0.25 * grid.cell;
         if common::near_a_step(&height, [x, y], pitch, pitch) {
             continue;

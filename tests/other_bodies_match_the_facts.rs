@@ -1,5 +1,5 @@
-//! The bodies beside the first eight robots are what their publishers' descriptions say, as read by other means
-//! (tests/data/more_robot_facts.json).
+//! Bodies other than the first eight robots are as their publishers' descriptions say, as read by
+//! other means (tests/data/more_robot_facts.json).
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! A batch of different bodies has the slots of all of them. What a robot lacks is zero wherever it is seen, an action for it does
-//! nothing, and no robot notices which others are there.
+//! A batch of different bodies has the slots of all of them. A robot's missing slots are zero
+//! wherever they are seen, an action for them does nothing, and no robot notices which others are
+//! there.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! A user's systems run in the pipeline, in place of polypod's or beside them; what fails in them is an error.
+//! A user's systems run in the pipeline, in place of polypod's or in addition to them; their
+//! failures are errors.
 
 use bevy_app::{App, Plugin, PluginGroup};
 use bevy_ecs::prelude::*;

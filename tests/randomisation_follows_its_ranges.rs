@@ -242,7 +242,7 @@ fn torsional_and_rolling_friction_come_from_even_buckets() {
     ];
     columns[..2].iter().for_each(|c| assert_even(&c.name, &c.drawn, 64));
     assert_independent(&columns);
-    // what is not drawn leaves all other draws as they are
+    // a quantity without a range leaves all other draws as they are
     let mut plain = Sim::new(&options("spot", &[], &[], 3)).unwrap();
     for (drawn, plain) in bodies.iter().zip(self::bodies(&mut plain)) {
         assert_eq!(drawn.0.static_friction, plain.0.static_friction);
@@ -257,7 +257,7 @@ fn a_task_gives_all_robots_one_range_of_friction_and_of_mass() {
         "events.physics_material.dynamic_friction_range=[0.1, 0.2]",
         "events.add_base_mass.mass_scale_range=[0.5, 2.0]",
     ];
-    // light and heavy, with offsets in kg of their own that a factor leaves aside
+    // light and heavy robots, with offsets in kg that a factor replaces
     for robot in ["solo12", "unitree_b2"] {
         let mut sim = Sim::new(&options(robot, &[], &changes, 4)).unwrap();
         let nominal = sim.morphologies()[0].nominal.clone();

@@ -98,7 +98,7 @@ fn leftover_xacro_is_named_in_any_attribute() {
         (with_part(mesh), ["<mesh> on line ", "$(find my_pkg)"]),
         (robot(&link("${prefix}box")), ["<link> on line ", "${prefix}box"]),
         (robot(&link("a")).replace("trap", "$(arg name)"), ["<robot> on line ", "name=\"$(arg name)\""]),
-        // of elements that say nothing of the body, and in names of joints' ends and materials
+        // in elements that say nothing of the body, and in names of joints' ends and materials
         (robot(&(link("a") + "<gazebo reference='${side}_foot'/>")), ["<gazebo> on line ", "${side}_foot"]),
         (robot(&(link("a") + &link("b") + &joint("j", "fixed", "${base}", "b", ""))), ["<parent> on line ", "${base}"]),
         (robot(&(link("a") + "<material name='xacro:grey'/>")), ["<material> on line ", "xacro:grey"]),
@@ -135,7 +135,7 @@ fn other_formats_are_named() {
         assert!(error.contains(words) && error.contains(remedy) && error.contains("robot.usd"), "{error}");
     }
     std::fs::remove_dir_all(&folder).unwrap();
-    // what has neither magic nor XML is told by the parser
+    // a file with neither magic nor XML is reported by the parser
     refused("robot: {name: dog}", &["not well-formed XML"]);
     refused("<COLLADA/>", &["COLLADA mesh"]);
 }
@@ -286,7 +286,7 @@ fn limits_make_sense() {
     );
     refused(&limit("lower='-1' upper='1' effort='-5' velocity='1'"), &["negative effort -5"]);
     refused(&limit("lower='inf' upper='inf' effort='1' velocity='1'"), &["joint \"j\"", "leave no position"]);
-    // what the file says, in few digits
+    // the file's numbers, in few digits
     refused(&limit("lower='2e300' upper='3e300' effort='1' velocity='1'"), &["2e300 .. 3e300", "within 1000"]);
     refused(&limit("lower='1e300' upper='-1e300' effort='1' velocity='1'"), &["1e300", "-1e300", "swap them"]);
     refused(
@@ -444,7 +444,7 @@ fn what_moves_has_a_mass_and_a_sound_inertia() {
     refused(&moving(&MASS.replace("ixy=\"0\"", "ixy=\"0.2\"")), &["link \"b\"", "not positive definite"]);
     let flat = MASS.replace("izz=\"0.1\"", "izz=\"0.3\"");
     warned(&moving(&flat), &["link \"b\"", "triangle inequality"]);
-    // of a part that is merged, it is only worth a warning
+    // on a part that is merged, it is only worth a warning
     let singular = MASS.replace("\"0\"", "\"0.001\"").replace("\"0.1\"", "\"0.001\"");
     warned(&with_part(&singular), &["link \"part\"", "not positive definite", "merged as it is"]);
 }
@@ -537,7 +537,8 @@ fn meshes_are_found_without_ros() {
     let visual = loaded(&with_part(&format!("<visual>{}</visual>", mesh("package://body/foot.dae"))));
     assert!(visual.warnings.is_empty());
 
-    // in a folder that the options name, or in one with the package's name beside or above the URDF
+    // in a folder that the options name, or in one with the package's name next to the URDF or
+    // above it
     let meshes = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/urdf/meshes");
     let options =
         LoadOptions { package_dirs: BTreeMap::from([("body".to_string(), meshes.clone())]), ..LoadOptions::default() };
@@ -757,7 +758,7 @@ fn lengths_of_a_robot_are_bounded() {
     ] {
         refused(&text, &[element, value, "no length of a robot", "metres"]);
     }
-    // what the parts of a body add up to
+    // sum over the parts of a body
     let fixed = |count: usize, last: &str| {
         let links: String = (0..=count).map(|i| link(&format!("l{i}"))).collect();
         let joints = (0..count).map(|i| {

@@ -10,7 +10,7 @@ use crate::common::{ROBOTS, assert_all_same, busy, step};
 #[derive(Component, Default)]
 struct Marker;
 
-/// One beside them.
+/// Marker in a sparse set.
 #[derive(Component, Default)]
 #[component(storage = "SparseSet")]
 struct SparseMarker;

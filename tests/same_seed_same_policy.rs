@@ -45,7 +45,7 @@ fn options(symmetry: Symmetry) -> Options {
     }
 }
 
-/// Networks of joints that read the task `velocity_flat_joints` with so many slots.
+/// Networks of joints that read the task `velocity_flat_joints` with `slots` slots.
 fn options_of_joints(slots: usize, symmetry: Symmetry) -> Options {
     let columns = |number: usize| -> Vec<usize> { (0..slots).map(|slot| 12 + number * slots + slot).collect() };
     let joints = |joint_dim, num_heads| Joints {
@@ -90,7 +90,7 @@ fn trained(simd: Simd, threads: usize, symmetry: Symmetry) -> u64 {
     learnt(sim, learner, 1)
 }
 
-/// The same of networks of joints, for bodies with different joints.
+/// Trains networks of joints for bodies with different joints.
 fn joints_trained(simd: Simd, threads: usize, symmetry: Symmetry) -> u64 {
     let sim = Sim::new(&SimOptions { simd: Some(simd), threads: Some(threads), ..of_joints(72) }).unwrap();
     let learner = sim.learner(options_of_joints(sim.batch().num_actions, symmetry)).unwrap();

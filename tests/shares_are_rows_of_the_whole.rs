@@ -1,5 +1,5 @@
-//! Shares of the envs, in processes of their own, are rows of the whole batch, bit for bit: after resets, randomisation and curricula
-//! too; and their snapshots are the snapshot of the whole.
+//! Shares of the envs, each in a separate process, are rows of the whole batch, bit for bit: after
+//! resets, randomisation and curricula too; and their snapshots are the snapshot of the whole.
 
 use std::ops::Range;
 

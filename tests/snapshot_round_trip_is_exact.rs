@@ -37,7 +37,7 @@ fn so_it_does_on_avians_rigid_bodies() {
     let mut options = busy(&ROBOTS, 18);
     options.overrides.push("physics.engine=avian".into());
     round_trip(options.clone());
-    // where envs have origins of their own, and change them
+    // envs have separate origins here, and change them
     let terrain = ["scene.terrain.num_rows=3", "scene.terrain.num_cols=4"].map(String::from);
     let overrides = options.overrides.into_iter().chain(terrain).collect();
     round_trip(SimOptions { task: "velocity_rough".into(), num_envs: 9, overrides, ..options });

@@ -340,7 +340,7 @@ fn a_pattern_that_no_joint_could_match_is_an_error() {
     for part in ["rewards.any.deviation_hips.joints[0]", "`*_HIPS` matches the name of no joint", "PLACE_ROLE"] {
         assert!(error.contains(part), "{error}");
     }
-    // what some robots lack is no error
+    // a joint that only some robots lack is no error
     let none = ["rewards.any.deviation_hips.joints=['TAIL_PITCH']".to_string()];
     assert!(Sim::new(&options(&none)).is_ok());
 }

@@ -74,7 +74,7 @@ fn inertias_in_other_units() {
         let text = scaled(&urdf(robot), "inertia ", &all, 1e6);
         assert_warned(&text, &["<inertia>", "looks like kg mm^2;", "write the inertia in kg m^2"]);
     }
-    // of one link alone
+    // inertias of one link alone
     let text = urdf(ROBOTS[0]);
     let at = text.find("<link name=\"FR_calf\"").unwrap();
     let text = text[..at].to_string() + &scaled(&text[at..], "inertia ", &all, 1e6);

@@ -235,7 +235,7 @@ fn feet_in_the_air(sim: &mut Sim) -> bool {
 fn a_varied_body_moves_and_is_described_as_an_edited_urdf() {
     let (plain, edited) = (Folder::new("plain-sim", &BodyScales::NOMINAL, false), Folder::new("edited-sim", &X, false));
     let (mut a, mut b) = (plain.sim(), edited.sim());
-    // what startup has drawn for the masses goes, in both
+    // the masses that startup has sampled are replaced, in both
     let model = a.morphologies()[0].clone();
     let edited = b.morphologies()[0].clone();
     let varied = |body: &mut Body, stance: &mut Stance| {
