@@ -63,7 +63,7 @@ NAMES = {
     "evidence": "record",
     "look_down": "scan_terrain",
     "note_touching": "find_touching",
-    "treat": "a verb for what is done",
+    "treat": "apply_noise_and_scale",
 }
 """Names that mean nothing to a reader of the field, and their replacements. Only definitions are checked."""
 NAME = re.compile(
