@@ -1,4 +1,5 @@
-//! Input: TOML texts, each below a line `#! task`, `#! base`, `#! robot` or `#! set`. What comes before the first such line is a task.
+//! Input: TOML texts, each below a line `#! task`, `#! base`, `#! robot` or `#! set`. Text before
+//! the first such line is a task.
 //!
 //! The task is `top.toml`, which may extend `base`; the robot is `fuzzed`; `set` has an override on each line.
 
@@ -49,7 +50,7 @@ fn resolve(overrides: Vec<String>) -> bool {
             return false;
         }
     };
-    // what is written down as the resolved config means the same
+    // the resolved config, written down and read again, means the same
     let text = task.resolved.to_string();
     let table = text.parse().unwrap_or_else(|error| panic!("{error}\n{text}"));
     let again: TaskConfig = parse_params("", "", &table).unwrap_or_else(|error| panic!("{error}\n{text}"));

@@ -24,7 +24,8 @@ fn main() -> ExitCode {
         }
         Err(error) => {
             eprintln!("error: {error:#}");
-            // what polypod itself refuses is bad input; anything else is a fault of the machine or of the program
+            // an input that polypod refuses is bad input; anything else is a fault of the machine
+            // or of the program
             ExitCode::from(if is_bad_input(&error) { 2 } else { 1 })
         }
     }

@@ -107,7 +107,7 @@ impl fmt::Debug for Policy {
 }
 
 impl PolicyManifest {
-    /// Reads the manifest beside a policy: the same name, ending in `.json`.
+    /// Reads the manifest next to a policy: the same name, ending in `.json`.
     ///
     /// # Errors
     /// It is missing or broken, or describes another kind of graph.
@@ -174,7 +174,7 @@ impl PolicyManifest {
 }
 
 impl Policy {
-    /// Reads `policy.onnx` and the manifest beside it, for batches of `num_envs`.
+    /// Reads `policy.onnx` and the manifest next to it, for batches of `num_envs`.
     ///
     /// # Errors
     /// A file is missing or broken, the graph is not the one that was exported with the manifest, or it does not take and give

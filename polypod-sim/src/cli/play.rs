@@ -17,7 +17,7 @@ use crate::policy::{Policy, PolicyManifest};
 /// Arguments of `play`.
 #[derive(Args)]
 pub(super) struct Play {
-    /// `policy.onnx` of an export, beside its manifest `policy.json`.
+    /// `policy.onnx` of an export, next to its manifest `policy.json`.
     #[arg(long)]
     policy: PathBuf,
     /// Robots, separated by commas; those that the policy was trained on by default.
