@@ -1,4 +1,4 @@
-"""Which numbers of a robot lie outside those of drawn bodies: what a policy that was trained on them has not seen.
+"""Numbers of a robot that lie outside drawn bodies: a policy trained on these has not seen them.
 
 The numbers are those of the observation term `joint_descriptors` in units of the body, joint by joint, of front and
 hind legs apart. Left and right limbs are one, mirrored. A robot is compared with drawn bodies of its class.
@@ -21,7 +21,7 @@ NUMBERS = (
     *("position x", "position y", "position z", "axis x", "axis y", "axis z", "default", "lower", "upper", "effort"),
     *("speed", "stiffness", "damping", "armature", "friction", "inertia", "mass", "action scale", "size"),
 )
-"""Of a joint, in the order of the term."""
+"""Numbers of a joint, in the order of the term."""
 MARGIN = 0.05
 """A number lies outside if it is beyond the drawn ones by more than this share of their range."""
 DRAWN = 200
@@ -112,7 +112,7 @@ def drawn(kinds: Sequence[str], count: int = DRAWN, seed: int = 0, wide: bool = 
 
 
 def outside(robots: Sequence[str], count: int = DRAWN, seed: int = 0, wide: bool = True) -> dict[str, list[Outside]]:
-    """What of each robot lies outside the drawn bodies of its class and number of joints."""
+    """Numbers of each robot that lie outside the drawn bodies of its class and number of joints."""
     described = describe(robots)
     kinds = {name: _kind(kind, numbers) for name, (kind, numbers) in described.items()}
     known = drawn(sorted({kind for kind in kinds.values() if kind is not None}), count, seed, wide)

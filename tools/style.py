@@ -28,7 +28,7 @@ OPENINGS = {
     **dict.fromkeys(("it itself", "likewise", "as above", "the same of"), "say it in full"),
 }
 """Beginnings of a sentence that postpone its subject, and their remedies. Questions may have them."""
-OPENING = re.compile(r"(?:%s)\b" % "|".join(OPENINGS), re.IGNORECASE)
+OPENING = re.compile(r"(?:%s)\b(?!:)" % "|".join(OPENINGS), re.IGNORECASE)
 
 WORDS = {
     r"anew": "again, or a verb such as 'regenerates'",
@@ -36,7 +36,7 @@ WORDS = {
     r"alike": "equal, uniform, both",
     r"whereof|thereof": "of which, of it",
     r"has it": "say whose convention it is: 'as MuJoCo does'",
-    r"of (?:its|their) own": "its own X, or 'separate'",
+    r"of (?:its|their) own(?! \w)": "its own X, or 'separate'",
     r"for whose sake": "because of",
     r"(?:is|are) to be": "must be, shall be",
     r"as \w+ as ever": "still",

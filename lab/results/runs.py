@@ -6,8 +6,8 @@
     *.json                 evaluations: `polypod eval --json`
 <folder>/**/*.json         comparisons with MuJoCo: `polypod sim2sim --json`
 
-The runs of a group are to be compared as one: the same recipe with other seeds, or with one robot left out after the
-other. What a policy was trained on is read from the files and not from their names.
+The runs of a group must be comparable: the same recipe with other seeds, or with one robot left out
+after the other. The files, not their names, say what a policy was trained on.
 """
 
 import dataclasses

@@ -42,7 +42,7 @@ WALKING = {
     "drift_xy": ("drift (m/s)", ".3f"),
     "drift_yaw": ("drift (rad/s)", ".3f"),
 }
-"""Figures of `polypod.evaluation.walking` that stand beside `FIGURES`."""
+"""Figures of `polypod.evaluation.walking` that stand next to `FIGURES`."""
 _TRANSFERS = {
     True: "A robot transfers if it walks in MuJoCo.",
     False: "A robot transfers if it falls in at most 5 % of the episodes in MuJoCo and its planar error there is at "

@@ -108,10 +108,10 @@ class Peers(Protocol):
 class Learner:
     """Proximal policy optimisation of two networks on the threads of a `VecSim`, in float32.
 
-    A network is a perceptron or a network of joints, as `polypod.networks:UrmaModel` is one.
-    It computes what rsl_rl's PPO computes. What it computes depends on its options, its networks' numbers, the seed of
-    the simulation and the iteration alone: not on the number of threads and not on the instruction set. Its networks
-    begin with zeros: see `set_network`.
+    A network is a perceptron or a network of joints like `polypod.networks:UrmaModel`. It computes
+    the same as rsl_rl's PPO. The result depends on its options, its networks' numbers, the seed of
+    the simulation and the iteration alone: not on the number of threads and not on the instruction
+    set. Its networks begin with zeros: see `set_network`.
     """
 
     def __init__(
@@ -188,7 +188,8 @@ class Learner:
     def action_std(self) -> npt.NDArray[np.float32]:
         """Returns the deviations that the actions are drawn with, [num_actions]: at least 1e-6.
 
-        Of a network of joints, those of the last actions of all envs: one for each joint that a robot has.
+        A network of joints gives the deviations of the last actions of all envs: one for each joint
+        that a robot has.
         """
 
     def set_network(
@@ -550,7 +551,7 @@ class VecSim:
         """
 
     def env_origins(self) -> npt.NDArray[np.float64]:
-        """[num_envs, 3], the envs' origins in the world, m: zeros where each env has ground of its own. A copy.
+        """[num_envs, 3], the envs' origins in the world, m: zeros where each env has separate ground. A copy.
 
         Their x and y are what positions of `qpos` and `link_pose` are relative to; z is the height of the ground there
         (those positions count from the world's zero). A reset may move an env to another tile.
@@ -707,13 +708,13 @@ class Simulation:
             solver_iterations: sweeps of the articulated engine's contact solver per physics step.
             avian_substeps: substeps of the engine "avian" per physics step.
             threads: 1 to 1024; None: all cores.
-            simd: instruction set: "avx512", "avx2", "neon" or "portable". None: the fastest one, or what `POLYPOD_SIMD`
-                says. Of no effect in float64.
+            simd: instruction set: "avx512", "avx2", "neon" or "portable". None: the fastest one, or
+                the value of `POLYPOD_SIMD`. Without effect in float64.
             dtype: "float32", or "float64" for reference, which is slower.
 
         Raises:
-            RobotError: for a URDF that cannot be simulated. What it leaves open but can be assumed is told by
-                `warnings` and, for the path of a URDF, as UserWarning.
+            RobotError: for a URDF that cannot be simulated. Assumptions about what it leaves open
+                are in `warnings` and, for the path of a URDF, are UserWarnings.
             UnknownNameError: for a robot that does not exist.
             ConfigError: for any other option.
         """
@@ -939,7 +940,7 @@ def robots() -> list[RobotEntry]:
     """The robots of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
 
 def broken_configs() -> list[str]:
-    """What `tasks` and `robots` leave out: the errors of configs that cannot be read.
+    """Errors of configs that cannot be read, and that `tasks` and `robots` leave out.
 
     Using the name of such a config raises its error; all others work.
     """

@@ -59,9 +59,9 @@ class Options:
     threads: int | None = None
     overrides: tuple[str, ...] = ()
     package_dirs: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """Of a URDF."""
+    """Folders of the packages that a URDF names."""
     locked_joints: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """Of a URDF."""
+    """Joints of a URDF that are held, and their positions."""
 
     @property
     def command(self) -> str:
@@ -83,7 +83,7 @@ class Result:
     """How far an adaptation came."""
 
     name: str
-    """Of the robot."""
+    """Name of the robot."""
     robot: str
     """How to find the robot again: its name, or the path of its config."""
     checkpoint: Path
@@ -94,7 +94,7 @@ class Result:
     """Whether the robot walks, and every neighbour that walked before."""
     points: Sequence[Point]
     minutes: float
-    """Of everything: drafting, training, measuring."""
+    """Time of the whole command: drafting, training, measuring."""
     stopped_by: int | None = None
     """The signal that ended it."""
 
@@ -180,7 +180,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
 
 
 def _draft(options: Options, run: Path, reporter: Reporter) -> str:
-    """Drafts a URDF's config beside the run, like `polypod robot new`; returns its path."""
+    """Drafts a URDF's config next to the run, like `polypod robot new`; returns its path."""
     folder, urdf = run / "robot", Path(options.robot)
     folder.mkdir()
     new = new_robot(

@@ -43,7 +43,7 @@ class Link:
     """Axis of a cylinder: x or z."""
 
     def inertia(self) -> Vector:
-        """Of the solid about its middle, link axes, kg m^2."""
+        """Inertia of the solid about its middle, link axes, kg m^2."""
         if self.shape == "box":
             x, y, z = (edge * edge for edge in self.size)
             return self.mass / 12 * (y + z), self.mass / 12 * (z + x), self.mass / 12 * (x + y)
@@ -69,16 +69,16 @@ class Joint:
     lower: float
     upper: float
     group: str
-    """Of actuators."""
+    """Group of actuators."""
     angle: float = 0.0
     """In the default pose, rad."""
     yaw: float = 0.0
-    """Of the joint's frame in its parent's, rad."""
+    """Angle of the joint's frame in its parent's, rad."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """What turns a joint, as shares of weight times leg length."""
+    """Drive of a joint, as shares of weight times leg length."""
 
     stiffness: float
     """1/rad."""
@@ -104,7 +104,7 @@ class Body:
     """m."""
     reward_set: str
     drives: dict[str, "Drive"]
-    """Of each group of actuators."""
+    """Drive of each group of actuators."""
     action_scale: float
     """rad per unit of action."""
     speed: float = 1.0
@@ -114,7 +114,7 @@ class Body:
 
     @property
     def mass(self) -> float:
-        """Of all links, kg."""
+        """Mass of all links, kg."""
         return sum(link.mass for link in self.links)
 
 
@@ -235,12 +235,12 @@ def _softer(drive: Drive, stiffness: float, effort: float) -> Drive:
 
 @dataclasses.dataclass(frozen=True)
 class _Choices:
-    """What makers of quadrupeds choose in different ways; the defaults are those of bodies that are not wide."""
+    """Choices in which makers of quadrupeds differ; the defaults are those of bodies that are not wide."""
 
     mass: float = 1.0
     """Factor on the drawn mass."""
     beside: float = 1.0
-    """Distance of the thigh beside the axis of abduction, as a share of the drawn one."""
+    """Distance of the thigh from the axis of abduction, as a share of the drawn one."""
     below: float = 0.0
     """Distance of the thigh below that axis, as a share of the leg."""
     spread: float = 0.0
@@ -313,7 +313,7 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool)
     joints: list[Joint] = []
     feet = []
     radius = leg * rng.uniform(0.035, 0.07)
-    # which way knees point in front and behind: both back, towards each other, away from each other, both ahead
+    # directions of the knees in front and behind: both back, towards each other, apart, both ahead
     knees = [(1, 1), (1, -1), (-1, 1), (-1, -1)][rng.choice(4, p=[0.5, 0.3, 0.1, 0.1])]
     below = leg * rng.uniform(0.66, 0.92)
     ahead = leg * np.array([rng.uniform(-0.15, 0.05), rng.uniform(-0.2, 0.05)])

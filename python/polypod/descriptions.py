@@ -100,7 +100,7 @@ def describe(robots: Sequence[str], task: str = TASK, overrides: Sequence[str] =
         return describe(robots)
     sim.reset(0)
     count, slots = len(DESCRIPTORS), sim.canonical_joint_names
-    # of a term with a history, the present
+    # a term with a history: its present numbers
     numbers = sim.observation[:, start : start + term.size].reshape(len(robots), -1, count, len(slots))[:, -1]
     bodies = {}
     for robot in sim.robots:
@@ -172,7 +172,7 @@ def _logarithms(numbers: Array) -> Array:
 
 
 def _distance(mine: Array, other: Array) -> float:
-    """Of two bodies by the features of their joints."""
+    """Distance of two bodies by the features of their joints."""
     squares = (
         np.square(mine).mean(axis=1)[:, None]
         + np.square(other).mean(axis=1)[None]
@@ -183,7 +183,7 @@ def _distance(mine: Array, other: Array) -> float:
 
 
 def to_manifest(bodies: Mapping[str, Body]) -> list[dict[str, Any]]:
-    """What a manifest holds of bodies: slots, and the numbers as little-endian float32 in Base64."""
+    """Bodies as a manifest holds them: slots, and the numbers as little-endian float32 in Base64."""
     return [
         {
             "name": name,

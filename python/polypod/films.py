@@ -1,4 +1,4 @@
-"""Films that tell what polypod does: a walk, a training, a push, and polypod beside MuJoCo."""
+"""Films of polypod: a walk, a training, a push, and a comparison with MuJoCo."""
 
 import dataclasses
 import re

@@ -18,7 +18,7 @@ from polypod.vector_env import make
 
 TASK = "velocity_flat_play"
 TASK_OF_OTHERS = "velocity_flat_legged_play"
-"""Of bodies that are no quadrupeds of twelve joints: it has their reward sets."""
+"""Task of bodies other than quadrupeds of twelve joints: it has their reward sets."""
 SECONDS = 4.0
 NUM_ENVS = 16
 SAG = 0.3
@@ -40,11 +40,11 @@ class Standing:
     """How a robot holds its default pose."""
 
     falls: int
-    """Of `NUM_ENVS` robots."""
+    """Number of the `NUM_ENVS` robots that fell."""
     sag: float
     """Mean distance of the joint that gives way most from the default pose, rad."""
     height: float
-    """Of the base's frame above the ground, mean, m."""
+    """Height of the base's frame above the ground, mean, m."""
     lasted: float
     """Time until the first of them fell, or all of it, s."""
     carried: float
@@ -58,13 +58,13 @@ class Standing:
 
 @dataclasses.dataclass(frozen=True)
 class NewRobot:
-    """What was written."""
+    """Config that was written."""
 
     name: str
     path: Path
-    """Of the TOML."""
+    """Path of the TOML."""
     notes: list[str]
-    """What was assumed, one line each."""
+    """Assumptions, one line each."""
     standing: Standing
     gain_factor: float
     """On the gains that follow from weight and leg length."""
@@ -93,7 +93,7 @@ def new_robot(
 
     Args:
         urdf: the URDF file.
-        out: the TOML to write; None: `<name>.toml` beside the URDF. Its stem is the robot's name.
+        out: the TOML to write; None: `<name>.toml` next to the URDF. Its stem is the robot's name.
         name: the robot's name; None: that of `out`, of the URDF, or of its file.
         package_dirs: ROS package -> folder, for `package://` names of meshes.
         feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where geometry alone does

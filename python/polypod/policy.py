@@ -4,8 +4,9 @@
 >>> policy = polypod.policy.load("logs/.../model_300.pt")
 >>> actions = policy.act(observations)
 
-A policy is a checkpoint of `polypod train` beside its manifest, or an ONNX file with one input, the observation, and as
-its first output the action. `save_onnx` writes such a file of any torch module, with what the commands need to know.
+A policy is a checkpoint of `polypod train` with its manifest, or an ONNX file with one input, the
+observation, and as its first output the action. `save_onnx` writes such a file of any torch module,
+with the data that the commands need.
 """
 
 import dataclasses
@@ -117,7 +118,8 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     Weights of a network of joints know no slots: it is made ready for the slots of the task and robots that are named.
 
     Args:
-        path: a `model_<n>.pt` beside its manifest, a `.onnx`, or a bundled policy: flat, rough, legged or quadruped.
+        path: a `model_<n>.pt` next to its manifest, a `.onnx`, or a bundled policy: flat, rough,
+            legged or quadruped.
         task: of an ONNX file that does not say so itself, and of a network of joints; others are taken at their word.
         robots: names, as `task`; None: those that the file names, or those of the task.
 
@@ -136,7 +138,7 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
 
 
 def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str] | None) -> dict[str, Any]:
-    """The manifest of a network of joints with the slots that these bodies need, beside those of its training.
+    """The manifest of a network of joints with the slots of these bodies, in addition to those of its training.
 
     In another task the slots are those of the bodies alone.
     """
@@ -194,7 +196,7 @@ def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path
         _check_actions(module, example, sim.num_actions)
         try:
             model = onnx.load_model_from_string(_traced(module, example))
-        except Exception as error:  # of torch's exporter, or of the caller's code
+        except Exception as error:  # from torch's exporter, or from the caller's code
             reason = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
             raise _core.ConfigError(
                 f"torch does not write the module as ONNX: {type(error).__name__}: {reason}; let it compute with "
@@ -219,7 +221,7 @@ def _check_actions(module: torch.nn.Module, observations: torch.Tensor, num_acti
     """Raises ConfigError for a module that is no policy, or one that gives other actions each time."""
     try:
         given = module(observations)
-    except Exception as error:  # of the caller's code
+    except Exception as error:  # from the caller's code
         raise _core.ConfigError(
             f"the module fails for observations {tuple(observations.shape)} of float32 on the CPU: "
             f"{type(error).__name__}: {error}"

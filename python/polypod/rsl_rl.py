@@ -39,7 +39,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         """Wraps `env`.
 
         Args:
-            env: with same-step autoreset; `polypod.terms.CustomTerms` has it.
+            env: with same-step autoreset, as in `polypod.terms.CustomTerms`.
             device: where the learner lives.
             log_extras: put the simulator's log into `extras["log"]` at each step that ends an episode. A learner which
                 reads `unwrapped.sim.log()` by itself switches it off.

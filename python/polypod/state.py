@@ -18,11 +18,12 @@ class State:
     after the last step or reset. Under same-step autoreset that is the new episode's state where one has ended; build
     the env with `autoreset="disabled"` to see the last state of an episode, as `polypod.terms.CustomTerms` does.
 
-    Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order of `VectorEnv.feet_names` with
-    x, y, z side by side: twelve joints and LF, LH, RF, RH for quadrupeds. What a robot lacks is 0, see `action_mask`.
-    Base axes: x forward, y left, z up. After a reset all is computed for the new state; accelerations, efforts, contact
-    forces and times, which belong to physics steps, are 0: none has been made. Rows whose state broke (`valid` is
-    False) are zeros.
+    Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order of
+    `VectorEnv.feet_names` with x, y, z side by side: twelve joints and LF, LH, RF, RH for
+    quadrupeds. Entries for missing joints and feet are 0, see `action_mask`. Base axes: x forward,
+    y left, z up. After a reset all is computed for the new state; accelerations, efforts, contact
+    forces and times, which belong to physics steps, are 0: none has been made. Rows whose state
+    broke (`valid` is False) are zeros.
     """
 
     def __init__(self, sim: Callable[[], _core.VecSim]) -> None:

@@ -47,11 +47,11 @@ class Reward:
 if TYPE_CHECKING:
     _VectorWrapper = VectorWrapper[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[Any]]
 else:
-    _VectorWrapper = VectorWrapper  # of Gymnasium before 1.3 it is not generic
+    _VectorWrapper = VectorWrapper  # Gymnasium before 1.3 has no generic one
 
 
 class CustomTerms(_VectorWrapper):
-    """A polypod env with terms of one's own beside those of its task.
+    """A polypod env with custom terms in addition to those of its task.
 
     A term is a function of `polypod.State`, called once per step with the state that the step has led to, before any
     env is reset. The wrapped env leaves resets to this one, which behaves as with same-step autoreset: an episode that
@@ -257,7 +257,7 @@ class CustomTerms(_VectorWrapper):
             raise ConfigError(f"{self._source}{what} gives {values.ndim} dimensions; return [num_envs, n]")
         self._check(what, values.shape, (self.env.num_envs, self._widths.setdefault(name, values.shape[1])))
         if not (np.abs(values) <= _LARGEST).all():
-            # of a broken robot there is nothing to observe
+            # a broken robot has nothing to observe
             values = np.where(self._state.valid[:, np.newaxis], values, 0.0)
             self._check_finite(what, values)
         return values.astype(np.float32)
@@ -266,7 +266,7 @@ class CustomTerms(_VectorWrapper):
         """Returns a term's value as an array. Raises ConfigError, which begins with `what`."""
         try:
             return np.asarray(value)
-        except Exception as error:  # of the caller's type, such as a tensor that wants a gradient
+        except Exception as error:  # from the caller's type, such as a tensor that wants a gradient
             raise ConfigError(f"{self._source}{what} gives no array: {error}; return a NumPy array") from error
 
     def _numbers(self, what: str, value: Any) -> npt.NDArray[np.float64]:

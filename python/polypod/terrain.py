@@ -27,7 +27,7 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
         overrides: `key=value` changes to the task.
 
     Returns:
-        What was written, in words.
+        Summary of the written file, in words.
 
     Raises:
         ConfigError: the ground is a plane or has no triangles; `out` cannot be written or has another suffix.
@@ -58,7 +58,7 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
 
 
 def picture(ground: "_core.TerrainEntry") -> "Image.Image":
-    """A map of the heights, lit from the upper left; the types of tiles are written beside their columns."""
+    """A map of the heights, lit from the upper left; the types of tiles are written next to their columns."""
     images, drawing = (extras.package(f"PIL.{name}", "a picture", "play") for name in ("Image", "ImageDraw"))
     heights = ground["heights"]
     step = max(1, -(-max(heights.shape) // _MOST_PIXELS))

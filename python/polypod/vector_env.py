@@ -117,9 +117,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
     targets would leave the limits of every robot's joint; actions beyond it are accepted, and the joint then stops at
     its limit.
 
-    Quadrupeds have twelve joints; a batch of different bodies has the joints of all of them, and `action_mask` says
-    which an env's robot has. What it lacks is 0 in observations, and an action for it does nothing. Such a batch has
-    `action_mask` in its infos.
+    Quadrupeds have twelve joints; a batch of different bodies has the joints of all of them, and
+    `action_mask` says which an env's robot has. A missing joint is 0 in observations, and an action
+    for it does nothing. Such a batch has `action_mask` in its infos.
     """
 
     def __init__(self, task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> None:

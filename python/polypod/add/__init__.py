@@ -36,7 +36,7 @@ class Added:
     """Its config, and how it stands."""
     origin: str
     notes: list[str]
-    """What polypod cannot hold and what was done about it, and what was assumed."""
+    """Features that polypod cannot hold and their treatment, and assumptions."""
     errors: dict[str, judge.Errors]
     """Differences from MuJoCo's model of the file, by precision; empty where MuJoCo has none."""
     has_license: bool

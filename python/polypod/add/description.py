@@ -25,7 +25,7 @@ class Surface:
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """What a link touches the ground with."""
+    """Collision shape of a link."""
 
     kind: Literal["sphere", "capsule", "cylinder", "box", "mesh"]
     size: tuple[float, ...]
@@ -45,7 +45,7 @@ class Shape:
 
 @dataclasses.dataclass
 class Drive:
-    """What the file's actuators do at one joint, all of them together."""
+    """Sum of the file's actuators at one joint."""
 
     stiffness: float | None = None
     """N m/rad; None where none of them is a position servo."""
@@ -96,7 +96,7 @@ class Link:
     turn: Array
     """[3, 3]."""
     joint: Joint | None
-    """What it hangs on; None: it is fixed."""
+    """Joint that it hangs on; None: it is fixed."""
     mass: float = 0.0
     com: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
     inertia: Array = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
@@ -115,7 +115,7 @@ class Description:
     held: dict[str, float]
     """Joints that do not move in polypod, and where, rad or m."""
     notes: list[str]
-    """What polypod cannot hold and what was done about it, one line each."""
+    """Features that polypod cannot hold and their treatment, one line each."""
 
     @property
     def joints(self) -> list[Joint]:

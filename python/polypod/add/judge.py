@@ -209,7 +209,7 @@ class _Reference:
         return worst
 
     def at(self, qpos: Array, qvel: Array, torque: Array) -> dict[str, Array]:
-        """What MuJoCo computes in a state of polypod's."""
+        """MuJoCo's results in a state of polypod's."""
         mj, model, data = self.mj, self.model, self.data
         mj.mj_resetData(model, data)
         turn = matrix(qpos[3:7]) @ self.turn_base.T

@@ -1,7 +1,7 @@
 """An MJCF file as MuJoCo compiles it, written down: links, joints, shapes, drives and a pose to stand in.
 
-MuJoCo itself reads the file. Nobody else knows defaults, classes, frames, replicas, includes and attachments, and the
-compiled model has them all resolved. What is taken from it, and how:
+MuJoCo itself reads the file. Nobody else knows defaults, classes, frames, replicas, includes and
+attachments, and the compiled model has them all resolved. These parts are taken from it:
 
 - A body is a link. A body with several joints is a chain of links, all but the last of which weigh `TOKEN`. This mass
   is taken off the body where it lies, in the anchor of the joint, so that anchors in one point change nothing.
@@ -309,7 +309,7 @@ class Reader:
     # Drives
 
     def _drives(self) -> dict[int, Drive]:
-        """What drives each joint; notes what is driven otherwise."""
+        """Drives of the joints; notes joints that are driven otherwise."""
         mj, model = self.mj, self.model
         drives: dict[int, Drive] = {}
         odd: dict[str, list[str]] = {}
@@ -630,7 +630,7 @@ class Reader:
             links.append(Link(self._unique(part, "body", body), parent, at, np.eye(3), None, shapes=own))
 
     def _standing(self, geoms: list[int], body: int) -> set[int]:
-        """Those of a limb's end that stand on the ground, where they are not all of them."""
+        """Shapes of a limb's end that stand on the ground; empty where all of them do."""
         model = self.model
         if len(geoms) < 2 or any(self._moving_below(child) for child in self._children(body)):
             return set()
@@ -733,7 +733,7 @@ class Reader:
             at, turn = np.array(model.site_pos[site]) - anchor, matrix(model.site_quat[site])
             links.append(Link(self._unique(name, "site", site), parent, at, turn, None))
 
-    # What else the file says
+    # Other data of the file
 
     def _left_out(self) -> None:
         """Notes what has no place in a robot of polypod's."""

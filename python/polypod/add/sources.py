@@ -19,7 +19,7 @@ from polypod.files import read_bytes
 SNIFFED = 1 << 16
 """Bytes in which the root element of a file stands."""
 MOST_BYTES = 64 << 20
-"""Of a URDF."""
+"""Largest URDF that is read."""
 MOST_LICENSE = 1 << 20
 DEEP = 6
 """Folders below the one that is searched."""
@@ -40,13 +40,13 @@ class Source:
     kind: Kind
     file: Path
     origin: str
-    """What the user has named."""
+    """Text by which the user has named it."""
     license: str | None
     """The text of the licence next to it."""
     license_name: str | None = None
-    """What its package says that the licence is."""
+    """Licence that its package states."""
     arguments: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """Of a xacro file."""
+    """Arguments of a xacro file."""
     package_dirs: Mapping[str, Path] = dataclasses.field(default_factory=dict)
     """ROS package -> folder."""
 
@@ -111,7 +111,7 @@ def _check_is_there(path: Path) -> None:
 
 
 def _kind(path: Path) -> Kind | None:
-    """What a file is, by its root element."""
+    """Kind of a file, by its root element."""
     name = path.name.lower()
     if name.endswith(".xacro"):
         return "xacro"

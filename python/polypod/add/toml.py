@@ -25,7 +25,7 @@ _UNITS = {
 
 @dataclasses.dataclass(frozen=True)
 class Slots:
-    """Which joint of the file each slot is, and which way it turns."""
+    """Joint of the file for each slot, and its direction."""
 
     joint_of: dict[str, str]
     sign_of: dict[str, float]

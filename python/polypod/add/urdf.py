@@ -24,7 +24,7 @@ MOST_MESHES = 1 << 30
 
 @dataclasses.dataclass(frozen=True)
 class Copy:
-    """What is written of a URDF."""
+    """Copy of a URDF as it is written."""
 
     text: str
     meshes: dict[str, bytes]

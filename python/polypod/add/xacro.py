@@ -1,4 +1,4 @@
-"""Xacro files, expanded in a process of their own; see `polypod.add.xacro_child` for what is guarded and how."""
+"""Xacro files, expanded in a separate process; see `polypod.add.xacro_child` for its guards."""
 
 import json
 import subprocess

@@ -22,11 +22,11 @@ from typing import Any
 MEMORY = 2 << 30
 """Bytes."""
 SECONDS = 60
-"""Of computing."""
+"""Largest computing time."""
 LONGEST = 1 << 20
 """Items of a sequence and letters of a text that an expression may make."""
 LARGEST = 1 << 1024
-"""Of the integers."""
+"""Largest integer."""
 
 _BUILTINS: dict[str, Callable[..., Any]] = {
     function.__name__: function

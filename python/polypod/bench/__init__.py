@@ -1,4 +1,7 @@
-"""How fast the simulator is, beside MuJoCo in the same run: `polypod bench`. It needs the `bench` extra."""
+"""Speed of the simulator, compared with MuJoCo in the same run: `polypod bench`.
+
+Needs the `bench` extra.
+"""
 
 from polypod.bench.report import Options, measure, picture, table
 

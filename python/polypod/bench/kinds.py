@@ -1,4 +1,4 @@
-"""A batch of many kinds of bodies beside the same kinds one by one: what it costs to mix them."""
+"""Cost of a batch of many kinds of bodies, compared with the same kinds one by one."""
 
 import json
 import os
@@ -32,7 +32,7 @@ KINDS = (
 )
 """Sixteen of two, four and six legs, with 6 to 29 joints."""
 SECONDS, ROUNDS = 0.4, 5
-"""Of one timing, and timings of each."""
+"""Length of one timing, and number of timings of each batch."""
 
 
 def measure(robots: Sequence[str], num_envs: int, threads: int | None, seed: int, progress: Progress) -> dict[str, Any]:

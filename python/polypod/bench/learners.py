@@ -28,7 +28,7 @@ ITERATIONS = 3
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to train."""
+    """Options of the trainings."""
 
     train_config: str = "quick"
     num_envs: int | None = None
@@ -40,7 +40,7 @@ class Options:
     """None: those of the task."""
 
     def conditions(self) -> dict[str, Any]:
-        """What figures of these trainings were measured on."""
+        """Conditions under which figures of these trainings were measured."""
         info = _core.info()
         return {
             "measured": provenance.measured(),

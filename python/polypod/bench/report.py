@@ -1,4 +1,4 @@
-"""What is measured, and how it is shown."""
+"""Measurements of the speed, and their report."""
 
 import dataclasses
 import os
@@ -19,13 +19,13 @@ Progress = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to measure."""
+    """Options of the measurements."""
 
     robot: str = "unitree_a1"
-    """Of the physics figures."""
+    """Robot of the physics figures."""
     num_envs: int = 4096
     threads: int = 1
-    """Of the physics figures; whole control steps use `step_threads`."""
+    """Threads of the physics figures; whole control steps use `step_threads`."""
     step_threads: int | None = None
     """None: all cores."""
     seed: int = 0
@@ -75,7 +75,7 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
 
 def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float | None]:
     name, threads, seed = options.robot, options.threads, options.seed
-    # MuJoCo's rate does not depend on the number of envs; its samples are to be short
+    # MuJoCo's rate does not depend on the number of envs; its samples shall be short
     few = min(options.num_envs, 256 * threads)
     samples = {
         "env_steps_per_s": physics.polypod(name, options.num_envs, threads, seed),
@@ -89,7 +89,7 @@ def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float |
     measured = sampling.rates(samples, seconds, rounds)
     figures: dict[str, float | None] = {"mujoco_batch_steps_per_s": None, "batch_ratio": None}
     figures |= sampling.medians(measured)
-    # of the samples of one round: what slows the machine slows all of them
+    # ratios of samples of one round: a slower machine slows all of them
     for ratio, other in (("ratio", "mujoco_steps_per_s"), ("batch_ratio", "mujoco_batch_steps_per_s")):
         if other in measured:
             pairs = zip(measured["env_steps_per_s"], measured[other], strict=True)
@@ -189,7 +189,7 @@ def _ratios(result: Mapping[str, Any]) -> str:
 
 
 def picture(result: Mapping[str, Any], out: Path) -> None:
-    """Plots the physics beside MuJoCo's, and the scaling.
+    """Plots the physics next to MuJoCo's, and the scaling.
 
     Raises ConfigError without matplotlib, after --quick, or where it cannot be written.
     """

@@ -1,8 +1,8 @@
 """How trainings scale over workers of one machine: `polypod bench --workers`.
 
-The same cores are shared out among more and more workers. What is measured is what several workers cost: the time that
-they wait for one another, and the bytes that they send. With GPUs worker 0 learns on the first, worker 1 on the second;
-workers beyond the GPUs share them.
+The same cores are shared out among more and more workers. The figures are the cost of several
+workers: the time that they wait for one another, and the bytes that they send. With GPUs worker 0
+learns on the first, worker 1 on the second; workers beyond the GPUs share them.
 """
 
 import json
@@ -28,7 +28,7 @@ NETWORKS = {"1 Gbit/s": 1e9 / 8, "10 Gbit/s": 1e10 / 8, "100 Gbit/s": 1e11 / 8}
 CUDA = "cuda"
 LEARNER = "native"
 LONGEST_S = 600.0
-"""Of one number of workers."""
+"""Longest training of one number of workers."""
 
 
 def measure(options: Options, counts: Sequence[int], progress: Progress, device: str = "cpu") -> dict[str, Any]:
@@ -41,7 +41,8 @@ def measure(options: Options, counts: Sequence[int], progress: Progress, device:
         device: cpu, or cuda for updates on GPUs.
 
     Raises:
-        ConfigError: for envs that so many workers cannot share, and for a training that fails.
+        ConfigError: for envs that these numbers of workers cannot share, and for a training that
+            fails.
     """
     cores = options.threads or _core.info()["threads"]
     train_config = config.with_run(config.load(options.train_config), num_envs=options.num_envs)
@@ -127,7 +128,8 @@ def _table_of_gpus(result: Mapping[str, Any]) -> str:
 def limit_s(rows: Mapping[str, Mapping[str, Any]], bytes_per_second: float) -> float:
     """Seconds that a network takes for what many workers send in an iteration.
 
-    Of the gradients of a mini-batch, `n` bytes, each of W workers sends `(W - 1) / W` twice; 2 workers send `n` once.
+    Each of W workers sends `2 (W - 1) / W * n` bytes for a mini-batch's gradients of `n` bytes; 2
+    workers send `n`.
     """
     count = max(map(int, rows))
     sent = rows[str(count)]["sent_bytes"]
@@ -135,7 +137,7 @@ def limit_s(rows: Mapping[str, Mapping[str, Any]], bytes_per_second: float) -> f
 
 
 def _work(asked: Mapping[str, Any]) -> None:
-    """What a worker does; worker 0 prints the figures."""
+    """Work of a worker; worker 0 prints the figures."""
     is_cuda = asked["device"] == CUDA
     workers = Workers.join(is_cuda)
     device = f"{CUDA}:{torch.cuda.current_device()}" if is_cuda else "cpu"

@@ -31,12 +31,13 @@ class Adapt:
     robot: Annotated[str, tyro.conf.Positional, arg(metavar="ROBOT")]
     """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, of which a config is drafted."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Policy to begin with: a model_<n>.pt beside its manifest.json, the name of a run, or a bundled policy. Default:
-    quadruped for four legs; for others legged if it has a column for every joint, else quadruped."""
+    """Policy to begin with: a model_<n>.pt next to its manifest.json, the name of a run, or a
+    bundled policy. Default: quadruped for four legs; for others legged if it has a column for every
+    joint, else quadruped."""
     neighbours: int = 0
     """Also train N robots of the policy that are described most like it, so that they are not forgotten."""
     max_minutes: float = 15.0
-    """End after so many minutes, drafting and measuring included."""
+    """End after this many minutes, drafting and measuring included."""
     every: int = 10
     """Iterations between two measurements."""
     train_config: Name = None

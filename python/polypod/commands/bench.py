@@ -15,7 +15,7 @@ NUM_ENVS = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure the speed, physics beside MuJoCo in the same run; or that of trainings."""
+    """Measure the speed of the physics, with MuJoCo's in the same run, or the speed of trainings."""
 
     learner: bool = False
     """Measure instead where an iteration of a training goes, for every learner of this machine."""
@@ -24,8 +24,8 @@ class Bench:
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
     """Measure trainings with these numbers of workers instead, which share the same cores: for example 1,2,4."""
     kinds: Annotated[str | None, arg(metavar="ROBOT,ROBOT")] = None
-    """Measure instead a batch of these kinds of bodies beside the same kinds one by one; `all`: sixteen kinds with two,
-    four and six legs."""
+    """Measure instead a batch of these kinds of bodies and the same kinds one by one; `all`:
+    sixteen kinds with two, four and six legs."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of --workers: workers on the CPU's cores, or on the machine's GPUs."""
     train_config: str = "quick"
@@ -39,7 +39,7 @@ class Bench:
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Also plot the physics beside MuJoCo's and how the speed scales (.png, .svg, .pdf)."""
+    """Also plot the physics next to MuJoCo's and how the speed scales (.png, .svg, .pdf)."""
     robot: str = "unitree_a1"
     """Robot whose physics is compared."""
     num_envs: Count = None

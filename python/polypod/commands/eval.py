@@ -14,8 +14,9 @@ class Eval:
     """Measure a trained policy and say which robots walk: no noise, no pushes, one full episode per env."""
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough, legged or quadruped. Of several, the seeds of one training, the mean and its interval too."""
+    """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
+    it, or a bundled policy: flat, rough, legged or quadruped. For several, the seeds of one
+    training, also the mean and its interval."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None

@@ -14,10 +14,10 @@ class Export:
     """Write a trained policy as ONNX and TorchScript, with a manifest; needs the extra export."""
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough, legged or quadruped."""
+    """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
+    it, or a bundled policy: flat, rough, legged or quadruped."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Where to. Default: exported/ beside the checkpoint."""
+    """Directory to write. Default: exported/ next to the checkpoint."""
     robots: RobotNames = None
     """Also one graph per robot named here, with commas between, from its sensors to its joint targets."""
     fold: bool = False

@@ -11,7 +11,7 @@ from polypod.commands.arguments import Count, Name, Overrides, RobotNames, arg, 
 
 @dataclasses.dataclass(frozen=True)
 class FilmOf:
-    """Film a policy without a display: a walk, a training, a push, or polypod beside MuJoCo; needs the extra play.
+    """Film a policy without a display: a walk, a training, a push, or a comparison with MuJoCo; needs the extra play.
 
     `polypod play --video` films what else there is, such as rough ground.
     """
@@ -23,8 +23,9 @@ class FilmOf:
     out: Annotated[Path, tyro.conf.Positional]
     """The film: .gif, .webp or .mp4."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough, legged or quadruped. Of a training also the folder of its run. Default: flat."""
+    """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
+    it, or a bundled policy: flat, rough, legged or quadruped. For a training also the folder of its
+    run. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Annotated[tuple[float, float, float], arg(metavar="VX VY WZ")] = (0.6, 0.0, 0.0)

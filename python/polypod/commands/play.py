@@ -22,8 +22,8 @@ class Play:
     """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
 
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough, legged or quadruped. Default: flat."""
+    """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
+    it, or a bundled policy: flat, rough, legged or quadruped. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None

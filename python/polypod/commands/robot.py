@@ -11,7 +11,7 @@ from polypod.commands.arguments import Feet, Locks, Name, PackageDirs, Roles, ar
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """Write a first config beside a URDF: `polypod robot new FILE.urdf`; `polypod add` also copies and compares it."""
+    """Write a first config next to a URDF: `polypod robot new FILE.urdf`; `polypod add` also copies and compares it."""
 
     action: Annotated[Literal["new"], tyro.conf.Positional]
     """new: find legs and arms and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""
@@ -20,7 +20,7 @@ class Robot:
     name: Name = None
     """The robot's name in configs. Default: that of --out, of the URDF, or of its file."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The TOML to write. Default: <name>.toml beside the URDF."""
+    """The TOML to write. Default: <name>.toml next to the URDF."""
     package_dir: PackageDirs = ()
     """Where a ROS package of `package://` names lies. May be repeated."""
     foot: Feet = ()

@@ -29,8 +29,8 @@ class Robustness:
     """
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough, legged or quadruped."""
+    """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
+    it, or a bundled policy: flat, rough, legged or quadruped."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     conditions: Robots = None

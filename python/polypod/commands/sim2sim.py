@@ -10,14 +10,14 @@ from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, a
 
 @dataclasses.dataclass(frozen=True)
 class Sim2sim:
-    """Let the exported policy drive the same robots in MuJoCo, beside polypod; needs the extras export and bench.
+    """Let the exported policy drive the same robots in MuJoCo and in polypod; needs the extras export and bench.
 
     Exit code 3 when a robot does not walk in MuJoCo, by the definition that eval judges by.
     """
 
     checkpoint: Path
-    """A model_<n>.pt beside its manifest.json, a policy as ONNX, the name of a run or the end of it, or a bundled
-    policy: flat, rough, legged or quadruped."""
+    """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
+    it, or a bundled policy: flat, rough, legged or quadruped."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's; with --model, the one whose joints it has."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None

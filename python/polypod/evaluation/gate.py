@@ -19,7 +19,7 @@ from polypod.evaluation.rollout import play_task, undisturbed
 from polypod.networks.policies import Policy, reset
 
 COMMANDS = ((0.8, 0.0, 0.0), (-0.5, 0.0, 0.0), (0.3, 0.0, 1.0), (0.3, 0.0, -1.0), (0.0, 0.4, 0.0), (0.0, 0.0, 0.0))
-"""Of the battery: forward and left velocity, m/s, and yaw rate, rad/s."""
+"""Commands of the battery: forward and left velocity, m/s, and yaw rate, rad/s."""
 ENVS_PER_COMMAND = 4
 BATTERY_S = 20.0
 WALK = (0.5, 0.0, 0.0)
@@ -42,17 +42,17 @@ class Gate:
     """One robot's figures."""
 
     battery_falls: int
-    """Of all envs and commands."""
+    """Falls over all envs and commands."""
     battery_perf: float
     """Mean over time of `measures.tracking`, at most 1."""
     action_jerk_rms: float
     """Root of the mean square of the change of the legs' actions from one control step to the next."""
     ang_vel_xy_rms: float
-    """Of roll and pitch rate together, rad/s."""
+    """Root mean square of roll and pitch rate together, rad/s."""
     yaw_rate_rms: float
     """rad/s."""
     leg_qvel_rms: float
-    """Of the speeds of the legs' joints, rad/s."""
+    """Root mean square of the speeds of the legs' joints, rad/s."""
     walk_falls: int
     """In the walk ahead; not bounded."""
 
@@ -142,7 +142,7 @@ def measure(
 
 @dataclasses.dataclass(frozen=True)
 class _Motion:
-    """What robots did, by control steps and envs."""
+    """Motion of the robots, by control steps and envs."""
 
     fell: npt.NDArray[np.bool_]
     score: measures.Array

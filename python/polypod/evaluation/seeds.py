@@ -13,7 +13,7 @@ from polypod.evaluation import walking
 from polypod.evaluation.results import FIGURES, Evaluation, finite
 
 WALKING = tuple(name for name in walking.FIGURES if name not in FIGURES)
-"""Names of the figures of walking that a robot has beside `results.FIGURES`."""
+"""Names of the figures of walking that a robot has in addition to `results.FIGURES`."""
 
 CONFIDENCE = 0.95
 """Confidence of an interval: the share of intervals, computed like this, that hold the true mean."""

@@ -180,8 +180,9 @@ def schedule_of(sim: _core.VecSim, steps: int, seed: int) -> Schedule:
 def kinds_of(ranges: Ranges) -> tuple[str, ...]:
     """The kinds of segments that a command box has, of `KINDS`.
 
-    A pure turn needs yaw rates of `LEAST_RANGE` and more, and a box that holds no forward and no left velocity; a pure
-    side-step the same of its own speeds.
+    A pure turn needs yaw rates of `LEAST_RANGE` and more, and a box that contains zero forward and
+    zero left velocity. A pure side-step needs such left velocities, and a box that contains zero
+    forward velocity and zero yaw rate.
     """
     x, y, turn = (ranges[key] for key in _SPEEDS)
     has_none = [low <= 0.0 <= high for low, high in (x, y, turn)]

@@ -25,7 +25,7 @@ from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
 Format = Literal["onnx", "torchscript"]
 
 FOLDER = "exported"
-"""Beside the checkpoint, where nothing else is asked for."""
+"""Folder next to the checkpoint that is the default."""
 _ROWS = 256
 _NETWORK = ("class_name", "hidden_dims", "activation", "rnn_type", "rnn_hidden_dim", "rnn_num_layers")
 """Keys of the manifest that describe the network."""
@@ -53,8 +53,8 @@ def export_checkpoint(
     """Writes the policy of a checkpoint, and one graph per robot where robots are named or `fold` is set.
 
     Args:
-        checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
-        out: the directory; None: `exported` beside the checkpoint.
+        checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
+        out: the directory; None: `exported` next to the checkpoint.
         robots: names or paths of configs to fold the policy for, also of robots that it was not trained on.
         fold: fold for all robots of the training, where `robots` are not named.
         formats: kinds of files.

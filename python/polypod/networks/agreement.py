@@ -126,7 +126,7 @@ def _in_double(module: torch.nn.Module, inputs: Sequence[torch.Tensor]) -> list[
     """The outputs in float64; None for a module that computes in float32 alone, such as an ONNX file."""
     try:
         found = copy.deepcopy(module).double()(*(value.double() for value in inputs))
-    except Exception:  # of the module's own code, which need not know of float64
+    except Exception:  # from the module's own code, which need not know of float64
         return None
     outputs = (found,) if isinstance(found, torch.Tensor) else found
     return _outputs(outputs) if all(output.dtype is torch.float64 for output in outputs) else None

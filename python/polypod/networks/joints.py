@@ -19,7 +19,7 @@ class JointColumns:
     states: npt.NDArray[np.int64]
     """[numbers, joints], what a joint does: terms of the kind `per_joint`, such as position, velocity, last action.
 
-    Of a term with a history every control step is a number, the oldest first."""
+    Each control step of a term with a history is a number, the oldest first."""
     magnitudes: npt.NDArray[np.float32]
     """[numbers], typical magnitude of each of these."""
     descriptions: npt.NDArray[np.int64]

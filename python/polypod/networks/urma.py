@@ -6,10 +6,11 @@ body's state, and one decoder turns it into each joint's action by the joint's d
 an action depends on the joint's description. As in the author's later networks, a joint's action is an inner product of
 the body's state and the joint's key. Here each head shares its attention among a robot's joints.
 
-Joints must be told apart before anything can be learned about them. What tells joints of one robot apart is how their
-descriptions differ from each other, so every description is compared with those of the other joints, and sines of the
-comparison are the joint's code. Codes of different joints are nearly orthogonal for any robot, so that each joint
-starts with a separate reading and key, and codes of corresponding joints of different robots are nearly the same.
+Joints must be told apart before anything can be learned about them. The joints of one robot differ
+in their descriptions, so every description is compared with those of the other joints, and sines of
+the comparison are the joint's code. Codes of different joints are nearly orthogonal for any robot,
+so that each joint starts with a separate reading and key, and codes of corresponding joints of
+different robots are nearly the same.
 """
 
 import contextlib
@@ -194,7 +195,7 @@ class JointNetwork(torch.nn.Module):
         joints = self._joints(observations)
         description = self.describe(joints.descriptions)
         state = self.activation(self.state(joints.states) + self.state_by_description(description))
-        # of deviation 1
+        # with deviation 1
         code = math.sqrt(2.0) * torch.sin(_at_least_single(self.code(joints.relative)))
         attention = joints.at_places(self.attention(description) + self.focus(code))
         shares = attention.masked_fill(~joints.present.unsqueeze(-1), OUTSIDE).softmax(dim=1)

@@ -46,8 +46,8 @@ class Choice:
 class Live:
     """A player, its page, and what a user of the page does with them.
 
-    Everything that the page asks for is done by `run`, between two control steps: whoever is called by the page calls
-    `later`. What fails is told on the page, and the simulation goes on.
+    `run` does everything that the page asks for, between two control steps: code that the page
+    calls uses `later`. Failures are shown on the page, and the simulation goes on.
     """
 
     def __init__(

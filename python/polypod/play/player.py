@@ -57,7 +57,8 @@ class Player(Scene):
         """Loads the policy and begins the first episodes.
 
         Args:
-            checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file, see `polypod.policy`.
+            checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file, see
+                `polypod.policy`.
             robots: names or paths of configs; None: those that the policy was trained on.
             command: forward and left velocity, m/s, and yaw rate, rad/s. The robots then begin side by side, looking
                 along x. None: as the task draws it.

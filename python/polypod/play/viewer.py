@@ -360,7 +360,7 @@ def terrain_glb(ground: Ground) -> bytes:
     mesh = trimesh.Trimesh(ground.vertices, ground.triangles, vertex_colors=rgba, process=False)
 
     def matt(tree: dict[str, Any]) -> None:
-        """The default material of glTF is a metal, and walls are to be seen from both sides."""
+        """The default material of glTF is a metal, and walls must be visible from both sides."""
         tree["materials"] = [
             {"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
         ]

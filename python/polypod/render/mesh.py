@@ -52,7 +52,7 @@ def lit(corners: Array, camera: Array, light: Array) -> tuple[npt.NDArray[np.boo
         camera: where it is, m.
         light: where light comes from, of unit length.
     """
-    # of the diagonals; a triangle keeps its sense
+    # product of the diagonals; a triangle keeps its sense
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     lengths = np.linalg.norm(normals, axis=1)
     facing = (lengths > 1e-12) & (np.einsum("ij,ij->i", normals, camera - corners.mean(axis=1)) > 0.0)

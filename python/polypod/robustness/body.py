@@ -1,4 +1,4 @@
-"""What a condition has to know of a robot to say how it changes it."""
+"""Numbers of a robot that a condition needs to say how it changes it."""
 
 import dataclasses
 import json
@@ -24,9 +24,9 @@ class Body:
     actuator_groups: tuple[str, ...]
     """Names of its groups of actuators."""
     trunk_mass: float
-    """Of the base with all that is fixed to it, kg."""
+    """Mass of the base with all that is fixed to it, kg."""
     base_height: float
-    """Of the base in the default pose, m."""
+    """Height of the base in the default pose, m."""
     ranges: Mapping[str, tuple[float, float]]
     """Its command box: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s)."""
 

@@ -16,7 +16,7 @@ CONDIMS = (3, 4, 6)
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """What a robot has to keep to in a condition."""
+    """Bounds that a robot must keep in a condition."""
 
     falls: float = 0.05
     """Largest share of episodes with a fall."""
@@ -47,7 +47,7 @@ class Condition:
     family: str
     """Conditions that vary the same quantity."""
     varies: str
-    """What it varies, and to which value, with its unit."""
+    """Quantity that it varies and its value, with its unit."""
     bound: Bound
     overrides: Overrides = overrides.nothing
     """Changes of the task in polypod, for one robot."""

@@ -25,7 +25,7 @@ Step = Callable[[int, int], None]
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What all conditions of a battery have in common."""
+    """Setting that all conditions of a battery share."""
 
     task: str
     """The Play variant."""
@@ -121,7 +121,7 @@ class Nominal:
 
     @classmethod
     def of(cls, setting: Setting, num_envs: int) -> "Nominal":
-        """Those of a setting, for `num_envs` of each robot."""
+        """The nominal robots of a setting, `num_envs` of each."""
         sim = setting.sim(num_envs)
         columns = description_columns(sim)
         dt = tomllib.loads(sim.resolved_config())["task"]["sim"]["dt"]
@@ -130,7 +130,7 @@ class Nominal:
 
 @dataclasses.dataclass(frozen=True)
 class Ran:
-    """What a simulation did in a condition."""
+    """Record of a simulation in a condition."""
 
     record: Record
     envs: dict[str, slice]

@@ -1,4 +1,4 @@
-"""What a user of `polypod robustness` sees: a table with a row per condition and simulator."""
+"""Report of `polypod robustness`: a table with a row per condition and simulator."""
 
 import math
 from collections.abc import Iterable
@@ -7,7 +7,8 @@ from polypod.robustness.results import Battery, Row
 from polypod.tables import Rows, console_of_output
 
 COLUMNS = ("falls", "most", "of", "kept", "err xy", "still", "err yaw", "turn err", "turn", "drift", "within")
-"""Of the table. `most` and `of` are of the worst robot, the others are means over the robots."""
+"""Columns of the table. `most` and `of` are of the worst robot, the others are means over the
+robots."""
 
 
 def show(battery: Battery) -> None:

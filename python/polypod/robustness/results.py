@@ -49,8 +49,9 @@ class Row:
     condition: str
     varies: str
     simulator: str
-    """`polypod`, or `mujoco` with the dimension of its contacts: `mujoco-3`, `mujoco-4`, `mujoco-6`. Of a maker's model
-    `model`, with contacts as its file has them, or with their dimension."""
+    """`polypod`, or `mujoco` with the dimension of its contacts: `mujoco-3`, `mujoco-4`,
+    `mujoco-6`. For a maker's model `model`, with contacts as its file has them, or with their
+    dimension."""
     robots: dict[str, Cell]
     not_applicable: dict[str, str]
     """Why a robot has no figures, by robot."""

@@ -31,7 +31,7 @@ _POLYPOD_ALONE = "the randomisation of a training is polypod's alone"
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Options of a battery."""
 
     conditions: tuple[str, ...] | None = None
     """Names of conditions or families; None: all."""
@@ -81,7 +81,8 @@ def measure(
     The figures depend on the policy, the robots and the options but `threads` alone.
 
     Args:
-        checkpoint: a `model_<n>.pt` beside its manifest, an ONNX file that says its task, or a bundled policy.
+        checkpoint: a `model_<n>.pt` next to its manifest, an ONNX file that says its task, or a
+            bundled policy.
         robots: names or paths of configs; None: those that the policy was trained on.
         options: see `Options`.
         progress: told how far the battery is.

@@ -13,9 +13,9 @@ Commands = Callable[[Ranges, int, int, float, int], Schedule | None]
 None where the box has no such commands."""
 
 TURN_RATE = 0.6
-"""Of pure turns, rad/s, or the largest of the box."""
+"""Rate of pure turns, rad/s, or the largest of the box."""
 SIDE_SPEED = 0.5
-"""Of pure side-steps, m/s, or the largest of the box."""
+"""Speed of pure side-steps, m/s, or the largest of the box."""
 SHORT_S = 2.0
 """Time between two commands that change often, s."""
 PUSH_SPEED = 0.5

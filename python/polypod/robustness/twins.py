@@ -1,6 +1,7 @@
 """Changes of a robot in MuJoCo: each function returns one that changes a twin or a maker's model before its first step.
 
-Each has a compiled model of its own. `run` computes MuJoCo's derived constants anew after the change.
+Each has a separate compiled model. `run` computes MuJoCo's derived constants again after the
+change.
 """
 
 import dataclasses
@@ -115,7 +116,7 @@ def torque(share: float) -> Change:
         model, actuators = twin.reference.model, twin.robot.actuators
         model.actuator_gainprm[:, 0] *= share
         model.actuator_biasprm[:, 1:3] *= share
-        # of a maker's model; a twin sets them anew in every step
+        # for a maker's model; a twin sets them in every step
         model.actuator_forcerange[:] *= share
         model.jnt_actfrcrange[:] *= share
         weaker = dataclasses.replace(

@@ -1,7 +1,7 @@
 """Reader of manifests, with the schema that they must follow. Nothing in a manifest names code.
 
-A class is one of a list, a number has a range, a size is checked before anything is allocated by it. What a manifest
-says beyond this is left out.
+A class is one of a list, a number has a range, a size is checked before anything is allocated by
+it. Other parts of a manifest are left out.
 """
 
 import itertools
@@ -125,7 +125,7 @@ class Manifest(TypedDict):
     train_config: dict[str, dict[str, Any]]
     terms: NotRequired[TermsManifest]
     trained_bodies: NotRequired[Annotated[list[BodyManifest], Meta(max_length=65536)]]
-    """Of policies that read descriptions of joints."""
+    """Bodies of policies that read descriptions of joints."""
     versions: NotRequired[dict[str, str]]
     git: NotRequired[dict[str, Any] | None]
     checkpoints: NotRequired[dict[str, Sha256]]

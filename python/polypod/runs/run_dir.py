@@ -165,8 +165,8 @@ def load_checkpoint(path: Path, map_location: str | torch.device = "cpu") -> dic
     """Reads a checkpoint; nothing in the file is executed.
 
     Raises:
-        ConfigError: for a file that is none, that is damaged, whose SHA-256 is not that of the manifest beside it, or
-            whose weights are not all finite.
+        ConfigError: for a file that is no checkpoint, that is damaged, whose SHA-256 differs from
+            the manifest next to it, or whose weights are not all finite.
     """
     return checkpoint_of(read_checkpoint(path), path, map_location)
 
@@ -188,7 +188,7 @@ def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "c
             if (broken := archive.testzip()) is not None:
                 raise zipfile.BadZipFile(f"{broken} is not as it was written")
         with warnings.catch_warnings():
-            # of tensors that are refused below
+            # warnings about tensors that are refused below
             warnings.simplefilter("ignore")
             state = torch.load(io.BytesIO(data), map_location=map_location, weights_only=True)
     except pickle.UnpicklingError as error:  # torch's message is advice to trust the file
@@ -259,7 +259,7 @@ def _check_weights(weights: Any, place: str) -> None:
 
 
 def _check_sum(path: Path, data: bytes) -> None:
-    """Compares a checkpoint with what the manifest beside it says, if that knows the file."""
+    """Compares a checkpoint with the manifest next to it, if that knows the file."""
     beside = path.parent / MANIFEST
     known = manifest.read(beside).get("checkpoints", {}).get(path.name) if beside.is_file() else None
     if known is not None and known != hashlib.sha256(data).hexdigest():
@@ -270,12 +270,12 @@ def _check_sum(path: Path, data: bytes) -> None:
 
 
 def read_manifest(checkpoint: Path) -> dict[str, Any]:
-    """The manifest beside a checkpoint. Raises ConfigError when it is missing or broken."""
+    """The manifest next to a checkpoint. Raises ConfigError when it is missing or broken."""
     return manifest.read(checkpoint.parent / MANIFEST)
 
 
 def save_checkpoint(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
-    """Writes a checkpoint, whole or not at all, and its SHA-256 to the manifest beside it.
+    """Writes a checkpoint, whole or not at all, and its SHA-256 to the manifest next to it.
 
     A process may be killed at any point between: a checkpoint without an entry is read, by its own checksums alone.
 
@@ -300,7 +300,10 @@ def save_checkpoint(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
 
 
 def remove_checkpoint(path: Path) -> None:
-    """Removes a checkpoint and its entry in the manifest beside it. Raises OSError where it cannot be removed."""
+    """Removes a checkpoint and its entry in the manifest next to it.
+
+    Raises OSError where it cannot be removed.
+    """
     path.unlink(missing_ok=True)
     beside = path.parent / MANIFEST
     content = json.loads(beside.read_text(encoding="utf-8"))
@@ -348,7 +351,7 @@ def write_params(
     if slots:
         manifest["slots"] = list(slots)
     if terms is not None:
-        # what was run, and nothing that is run by itself
+        # a record of what was run; it is never run by itself
         manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}
         write_bytes(run / "params" / "terms.py", terms.path.read_bytes())
     write_text(run / MANIFEST, json.dumps(manifest, indent=2) + "\n")

@@ -171,7 +171,8 @@ class DistillationConfig:
     """
 
     teacher: str
-    """A model_<n>.pt beside its manifest.json, or a bundled policy: flat, rough, legged or quadruped."""
+    """A model_<n>.pt next to its manifest.json, or a bundled policy: flat, rough, legged or
+    quadruped."""
     gradient_length: int = 15
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
@@ -362,7 +363,7 @@ class TrainConfig:
 
 
 def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
-    """The network as the native learner has it, which sees these observation groups side by side."""
+    """The network for the native learner, which sees these observation groups side by side."""
     native: dict[str, Any] = {key: getattr(network, key) for key in ("hidden_dims", "activation", "obs_normalization")}
     if sim is None or (network.class_name == MLP and len(sim.observation_groups) == 1):
         network.model_cfg(sim, groups)
@@ -370,7 +371,7 @@ def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Seq
     seen = [column for group in groups for column in range(*sim.observation_groups[group])]
     if network.class_name == MLP:
         return {**native, "columns": seen}
-    from polypod.networks.joints import joint_columns  # whose package imports torch
+    from polypod.networks.joints import joint_columns  # its package imports torch
 
     layout = layout_of([term for group in groups for term in terms_of(sim, group)])
     columns = joint_columns(layout, sim.num_actions)

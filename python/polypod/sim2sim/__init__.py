@@ -1,4 +1,4 @@
-"""The exported policy on the same robots in MuJoCo, beside polypod's own simulation of the same commands.
+"""The exported policy on the same robots in MuJoCo, compared with polypod under the same commands.
 
 A policy that walks in a second simulator has not learned the first one's mistakes. `polypod sim2sim` runs it; it needs
 the `export` and `bench` extras.

@@ -1,4 +1,4 @@
-"""The commands of an evaluation, drawn once and given to every simulator alike."""
+"""The commands of an evaluation, sampled once and given to every simulator."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Commands:
-    """What the envs are to follow: as the task draws it, with its heading controller."""
+    """Commands of the envs, as the task samples them, with its heading controller."""
 
     linear: Array
     """[draws, envs, 2], forward and left velocity, m/s."""
@@ -76,7 +76,7 @@ class Commands:
 
     @classmethod
     def of(cls, schedule: Schedule) -> "Commands":
-        """Those of a schedule: velocities and yaw rates, no headings."""
+        """The commands of a schedule: velocities and yaw rates, no headings."""
         commands = schedule.commands.astype(np.float64)
         shape = commands.shape[:2]
         no = np.zeros(shape, dtype=np.bool_)

@@ -3,8 +3,8 @@
 Nothing of polypod's simulator is used but its description of the robot. Sensors, actuators and terminations are
 computed here from MuJoCo's state. The model comes from `polypod.sim2sim.twin` or from `polypod.sim2sim.maker`.
 
-- Delays and the limits of effort of the policy's actuators (the torque-speed line of DC motors, tables over the joint
-  angle) are applied here, anew in every physics step.
+- Delays and the limits of effort of the policy's actuators (the torque-speed line of DC motors,
+  tables over the joint angle) are applied here, in every physics step.
 - Where a network gives the torque, it is evaluated as polypod does it, at the task's physics step, and limited here.
 """
 
@@ -66,7 +66,7 @@ class Body(Protocol):
     q: npt.NDArray[np.intp]
     """Places of polypod's positions (base, then joints) in those of the model."""
     v: npt.NDArray[np.intp]
-    """The same of the velocities."""
+    """Places of polypod's velocities in those of the model."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,7 +197,7 @@ class Driven:
             self._read(env)
 
     def sensors(self) -> dict[str, Array]:
-        """What the robot's sensors read, named as the folded graph's inputs, [envs, size]."""
+        """Readings of the robot's sensors, named as the folded graph's inputs, [envs, size]."""
         velocity, rate = self.base_velocity()
         return {
             "base_lin_vel": velocity,

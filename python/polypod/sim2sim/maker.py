@@ -3,8 +3,8 @@
 The model stays as its file says, but for what is needed to stand on the ground and to follow the policy:
 
 - A base without a free joint gets one; a world without ground gets a plane, with MuJoCo's default friction.
-- A joint that the policy does not drive is held where its first keyframe has it, or at zero, unless a spring, an
-  equality or an actuator for positions holds it already.
+- A joint that the policy does not drive is held at its position in the first keyframe, or at zero,
+  unless a spring, an equality or an actuator for positions holds it already.
 - An actuator for positions gets the policy's targets. A motor gets the torque of the policy's gains, within the motor's
   limits. A joint without an actuator gets the policy's. By choice all joints get the policy's.
 - Contacts stay, or are made as stiff as those of polypod's twin, or slide alone (`condim` 3).

@@ -1,4 +1,4 @@
-"""The policy on somebody else's MuJoCo model of its robot, beside polypod's own simulation of the same commands."""
+"""The policy on a maker's MuJoCo model of its robot, compared with polypod under the same commands."""
 
 import dataclasses
 import functools
@@ -182,7 +182,7 @@ def play(
 
     Args:
         model_file: the MuJoCo file.
-        checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
+        checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
         robot: name or path of the config; None: the one of the policy's robots whose joints the model has.
         options: see `Options`.
         progress: told how far the run is.

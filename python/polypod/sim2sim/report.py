@@ -1,4 +1,4 @@
-"""What a user of `polypod sim2sim` sees: a table with both simulators side by side."""
+"""Report of `polypod sim2sim`: a table with both simulators side by side."""
 
 import math
 

@@ -46,12 +46,12 @@ Seen = Callable[[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[n
 
 
 _MINIMUM_SHARE = 0.5
-"""Of the termination `root_height_below_minimum`, where the task does not say."""
+"""Share of the termination `root_height_below_minimum`, where the task does not say."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Options of a comparison."""
 
     envs_per_robot: int = 32
     steps: int | None = None
@@ -65,7 +65,7 @@ class Options:
     """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`."""
     integrator: reference.Integrator = "implicitfast"
     friction: float | None = None
-    """Of the ground in MuJoCo. None: the task's static one."""
+    """Friction of the ground in MuJoCo. None: the task's static one."""
     soft_contact: bool = False
     """See `Physics.soft_contact`."""
     overrides: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class Figures:
     still_error_vel_yaw: float = math.nan
     """rad/s, of a robot that stands still."""
     walking: Walking | None = None
-    """What the definition of walking is judged by; None in files of builds that did not write it."""
+    """Figures of the definition of walking; None in files of builds that did not write them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +103,7 @@ class RobotComparison:
 
     @property
     def why_not(self) -> list[str]:
-        """What the robot does not keep in MuJoCo of the definition of walking, with numbers; empty if it transfers."""
+        """Criteria of walking that the robot misses in MuJoCo, with numbers; empty if it transfers."""
         found = self.mujoco.walking
         return ["not measured"] if found is None else list(walking.faults(found, self.is_whole).values())
 
@@ -159,7 +159,7 @@ def compare(
     each simulator's own heading.
 
     Args:
-        checkpoint: a `model_<n>.pt` beside its manifest, or an ONNX file that says its task.
+        checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
         robots: names or paths of configs; None: those that the policy was trained on.
         options: see `Options`.
         progress: told how far the run is.
@@ -232,18 +232,18 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
 
 @dataclasses.dataclass(frozen=True)
 class Ends:
-    """What ends an episode of a robot in its task."""
+    """Conditions that end an episode of a robot in its task."""
 
     groups: frozenset[str]
     """Groups of bodies that must not touch the ground."""
     least_height: float
-    """Of the base, m."""
+    """Least height of the base, m."""
     most_tilt: float
-    """Of the base, rad."""
+    """Largest tilt of the base, rad."""
 
 
 class Episode:
-    """What both simulators are given."""
+    """Initial states and commands, the same for both simulators."""
 
     def __init__(self, manifest: dict[str, Any], sources: list[str], options: Options) -> None:
         """Draws the initial states and the commands. Raises ConfigError."""
@@ -318,7 +318,7 @@ class Episode:
         )
 
     def ends(self, name: str, interface: RobotInterface) -> "Ends":
-        """What ends an episode of one robot."""
+        """Conditions that end an episode of one robot."""
         ends = self.terminations
         groups = {"base", "torso", *ends.get("illegal_contact", {}).get("bodies", ())}
         lowest = ends.get("root_height_below_minimum")
@@ -373,7 +373,7 @@ def run_polypod(
         commands = episode.commands.at(step, heading)
         sim.set_command(commands)
         observation = sim.observation.copy()
-        # what is observed of commands are those given here, the newest last; at first all are the first one
+        # observed commands are the ones given here, the newest last; at first all are the first one
         given = (
             np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
         )

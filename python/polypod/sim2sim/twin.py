@@ -27,13 +27,13 @@ class Physics:
     """Physics step, s."""
     integrator: Integrator = "implicitfast"
     friction: float = 0.8
-    """Of feet and links on the ground."""
+    """Friction of feet and links on the ground."""
     soft_contact: bool = False
     """MuJoCo's default contacts, in which feet sink in, in place of the stiffest ones that the step allows."""
     torsional_friction: float = 0.0
-    """Of feet and links on the ground, m; above 0 contacts have `condim` 4."""
+    """Torsional friction of feet and links on the ground, m; above 0 contacts have `condim` 4."""
     rolling_friction: float = 0.0
-    """The same across the normal; above 0 contacts have `condim` 6."""
+    """Rolling friction of feet and links on the ground, m; above 0 contacts have `condim` 6."""
 
 
 class Twin(Driven):

@@ -12,8 +12,9 @@ def normalize_per_robot(
 ) -> None:
     """Gives each robot's advantages mean 0 and deviation 1, in place.
 
-    Over all robots together, those whose returns spread least, because they stand or fall alike, count least: their
-    share of the gradient vanishes just while they have to find out how to walk.
+    Over all robots together, the robots whose returns spread least, because all of them stand or
+    all fall, count least: their share of the gradient vanishes just while they have to find out how
+    to walk.
 
     Args:
         advantages: float [steps, num_envs, 1].

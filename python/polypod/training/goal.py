@@ -34,7 +34,7 @@ class Point:
     iterations: int
     samples: int
     seconds: float
-    """Of the training until then, without measurements."""
+    """Training time until then, without measurements."""
     robots: Mapping[str, Walking]
     checkpoint: Path
 
@@ -48,8 +48,8 @@ def rank(robots: Mapping[str, Walking], wanted: Collection[str]) -> tuple[int, f
 class UntilWalks:
     """Measures a training at intervals and ends it when robots walk, by `polypod.evaluation.walking`.
 
-    The deterministic policy is measured in the Play variant of the training's task. Measurements leave the training's
-    random numbers alone. Of the checkpoints that were measured, the best one stays.
+    The deterministic policy is measured in the Play variant of the training's task. Measurements
+    leave the training's random numbers alone. The best of the measured checkpoints stays.
     """
 
     def __init__(

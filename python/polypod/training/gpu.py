@@ -35,8 +35,8 @@ class NativeSamples(Samples):
 class GpuRunner(NativeRunner):
     """A `NativeRunner` that learns on a GPU what its threads have collected.
 
-    It computes what rsl_rl computes with the same samples, but not the bits of the update on the CPU. Of several
-    workers, each has a GPU for its own samples, or shares one.
+    It computes what rsl_rl computes with the same samples, but not the bits of the update on the
+    CPU. Each of several workers has a GPU for its own samples, or shares one.
     """
 
     def _prepare(self) -> None:

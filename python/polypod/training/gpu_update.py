@@ -72,8 +72,9 @@ def ask_policy(actor: MLPModel, observations: TensorDict) -> None:
 class Update:
     """Steps of Adam on rsl_rl's loss, on any device; a CUDA device replays graphs of them.
 
-    Several workers, each with the samples of its envs, take the steps that one would take with all samples. Of each
-    mini-batch they sum gradients and figures, between a graph of the gradients and one of the step.
+    Several workers, each with the samples of its envs, take the steps that one would take with all
+    samples. They sum gradients and figures of each mini-batch, between a graph of the gradients and
+    one of the step.
     """
 
     def __init__(

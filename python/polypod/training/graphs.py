@@ -23,7 +23,10 @@ class Graphs:
         self._graphs: dict[Hashable, torch.cuda.CUDAGraph] = {}
 
     def run(self, key: Hashable, step: Callable[[], None]) -> None:
-        """Computes a step. Of each key there is one graph, which reads and writes the tensors of its first run."""
+        """Computes a step.
+
+        Each key has one graph, which reads and writes the tensors of its first run.
+        """
         if self._device.type != "cuda":
             step()
             return

@@ -65,7 +65,7 @@ def train(options: session.Options, address: str, count: int | None) -> int:
     options = absolute(options)
     package("ray", "--ray", "ray")
     if options.resume is None:
-        session.new_plan(options)  # what is wrong with it is said before a cluster is asked
+        session.new_plan(options)  # report errors before a cluster is asked
     ray, train_torch = connected(address, "--ray", "ray.train.torch")
     run, target = (_new_run if options.resume is None else _begun_run)(options)
     ray_train = package("ray.train", "--ray", "ray")

@@ -58,7 +58,7 @@ def check_groups(env: VecEnv, obs_groups: dict[str, list[str]]) -> None:
 
 
 class Goal(Protocol):
-    """What a training ends with before its last iteration."""
+    """Goal that may end a training before its last iteration."""
 
     def ends(self, runner: "Runner", is_last: bool) -> bool:
         """Whether the training ends after the iteration just finished, which may be its last one anyway.
@@ -297,7 +297,8 @@ class Runner(OnPolicyRunner):
 
     def _action_std(self) -> torch.Tensor:
         """Deviations of the actions, [n]: of those that the robots have."""
-        # those after the update, which a checkpoint holds; the policy's own are of the last mini-batch
+        # the deviations after the update, which a checkpoint holds; the policy's own are of the
+        # last mini-batch
         learnt = deviations.of(self._distribution)
         std: torch.Tensor = self.alg.get_policy().output_std if learnt is None else learnt
         mask = getattr(self._distribution, "mask", None)
@@ -310,7 +311,7 @@ class Runner(OnPolicyRunner):
             return
         state = self.alg.save()
         if self._distils:
-            # what evaluations and exports read
+            # the key that evaluations and exports read
             state["actor_state_dict"] = state["student_state_dict"]
         state["iter"] = self.current_learning_iteration
         state["infos"] = {
@@ -349,7 +350,7 @@ class Runner(OnPolicyRunner):
             if type(state["iter"]) is not int or state["iter"] < 0:
                 raise ValueError(f"iter is {state['iter']!r}")
             self.current_learning_iteration = state["iter"]
-        except _core.PolypodError:  # of the snapshot, whose message says what is wrong with it
+        except _core.PolypodError:  # from the snapshot; its message says what is wrong with it
             raise
         except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
             raise _core.ConfigError(

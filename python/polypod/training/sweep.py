@@ -240,7 +240,7 @@ def run_on_ray(sweep: Sweep, address: str, reporter: Reporter) -> int:
     if sweep.early_stopping is not None:
         scheduler = tune.schedulers.ASHAScheduler(
             time_attr="iterations",
-            # who comes so far ends by itself, after its last checkpoint
+            # a trial that comes so far ends by itself, after its last checkpoint
             max_t=max(trial.iterations for trial in trials) + 1,
             grace_period=sweep.early_stopping.grace_iterations,
             reduction_factor=sweep.early_stopping.reduction_factor,

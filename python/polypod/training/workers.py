@@ -68,7 +68,7 @@ class Workers:
         """Joins the workers that the environment tells of; one process where it tells of none.
 
         Args:
-            cuda: whether tensors on a GPU are to be summed.
+            cuda: whether tensors on a GPU will be summed.
 
         Raises:
             ConfigError: where the others cannot be reached.
