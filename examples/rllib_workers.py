@@ -14,9 +14,9 @@ def main() -> None:
     """Trains, and prints the mean return of each iteration."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--task", default="velocity_flat")
-    over all runners
+    parser.add_argument("--num-envs", type=int, default=512, help="number of envs over all runners")
     parser.add_argument("--runners", type=int, default=2)
-    of each env in an iteration
+    parser.add_argument("--steps", type=int, default=24, help="steps of each env in an iteration")
     parser.add_argument("--iterations", type=int, default=10)
     options = parser.parse_args()
 

@@ -45,7 +45,10 @@ def _draw_maps(results: Results, folder: Path) -> list[Path]:
 
 
 def _one_robot_each(evaluations: list[Evaluation]) -> list[Evaluation]:
-    """Evaluations of policies for one robot each, as if it were one policy's; others as they are."""
+    """Evaluations of policies for one robot each, as if it were one policy's.
+
+    Others as they are.
+    """
     robots = {name: result for each in evaluations for name, result in each.robots.items()}
     if len(robots) == len(evaluations):
         return [dataclasses.replace(evaluations[0], robots=robots)]

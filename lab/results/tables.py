@@ -170,7 +170,10 @@ def _wrapped(text: str) -> str:
 
 
 def _origins(found: Sequence[tuple[str, Measured | None]]) -> str:
-    """When and where groups were measured, each sentence with the groups that it is about; empty if no file says."""
+    """When and where groups were measured, each sentence with the groups that it is about.
+
+    Empty if no file says.
+    """
     groups: dict[str, list[str]] = {}
     for group, origin in found:
         if origin is not None:

@@ -19,10 +19,16 @@ class PolypodError(Exception):
     """The root of every exception that polypod raises on purpose."""
 
 class ConfigError(PolypodError, ValueError):
-    """A configuration, an override or an argument that cannot be used; the message names it and the remedy."""
+    """A configuration, an override or an argument that cannot be used.
+
+    The message names it and the remedy.
+    """
 
 class RobotError(PolypodError, ValueError):
-    """A robot description that cannot be simulated; the message names the file, the element and the remedy."""
+    """A robot description that cannot be simulated.
+
+    The message names the file, the element and the remedy.
+    """
 
 class UnknownNameError(ConfigError, KeyError):
     """A task, robot or train config that does not exist; the message lists the nearest names."""
@@ -100,7 +106,9 @@ class Peers(Protocol):
         """Returns `mine` of all workers, in their order. All have one length."""
 
     def exchange(self, mine: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Sends each worker its piece of `mine`; returns the pieces from all workers, in their order.
+        """Sends each worker its piece of `mine`.
+
+        Returns the pieces from all workers, in their order.
 
         `mine` has a piece of one length for each worker, in their order.
         """
@@ -464,7 +472,10 @@ class VecSim:
         """Positions [n, links, 3], m, and quaternions [n, links, 4] (w, x, y, z) of the links' URDF frames. Copies."""
 
     def link_names(self, robot: str) -> list[str]:
-        """Links of a robot in the order of `link_pose`, as in the URDF; links fixed to another are part of it."""
+        """Links of a robot in the order of `link_pose`, as in the URDF.
+
+        Links fixed to another are part of it.
+        """
 
     def contact_body_names(self, robot: str) -> list[str]:
         """Contact bodies of a robot in the order of `contact_forces`: links of the URDF, those fixed to others too."""
@@ -561,7 +572,10 @@ class VecSim:
         """The ground, as `_core.terrain` gives it for the sim's task and overrides; None for a plane."""
 
     def terrain_tiles(self) -> tuple[npt.NDArray[np.int64], list[str]]:
-        """Level and type of the tile of each env, [num_envs]; zeros and an empty list without generated terrain."""
+        """Level and type of the tile of each env, [num_envs].
+
+        Zeros and an empty list without generated terrain.
+        """
 
     @property
     def episode_length(self) -> npt.NDArray[np.int64]:
@@ -578,7 +592,9 @@ class VecSim:
         """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller. None releases them."""
 
     def push(self, velocity: npt.NDArray[np.float32]) -> None:
-        """Adds a velocity to the base of each robot, as a push does; observations follow with the next step.
+        """Adds a velocity to the base of each robot, as a push does.
+
+        Observations follow with the next step.
 
         Args:
             velocity: float32 [num_envs, 3], world axes, m/s; zeros leave a robot alone.
@@ -605,7 +621,10 @@ class VecSim:
         """
 
     def log(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last call, per robot and term; empty when none ended."""
+        """Means over the episodes that ended since the last call, per robot and term.
+
+        Empty when none ended.
+        """
 
     def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
         """Per robot, over the episodes that ended since the statistics were last cleared.
@@ -761,18 +780,26 @@ class Simulation:
         """Worker threads."""
     @property
     def warnings(self) -> list[str]:
-        """Assumptions made while reading the URDF; each names the file, the element and the remedy."""
+        """Assumptions made while reading the URDF.
+
+        Each names the file, the element and the remedy.
+        """
 
     @property
     def default_qpos(self) -> npt.NDArray[np.float64]:
-        """[nq], the pose to begin with: the robot's default pose; for a URDF zero, or the limit nearest to it.
+        """[nq], the pose to begin with: the robot's default pose.
+
+        For a URDF zero, or the limit nearest to it.
 
         The base is level, with its lowest collision shape touching the ground; without ground it is at the origin.
         """
 
     @property
     def joint_range(self) -> npt.NDArray[np.float64]:
-        """[num_joints, 2], lower and upper position limits, rad or m; infinite where there is none."""
+        """[num_joints, 2], lower and upper position limits, rad or m.
+
+        Infinite where there is none.
+        """
 
     @property
     def effort_limit(self) -> npt.NDArray[np.float64]:
@@ -874,7 +901,10 @@ class Simulation:
         """
 
     def inverse_dynamics(self, qacc: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Generalised forces [num_envs, nv] that cause accelerations [nv] or [num_envs, nv]; no contacts."""
+        """Generalised forces [num_envs, nv] that cause accelerations [nv] or [num_envs, nv].
+
+        No contacts.
+        """
 
     def jacobian(self, link: str | int, point: Sequence[float] = (0.0, 0.0, 0.0)) -> npt.NDArray[np.float64]:
         """[num_envs, 6, nv], linear velocity of the point, then angular velocity of the link, both in world axes.
@@ -885,7 +915,10 @@ class Simulation:
         """
 
     def ground_gap(self) -> npt.NDArray[np.float64]:
-        """[num_envs, num_links], distance of each link from the ground, m, negative inside it; inf without shapes."""
+        """[num_envs, num_links], distance of each link from the ground, m, negative inside it.
+
+        Inf without shapes.
+        """
 
     def energy(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Kinetic energy, armature included, and potential energy, zero at the world's origin: [num_envs], J."""
@@ -897,7 +930,10 @@ class Simulation:
         """Linear, kg m/s, and angular about the centre of mass, kg m^2/s: [num_envs, 3], world axes, without rotors."""
 
     def set_mass(self, link: str | int, mass: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
-        """Sets a link's mass, kg: a number or [n]; its inertia is scaled along, as if the density had changed."""
+        """Sets a link's mass, kg: a number or [n].
+
+        Its inertia is scaled along, as if the density had changed.
+        """
 
     def set_com(self, link: str | int, com: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
         """Sets a link's centre of mass in its URDF frame, m: [3] or [n, 3]."""
@@ -928,7 +964,10 @@ class Simulation:
         """Sets reflected rotor inertias, kg m^2: a number, [num_joints] or [n, num_joints]."""
 
     def snapshot(self) -> bytes:
-        """State, time, contact warm starts and every env's numbers; stepping on from it repeats every bit."""
+        """State, time, contact warm starts and every env's numbers.
+
+        Stepping on from it repeats every bit.
+        """
 
     def restore(self, data: bytes) -> None:
         """Returns to a `snapshot` of an equal simulation. Raises ConfigError for any other bytes."""

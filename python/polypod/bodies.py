@@ -201,7 +201,10 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _bent(ahead: float, below: float, thigh: float, shank: float) -> tuple[float, float]:
-    """Angles of hip and knee about y that put the end of a leg there from its hip; knees bend by a negative angle."""
+    """Angles of hip and knee about y that put the end of a leg there from its hip.
+
+    Knees bend by a negative angle.
+    """
     square = ahead**2 + below**2
     bend = math.acos(max(-1.0, min(1.0, (square - thigh**2 - shank**2) / (2 * thigh * shank))))
     inner = math.acos(max(-1.0, min(1.0, (square + thigh**2 - shank**2) / (2 * math.sqrt(square) * thigh))))
@@ -235,7 +238,10 @@ def _softer(drive: Drive, stiffness: float, effort: float) -> Drive:
 
 @dataclasses.dataclass(frozen=True)
 class _Choices:
-    """Choices in which makers of quadrupeds differ; the defaults are those of bodies that are not wide."""
+    """Choices in which makers of quadrupeds differ.
+
+    The defaults are those of bodies that are not wide.
+    """
 
     mass: float = 1.0
     """Factor on the drawn mass."""

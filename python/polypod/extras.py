@@ -24,7 +24,10 @@ def package(module: str, purpose: str, extra: str) -> Any:
 
 
 def missing(error: ModuleNotFoundError, module: str, extra: str) -> ModuleNotFoundError:
-    """Returns the error of importing a module whose package is missing; it names the extra to install."""
+    """Returns the error of importing a module whose package is missing.
+
+    It names the extra to install.
+    """
     name = (error.name or "a package").partition(".")[0]
     text = f"{module} needs the package {_DISTRIBUTIONS.get(name, name)}; pip install 'polypod[{extra}]'"
     return ModuleNotFoundError(text, name=error.name)

@@ -60,7 +60,10 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 
 def real_path(path: str | os.PathLike[str]) -> Path:
-    """The absolute path without symbolic links; unlike `Path.resolve` it raises nothing at links in a circle."""
+    """The absolute path without symbolic links.
+
+    Unlike `Path.resolve` it raises nothing at links in a circle.
+    """
     return Path(os.path.realpath(path))
 
 
@@ -77,7 +80,9 @@ def write_filled(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
 
 
 def write_bytes(path: Path, data: "bytes | memoryview") -> None:
-    """Writes a file whole or not at all, in place of nothing or of a regular file; folders are made.
+    """Writes a file whole or not at all, in place of nothing or of a regular file.
+
+    Folders are made.
 
     A symbolic link stays and its target is written. Pipes and devices are written to and stay what they are.
 

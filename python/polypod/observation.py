@@ -40,7 +40,10 @@ class Treatment:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Term:
-    """One term of an observation; `VecSim.observation_terms` documents the values of `kind` and `source`."""
+    """One term of an observation.
+
+    `VecSim.observation_terms` documents the values of `kind` and `source`.
+    """
 
     term: str
     """Its name."""

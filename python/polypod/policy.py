@@ -104,7 +104,10 @@ class LoadedPolicy:
         return list(self.manifest["canonical_joint_names"])
 
     def act(self, observations: FloatArray) -> FloatArray:
-        """Actions [num_envs, num_actions] for observations [num_envs, num_obs]; another width raises ConfigError."""
+        """Actions [num_envs, num_actions] for observations [num_envs, num_obs].
+
+        Another width raises ConfigError.
+        """
         return self.runner()(observations)
 
     def runner(self) -> NetworkPolicy:

@@ -149,7 +149,9 @@ class VecEnv(rsl_rl.env.VecEnv):
         return sim.reward, sim.terminated | sim.truncated, sim.truncated & ~sim.terminated
 
     def observe_into(self, buffers: Mapping[str, torch.Tensor]) -> None:
-        """Copies the current observations into tensors on the learner's device; the copy may still be under way.
+        """Copies the current observations into tensors on the learner's device.
+
+        The copy may still be under way.
 
         Args:
             buffers: float32 [num_envs, n] by observation group.
@@ -162,7 +164,10 @@ class VecEnv(rsl_rl.env.VecEnv):
             buffer.copy_(host, non_blocking=True)
 
     def log(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last call, see `VecSim.log`; with those of terms in Python."""
+        """Means over the episodes that ended since the last call, see `VecSim.log`.
+
+        With those of terms in Python.
+        """
         return self._source.log()
 
     def refresh(self) -> None:

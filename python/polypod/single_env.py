@@ -27,7 +27,9 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012  (declared so by Gymnasium)
 
     def __init__(self, task_id: str, **options: "Unpack[EnvOptions]") -> None:
-        """Builds the env; `EnvOptions` documents the arguments. The robot is the only one, or the first of the task.
+        """Builds the env.
+
+        `EnvOptions` documents the arguments. The robot is the only one, or the first of the task.
 
         Raises:
             ConfigError: as `polypod.make`; for more than one robot, and for an autoreset mode.

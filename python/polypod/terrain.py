@@ -58,7 +58,10 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
 
 
 def picture(ground: "_core.TerrainEntry") -> "Image.Image":
-    """A map of the heights, lit from the upper left; the types of tiles are written next to their columns."""
+    """A map of the heights, lit from the upper left.
+
+    The types of tiles are written next to their columns.
+    """
     images, drawing = (extras.package(f"PIL.{name}", "a picture", "play") for name in ("Image", "ImageDraw"))
     heights = ground["heights"]
     step = max(1, -(-max(heights.shape) // _MOST_PIXELS))

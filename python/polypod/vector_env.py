@@ -198,7 +198,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
     @property
     def action_mask(self) -> BoolArray:
-        """Bool [num_envs, num_actions], True where an env's robot has a joint. A copy; it never changes."""
+        """Bool [num_envs, num_actions], True where an env's robot has a joint.
+
+        A copy. It never changes.
+        """
         return self._action_mask.copy()
 
     @property
@@ -277,7 +280,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         return self._stepped(sim)
 
     def send(self, actions: FloatArray) -> None:
-        """Starts a control step in another thread and returns at once; `recv` returns the results of `step`.
+        """Starts a control step in another thread and returns at once.
+
+        `recv` returns the results of `step`.
 
         With two envs, one is simulated while the policy acts on the other's observations. Until `recv` nothing else of
         this env may be used; arrays handed out before stay readable, as after a `step`.
@@ -390,7 +395,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         setattr(self, name, values)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Lets go of the simulator, after a step that is on its way; arrays that were handed out stay readable."""
+        """Lets go of the simulator, after a step that is on its way.
+
+        Arrays that were handed out stay readable.
+        """
         if self._thread is not None:
             self._thread.shutdown()
         self._sim = self._thread = self._pending = self._pictures = None

@@ -307,7 +307,10 @@ def name_of(command: str) -> str:
 
 
 def _line(command: str, base: Line, flag: str, value: str | None, joined: bool = False, place: int = 0) -> Line:
-    """The line with a bad value for a flag, in the place of what it has; `place` counts positional arguments."""
+    """The line with a bad value for a flag, in the place of what it has.
+
+    `place` counts positional arguments.
+    """
     name = name_of(command)
     line = list(base)
     places = [index for index, word in enumerate(line) if isinstance(word, Positional)]

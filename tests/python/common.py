@@ -12,7 +12,9 @@ if _TIER not in _TIERS:
 
 
 def size(core: _Size, extended: _Size) -> _Size:
-    """Returns the size that a test has in the tier named by `POLYPOD_TEST_TIER`; `core` is the default.
+    """Returns the size that a test has in the tier named by `POLYPOD_TEST_TIER`.
+
+    `core` is the default.
 
     Both tiers make the same assertions. The extended tier takes more samples, seeds or robots.
     """

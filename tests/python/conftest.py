@@ -61,7 +61,10 @@ def same_process() -> Iterator[None]:
 
 @pytest.fixture
 def make() -> Iterator[Callable[..., polypod.VectorEnv]]:
-    """`polypod.make` with small defaults, `robots=None` for all of the task; the envs are closed afterwards."""
+    """`polypod.make` with small defaults, `robots=None` for all of the task.
+
+    The envs are closed afterwards.
+    """
     envs = []
 
     def build(num_envs: int = 16, seed: int = 1, **arguments: Any) -> polypod.VectorEnv:

@@ -28,7 +28,10 @@ _MEMORY_UNIT = 1 if sys.platform == "darwin" else 1024
 
 @dataclasses.dataclass(frozen=True)
 class Ended:
-    """How a command ended; `code` is negative for a signal, that of SIGKILL where it took too long."""
+    """How a command ended.
+
+    `code` is negative for a signal, that of SIGKILL where it took too long.
+    """
 
     code: int
     output: str

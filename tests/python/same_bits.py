@@ -21,5 +21,8 @@ def differences(one, other, place=""):
 
 
 def equal(one, other):
-    """Whether two checkpoints hold the same bits; the seconds that the training took are not among them."""
+    """Whether two checkpoints hold the same bits.
+
+    The seconds that the training took are not among them.
+    """
     return set(differences(*(run_dir.load_checkpoint(path) for path in (one, other)))) <= {"/infos/logger/time"}

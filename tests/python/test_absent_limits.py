@@ -32,7 +32,10 @@ def make(task="velocity_flat", overrides=QUIET, **options):
 
 
 def by_slot(env, key):
-    """Numbers of the joints in the order of the action; the slots of a Go2 turn as its joints do."""
+    """Numbers of the joints in the order of the action.
+
+    The slots of a Go2 turn as its joints do.
+    """
     info = json.loads(env.sim.robot_info())["mine"]
     assert set(info["slot_signs"]) == {1.0}
     return np.array(info[key])[info["joint_of_slot"]]

@@ -354,7 +354,10 @@ def test_gains_that_are_drawn_leave_networks_alone(robot):
 
 
 def test_mujoco_is_driven_by_the_same_torques(robot):
-    """A policy on a robot whose network is the PD law, in both simulators; engines are compared under gains alone."""
+    """A policy on a robot whose network is the PD law, in both simulators.
+
+    Engines are compared under gains alone.
+    """
     from common import FLAT_POLICY
     from polypod import accuracy, sim2sim
 

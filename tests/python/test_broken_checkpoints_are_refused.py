@@ -59,7 +59,10 @@ TENSORS = {
 
 
 def broken(folder, change, name=FLAT_POLICY.name):
-    """A checkpoint beside its manifest, of which the change makes another state; its sum is left out."""
+    """A checkpoint beside its manifest, of which the change makes another state.
+
+    Its sum is left out.
+    """
     state = torch.load(FLAT_POLICY, weights_only=True)
     change(state)
     path = folder / "run" / name

@@ -1,4 +1,7 @@
-"""Arrays that are handed out are the caller's to keep; on request they are the simulator's own, valid as promised."""
+"""Arrays that are handed out are the caller's to keep.
+
+On request they are the simulator's own, valid as promised.
+"""
 
 import numpy as np
 import pytest

@@ -14,7 +14,10 @@ REGISTRY = "registry+https://github.com/rust-lang/crates.io-index"
 
 
 def is_allowed(expression: str, allowed: list[str]) -> bool:
-    """Whether an SPDX expression can be met by the licences in `allowed`; `/` is the older way to write `OR`."""
+    """Whether an SPDX expression can be met by the licences in `allowed`.
+
+    `/` is the older way to write `OR`.
+    """
     words = re.findall(r"[()]|[^\s()]+(?: WITH [^\s()]+)?", expression.replace("/", " OR "))
     python = {"(": "(", ")": ")", "AND": "and", "OR": "or"}
     # nothing but True, False, and, or and parentheses is left

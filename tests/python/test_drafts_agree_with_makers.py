@@ -245,7 +245,10 @@ def test_scaled_descriptions_of_bodies_of_one_shape_are_equal(tmp_path):
 
 
 def scaled_fox(factor):
-    """A quadruped whose lengths are multiplied; masses grow with the cube, torques with the fourth power."""
+    """A quadruped whose lengths are multiplied.
+
+    Masses grow with the cube, torques with the fourth power.
+    """
     text = quadruped(10.0 * factor**3, 0.2 * factor, 0.2 * factor, 0.5 * factor, effort=30.0 * factor**4)
     for fixed in ('size="0.08 0.08 0.08"', 'radius="0.025"'):
         text = text.replace(fixed, re.sub(r"0\.\d+", lambda found: str(float(found[0]) * factor), fixed))
@@ -286,7 +289,10 @@ def test_a_thigh_below_the_axis_of_abduction_bends_no_further(tmp_path, below):
 
 @pytest.mark.parametrize(("knees", "sign"), [("-6.28", 1), ("-9.42", 1), ("-6.28", -1)])
 def test_knees_that_turn_freely_are_limited(tmp_path, knees, sign):
-    """In the URDF they pass straight; the draft says which limits it assumes, and the simulation has them."""
+    """In the URDF they pass straight.
+
+    The draft says which limits it assumes, and the simulation has them.
+    """
     text = quadruped()
     for number in range(4):
         begin = text.index(f'<joint name="m{number}3"')

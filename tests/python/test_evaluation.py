@@ -124,7 +124,10 @@ def test_power_is_that_of_every_joint_driving_or_braking():
 
 
 def test_only_feet_on_the_ground_slip():
-    """One robot slides on a foot at 0.5 m/s and lifts the other; one stands on both, of which one slides at 0.1 m/s."""
+    """One robot slides on a foot at 0.5 m/s and lifts the other.
+
+    One stands on both, of which one slides at 0.1 m/s.
+    """
     forces = np.array([[0.0, 3.0, 4.0, 0.0, 0.0, 0.9], [0.0, 0.0, 50.0, 0.0, 0.0, 60.0]])
     velocities = np.array([[0.3, -0.4, 9.0, 2.0, 2.0, 2.0], [0.0, 0.0, 0.0, 0.06, 0.08, 0.0]])
     slip, contact = measures.foot_slip(forces, velocities)
@@ -133,7 +136,10 @@ def test_only_feet_on_the_ground_slip():
 
 
 def test_tracking_is_the_references():
-    """Perfect; half a metre per second off; a quarter of a radian per second off: exp(-1), exp(-1/4)."""
+    """Perfect; half a metre per second off.
+
+    A quarter of a radian per second off: exp(-1), exp(-1/4).
+    """
     found = measures.tracking([0.0, 0.5, 0.0], [0.0, 0.0, 0.25])
     np.testing.assert_allclose(found, [1.0, (math.exp(-1.0) + 0.5) / 1.5, (1.0 + 0.5 * math.exp(-0.25)) / 1.5])
 
@@ -294,7 +300,10 @@ def test_what_a_training_changed_is_on_with_randomized_alone():
 
 
 def test_the_commands_of_walking_are_given_and_judged():
-    """The policy sees the schedule in each control step; the figures of walking are those of the evaluation."""
+    """The policy sees the schedule in each control step.
+
+    The figures of walking are those of the evaluation.
+    """
     seen = []
 
     def watch(observations):

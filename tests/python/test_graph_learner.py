@@ -245,7 +245,10 @@ def test_rewards_scaled_together_are_those_scaled_one_by_one():
 
 
 def test_who_learns(tmp_path):
-    """On a GPU all networks without a recurrent state; rsl_rl's own loop on a CPU, which knows no images in turn."""
+    """On a GPU all networks without a recurrent state.
+
+    Rsl_rl's own loop on a CPU, which knows no images in turn.
+    """
     for symmetry, kind in ((False, Runner), ("alternate", GraphRunner)):
         made = runner(Runner, "joints", tmp_path)
         settings = train_config("joints", symmetry=symmetry)

@@ -1,4 +1,7 @@
-"""Every sound policy is exported, however large its numbers; a graph that computes something else is refused."""
+"""Every sound policy is exported, however large its numbers.
+
+A graph that computes something else is refused.
+"""
 
 import numpy as np
 import onnx

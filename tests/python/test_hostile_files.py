@@ -1,4 +1,7 @@
-"""Every file of `tests/data/hostile` goes to every command that reads its kind; none has its way."""
+"""Every file of `tests/data/hostile` goes to every command that reads its kind.
+
+None has its way.
+"""
 
 import resource
 import shutil

@@ -55,7 +55,10 @@ def place(tmp_path):
 
 
 def of_polypod(fork_server, words, place):
-    """Runs `polypod`; its memory ends above `MEMORY`, so that the machine survives what is compared below."""
+    """Runs `polypod`.
+
+    Its memory ends above `MEMORY`, so that the machine survives what is compared below.
+    """
     return fork_server.run(*words, cwd=place, seconds=SECONDS, memory=MEMORY + (1 << 30))
 
 

@@ -64,7 +64,10 @@ def wait_for(folder, done, seconds=60.0):
 
 
 def kill_at(process, folder, aim, draw):
-    """Kills a training after one of its saves but the last; returns its run and the files seen before."""
+    """Kills a training after one of its saves but the last.
+
+    Returns its run and the files seen before.
+    """
     after = draw.randrange(1, ITERATIONS - 1)
     run = wait_for(folder, lambda files: f"model_{after}.pt" in files)
     if AIMS[aim] is None:

@@ -325,7 +325,10 @@ def test_missing_meshes_are_left_out_unless_mass_is_theirs(tmp_path, a1):
     ],
 )
 def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, effort, target):
-    """A position actuator keeps its gains; a motor gets the policy's torque, within its own limits."""
+    """A position actuator keeps its gains.
+
+    A motor gets the policy's torque, within its own limits.
+    """
     robot = robot_of("unitree_a1")
     lines = "".join(actuator.format(joint=name) for name in robot.joint_names)
     text = edited(a1, drop=("actuator",)).replace("</mujoco>", f"<actuator>{lines}</actuator></mujoco>")

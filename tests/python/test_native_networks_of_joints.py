@@ -1,4 +1,7 @@
-"""The native learner's networks of joints are torch's: gradients, actions, checkpoints; and they learn."""
+"""The native learner's networks of joints are torch's: gradients, actions, checkpoints.
+
+And they learn.
+"""
 
 import copy
 from pathlib import Path

@@ -182,7 +182,10 @@ def assert_folded_graph_is_the_policy(checkpoint, source, folder):
 
 
 def assert_mujoco_observes_the_same(checkpoint, source):
-    """Through the sensors of `polypod sim2sim`, in the columns of the batch; then both simulators run an episode."""
+    """Through the sensors of `polypod sim2sim`, in the columns of the batch.
+
+    Then both simulators run an episode.
+    """
     manifest = run_dir.read_manifest(checkpoint)
     network = load_network(run_dir.load_checkpoint(checkpoint), manifest["policy"])
     slots = manifest["canonical_joint_names"]

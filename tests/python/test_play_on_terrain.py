@@ -29,7 +29,10 @@ def player():
 
 
 def drawn_heights(ground, places):
-    """Height of the highest drawn face over each place [n, 2]; faces count, not the simulator's grid."""
+    """Height of the highest drawn face over each place [n, 2].
+
+    Faces count, not the simulator's grid.
+    """
     corners, _, normals = ground.around(np.append(places.mean(axis=0), 0.0), 1.5)
     corners = corners[np.abs(normals[:, 2]) > 0.05]
     triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
@@ -79,7 +82,10 @@ def test_the_terrain_is_the_simulators(player):
 
 
 def test_feet_touch_the_drawn_ground_on_every_type_of_tile(player):
-    """Within 6 mm; at a wall, which the simulator has as a slope of one cell (2.5 cm), of either of its sides."""
+    """Within 6 mm.
+
+    At a wall, which the simulator has as a slope of one cell (2.5 cm), of either of its sides.
+    """
     frame = player.frame()
     assert len(frame.robots) == 10
     forces = np.linalg.norm(player.sim.contact_forces("spot"), axis=2)

@@ -205,7 +205,10 @@ def test_own_terminations_end_and_reset(make, actions):
 
 
 def test_own_terminations_are_counted_by_robot_and_term(make, actions):
-    """Each episode that a term has ended, of the robots that had ends; two terms may end the same episode."""
+    """Each episode that a term has ended, of the robots that had ends.
+
+    Two terms may end the same episode.
+    """
     env = make(autoreset="disabled", overrides=QUIET)
     ids = {robot: env.env_ids(robot) for robot in env.robots}
     first, second = env.robots[:2]

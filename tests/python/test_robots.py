@@ -42,7 +42,10 @@ def test_the_layout_adds_up(make):
 
 
 def test_links_and_contact_bodies_have_names(make):
-    """As many as there are rows of poses and forces, in their order; feet that are fixed to shanks are bodies."""
+    """As many as there are rows of poses and forces, in their order.
+
+    Feet that are fixed to shanks are bodies.
+    """
     env = make(robots=["unitree_go2", "anymal_d"])
     for robot in env.robots:
         links, bodies = env.sim.link_names(robot), env.sim.contact_body_names(robot)

@@ -1,4 +1,7 @@
-"""The battery of `polypod robustness` changes what its rows say, and its bounds decide; figures repeat."""
+"""The battery of `polypod robustness` changes what its rows say, and its bounds decide.
+
+Figures repeat.
+"""
 
 import dataclasses
 import json

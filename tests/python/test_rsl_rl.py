@@ -28,7 +28,10 @@ def test_types_and_shapes(env):
 
 
 def test_the_runner_records_the_observation_that_it_acted_on(env):
-    """rsl_rl stores observation t after step t + 1; with one reused buffer it would store observation t + 1."""
+    """rsl_rl stores observation t after step t + 1.
+
+    With one reused buffer it would store observation t + 1.
+    """
     observations = env.get_observations()
     storage = RolloutStorage("rl", 16, 30, observations, [12], "cpu")
     acted_on = []

@@ -156,7 +156,10 @@ def terms(*names: str) -> str:
 
 
 def test_a_student_learns_what_its_teacher_does(tmp_path, monkeypatch):
-    """The teacher saw velocities; the student, with a memory of what its sensors say, comes near to it."""
+    """The teacher saw velocities.
+
+    The student, with a memory of what its sensors say, comes near to it.
+    """
     teacher = train(tmp_path / "teacher", iterations=1)
     sensed = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "joint_vel_rel", "last_action")
     whole, student = (terms("base_lin_vel", *sensed), terms(*sensed))

@@ -188,7 +188,10 @@ def test_it_walks_in_both_simulators(tmp_path, capsys):
 
 
 def test_a_robot_transfers_if_it_walks_in_mujoco():
-    """Turning and stopping count, whatever the robot does in polypod; a part of the definition is judged as a part."""
+    """Turning and stopping count, whatever the robot does in polypod.
+
+    A part of the definition is judged as a part.
+    """
     good = walking.Walking(
         episodes=32,
         duration_s=20.0,

@@ -1,4 +1,7 @@
-"""docs/task.md names files, keys, functions and tests that exist; the tables of terms are those of the code."""
+"""docs/task.md names files, keys, functions and tests that exist.
+
+The tables of terms are those of the code.
+"""
 
 import json
 import re
@@ -63,7 +66,10 @@ def test_what_is_named_exists(file, name):
 
 
 def test_every_row_names_code_and_a_test():
-    """Each table with a column `test` fills it; the reward tables share the tests that stand above them."""
+    """Each table with a column `test` fills it.
+
+    The reward tables share the tests that stand above them.
+    """
     rows = 0
     header = None
     for line in PAGE.splitlines():

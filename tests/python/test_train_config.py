@@ -128,7 +128,10 @@ def test_a_file_cannot_extend_itself(tmp_path):
 
 
 def test_a_file_extends_the_one_that_it_hides(tmp_path, monkeypatch):
-    """By its name, in POLYPOD_PATH, as tasks and robots do; a path in it begins at its own folder."""
+    """By its name, in POLYPOD_PATH, as tasks and robots do.
+
+    A path in it begins at its own folder.
+    """
     folder = tmp_path / "configs" / "train"
     folder.mkdir(parents=True)
     (folder / "long.toml").write_text("[run]\nsave_interval = 7\n")

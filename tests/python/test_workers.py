@@ -1,4 +1,7 @@
-"""Several workers train what one process trains; one that is lost, or that would train something else, is named."""
+"""Several workers train what one process trains.
+
+One that is lost, or that would train something else, is named.
+"""
 
 import os
 import re

@@ -151,7 +151,10 @@ def test_every_job_and_artifact_that_is_waited_for_exists(workflow):
 
 @pytest.mark.parametrize("workflow", WORKFLOWS)
 def test_actions_are_pinned_by_commit(workflow):
-    """A tag can be moved to other code; a commit cannot. The comment is what Dependabot reads and moves."""
+    """A tag can be moved to other code.
+
+    A commit cannot. The comment is what Dependabot reads and moves.
+    """
     used = re.findall(r"uses: *(.*)", text_of(workflow))
     loose = [action for action in used if not re.fullmatch(r"[\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", action)]
     assert used

@@ -30,7 +30,9 @@ class WorkerTeam:
     def start(
         self, count: int, words: tuple[str, ...], folder: Path, own: dict[int, dict[str, Any]] | None = None
     ) -> list[int]:
-        """Starts `polypod` with `words` as `count` workers in folders of `folder`; returns their processes.
+        """Starts `polypod` with `words` as `count` workers in folders of `folder`.
+
+        Returns their processes.
 
         `own` are further `words` of some workers, and what else is in their `environment`.
         """

@@ -43,7 +43,10 @@ class Bound:
     """Whether README.md shows it."""
 
     def figures(self, result: object) -> Iterable[tuple[str, float]]:
-        """The figure of a comparison, with the name of the robot or case; none where the bound does not apply."""
+        """The figure of a comparison, with the name of the robot or case.
+
+        None where the bound does not apply.
+        """
         figure = self.figure(result) if isinstance(result, self.result) else None
         return [] if figure is None else [(case(result), figure)]
 

@@ -52,7 +52,10 @@ class Slide:
 
 @dataclasses.dataclass(frozen=True)
 class Slope:
-    """A block released on a slope for a second; it holds below atan(mu), else a = g (sin - mu cos)."""
+    """A block released on a slope for a second.
+
+    It holds below atan(mu), else a = g (sin - mu cos).
+    """
 
     friction: float
     angle: float

@@ -67,7 +67,10 @@ class Limits:
             mj.mj_step(self._model, data)
 
     def _near(self, data: Any) -> npt.NDArray[np.bool_]:
-        """Whether joints may reach a limit in this step; sets the ranges of effort and the rows that take part."""
+        """Whether joints may reach a limit in this step.
+
+        Sets the ranges of effort and the rows that take part.
+        """
         model = self._model
         position, velocity = data.qpos[self._q], data.qvel[self._v]
         model.actuator_forcerange[:] = self._actuators.effort_range(position, velocity)

@@ -66,7 +66,10 @@ def converged_jumps(robot: Robot) -> Jumps:
 
 
 def compare_step_responses(robot: Robot, reference: Jumps | None = None) -> StepResponse:
-    """Compares the response to a jump of each joint's target; `reference`: of `converged_jumps`, if it is there."""
+    """Compares the response to a jump of each joint's target.
+
+    `reference`: of `converged_jumps`, if it is there.
+    """
     reference = reference or converged_jumps(robot)
     targets, gravity = reference.targets, reference.gravity
 

@@ -74,7 +74,10 @@ class Heights:
         return Heights(np.pad(self.heights, points, mode="edge"), (x, y), self.cell)
 
     def at(self, places: Array) -> Array:
-        """Heights below places [..., 2], m, linear in between the points; beyond the grid its edge goes on."""
+        """Heights below places [..., 2], m, linear in between the points.
+
+        Beyond the grid its edge goes on.
+        """
         scaled = (places - self.origin) / self.cell
         last = np.array(self.heights.shape) - 1
         scaled = np.clip(scaled, 0.0, last)
@@ -133,7 +136,10 @@ def states(model: Any, count: int, flag: str) -> list[Any]:
 
 
 class Reference:
-    """One robot in MuJoCo; positions and velocities go in and come out in polypod's order of joints."""
+    """One robot in MuJoCo.
+
+    Positions and velocities go in and come out in polypod's order of joints.
+    """
 
     def __init__(
         self,

@@ -141,7 +141,10 @@ TASK = "velocity_flat_legged_play"
 
 
 def names(*, standing: bool = False) -> list[str]:
-    """The robots of the library; `standing`: but for those whose config says that they need a policy to stand."""
+    """The robots of the library.
+
+    `standing`: but for those whose config says that they need a policy to stand.
+    """
     return [entry["name"] for entry in _core.robots() if not (standing and entry["needs_policy"])]
 
 

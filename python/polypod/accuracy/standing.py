@@ -40,7 +40,9 @@ in a deep crouch, and fall over when they stand still on a slope of 20 degrees, 
 
 @dataclasses.dataclass(frozen=True)
 class Drop:
-    """Three seconds after a drop from 0.3 m, targets in the default pose; both simulators at the same step.
+    """Three seconds after a drop from 0.3 m, targets in the default pose.
+
+    Both simulators at the same step.
 
     Joints have no speed limits here. A landing drives legs into them, and the impulse of a rigid limit between rigid
     contacts depends on how stiff the contacts are. Step responses compare the limits. polypod at 5 ms is the robot of
@@ -132,7 +134,10 @@ class SlopeRest:
 
 
 def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
-    """Drops a robot on its own gains or on `gains` times these; its joints have no limits of speed."""
+    """Drops a robot on its own gains or on `gains` times these.
+
+    Its joints have no limits of speed.
+    """
     robot = robot.with_gains(gains).without_speed_limits()
     start = pose(robot, DROP_HEIGHT)
     dt = CONVERGED if gains < FIRM else FINE
@@ -192,7 +197,10 @@ def compare_standing(robot: Robot) -> Standing:
 
 
 def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
-    """Sets a robot with firm legs on a slope; `uphill` is the side of it that looks up: "front" or "left"."""
+    """Sets a robot with firm legs on a slope.
+
+    `uphill` is the side of it that looks up: "front" or "left".
+    """
     robot = robot.with_gains(FIRM)
     axis = np.array([0.0, -1.0, 0.0]) if uphill == "front" else np.array([1.0, 0.0, 0.0])
     normal = _rotate(axis, np.array([0.0, 0.0, 1.0]))

@@ -37,7 +37,10 @@ PUSH = 200.0
 
 @dataclasses.dataclass(frozen=True)
 class Errors:
-    """Relative errors, the worst of all states; the largest difference over the largest entry of MuJoCo's."""
+    """Relative errors, the worst of all states.
+
+    The largest difference over the largest entry of MuJoCo's.
+    """
 
     total_mass: float
     center_of_mass: float

@@ -137,7 +137,10 @@ def _without_pictures(spec: Any) -> None:
 
 
 def _without_ground(mj: Any, spec: Any, notes: list[str]) -> None:
-    """Lets planes stand for the height fields of the scene, whose files may be missing; they touch the same."""
+    """Lets planes stand for the height fields of the scene, whose files may be missing.
+
+    They touch the same.
+    """
     for geom in spec.geoms:
         if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
             geom.type, geom.hfieldname = mj.mjtGeom.mjGEOM_PLANE, ""

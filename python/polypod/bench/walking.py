@@ -89,7 +89,9 @@ def _walk(runner: Runner, seed: int, options: Options, began: float, progress: P
 
 
 def _point(robots: Sequence[Walking]) -> dict[str, Any]:
-    """A point of a curve: how many robots walk, and the worst figures; errors with standing still's of that robot.
+    """A point of a curve: how many robots walk, and the worst figures.
+
+    Errors with standing still's of that robot.
 
     A figure that no robot has is None.
     """

@@ -11,7 +11,9 @@ from polypod.commands.arguments import Count, Name, Overrides, RobotNames, arg, 
 
 @dataclasses.dataclass(frozen=True)
 class FilmOf:
-    """Film a policy without a display: a walk, a training, a push, or a comparison with MuJoCo; needs the extra play.
+    """Film a policy without a display: a walk, a training, a push, or a comparison with MuJoCo.
+
+    Needs the extra play.
 
     `polypod play --video` films what else there is, such as rough ground.
     """

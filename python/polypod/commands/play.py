@@ -19,7 +19,10 @@ from polypod.commands.arguments import (
 
 @dataclasses.dataclass(frozen=True)
 class Play:
-    """Watch a policy in the browser, record it, or film it without a display; needs the extra play."""
+    """Watch a policy in the browser, record it, or film it without a display.
+
+    Needs the extra play.
+    """
 
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of

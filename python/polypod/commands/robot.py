@@ -11,7 +11,10 @@ from polypod.commands.arguments import Feet, Locks, Name, PackageDirs, Roles, ar
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """Write a first config next to a URDF: `polypod robot new FILE.urdf`; `polypod add` also copies and compares it."""
+    """Write a first config next to a URDF: `polypod robot new FILE.urdf`.
+
+    `polypod add` also copies and compares it.
+    """
 
     action: Annotated[Literal["new"], tyro.conf.Positional]
     """new: find legs and arms and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""

@@ -10,7 +10,9 @@ from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, a
 
 @dataclasses.dataclass(frozen=True)
 class Sim2sim:
-    """Let the exported policy drive the same robots in MuJoCo and in polypod; needs the extras export and bench.
+    """Let the exported policy drive the same robots in MuJoCo and in polypod.
+
+    Needs the extras export and bench.
 
     Exit code 3 when a robot does not walk in MuJoCo, by the definition that eval judges by.
     """

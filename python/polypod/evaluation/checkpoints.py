@@ -15,7 +15,10 @@ from polypod.provenance import measured
 
 
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
-    """`evaluate` for a checkpoint or an ONNX file; task, robots and overrides come from its manifest unless given."""
+    """`evaluate` for a checkpoint or an ONNX file.
+
+    Task, robots and overrides come from its manifest unless given.
+    """
     from polypod.policy import load  # it builds on this package
 
     task = arguments.pop("task", None)

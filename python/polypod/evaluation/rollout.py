@@ -166,7 +166,10 @@ def evaluate(
 def _episode(
     sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None
 ) -> dict[str, measures.Array]:
-    """Sums over each env's first episode of what `measures.of_step` gives; `record` says and sees the commands."""
+    """Sums over each env's first episode of what `measures.of_step` gives.
+
+    `record` says and sees the commands.
+    """
     sums: dict[str, measures.Array] = {}
     running = np.ones(sim.num_envs, dtype=np.bool_)
     reset(policy)

@@ -436,7 +436,10 @@ def faults(walking: Walking, whole: bool = True) -> dict[str, str]:
 
 
 def why_not(walking: Walking) -> list[str]:
-    """The clauses of the definition that a robot does not meet, with their numbers; empty if it walks."""
+    """The clauses of the definition that a robot does not meet, with their numbers.
+
+    Empty if it walks.
+    """
     return list(faults(walking).values())
 
 

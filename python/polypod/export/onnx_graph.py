@@ -78,7 +78,10 @@ class Graph:
         self.constants += list(inner.initializer)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int], metadata: Mapping[str, str]) -> Any:
-        """The checked model; inputs and outputs are float32 [batch, size], and after them come the states."""
+        """The checked model.
+
+        Inputs and outputs are float32 [batch, size], and after them come the states.
+        """
         helper = self.onnx.helper
 
         def tensors(sizes: Mapping[str, int], memory: Mapping[str, Shape]) -> list[Any]:
@@ -180,7 +183,10 @@ class _History:
         self.after = [graph.node("Add", graph.node("Mul", flag, zero, output="history_none"), one, output="history_on")]
 
     def add(self, term: Term, newest: str) -> str:
-        """The whole of a term, the oldest numbers first; a new episode remembers its first numbers."""
+        """The whole of a term, the oldest numbers first.
+
+        A new episode remembers its first numbers.
+        """
         graph, name, past = self.graph, term.term, term.size - term.width
         remembered = self._columns(HISTORY, self.start, self.start + past, f"{name}_remembered")
         self.start += past
@@ -255,7 +261,10 @@ class _Operations:
 
 
 def _add_treatment(graph: Graph, treatment: Treatment, source: str, term: str) -> str:
-    """Adds the noise-free processing of a term, such as clipping and scaling; returns the name of the result."""
+    """Adds the noise-free processing of a term, such as clipping and scaling.
+
+    Returns the name of the result.
+    """
 
     def constant(name: str, value: float) -> str:
         return graph.constant(f"{term}_{name}", np.array(value, dtype=np.float32))
@@ -302,7 +311,10 @@ def _add_layers(graph: Graph, layers: Sequence[torch.nn.Module], source: str, ta
 
 
 def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
-    """Adds the recurrent layers, each fed with one step of a sequence; returns the name of the last one's output."""
+    """Adds the recurrent layers, each fed with one step of a sequence.
+
+    Returns the name of the last one's output.
+    """
     rnn: Any = network.rnn.rnn
     graph.states |= states.of_network(network)
     is_lstm = isinstance(rnn, torch.nn.LSTM)
@@ -343,7 +355,10 @@ def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
 
 
 def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target: str) -> None:
-    """Adds what `JointNetwork.forward` gives as means, for all slots; see there for what each step is for."""
+    """Adds what `JointNetwork.forward` gives as means, for all slots.
+
+    See there for what each step is for.
+    """
     slots, last, of_joints = network.num_joints, _index(graph, "last_axis", 2), _index(graph, "joint_axis", 1)
 
     def linear(layer: torch.nn.Linear, value: str, name: str) -> str:

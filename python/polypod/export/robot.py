@@ -88,7 +88,10 @@ class RobotInterface:
         return sum(term.size - term.width for term in self.terms if term.inputs)
 
     def states(self) -> dict[str, tuple[int, ...]]:
-        """States of the folded graph without the network's own states; see `polypod.export.states`."""
+        """States of the folded graph without the network's own states.
+
+        See `polypod.export.states`.
+        """
         return {"history_in": (1 + self.remembered(),)} if self.remembered() else {}
 
     def meaning(self, name: str) -> str:

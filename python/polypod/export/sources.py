@@ -90,6 +90,9 @@ def check(term: Term, given: Mapping[str, str]) -> None:
 
 
 def compute(do: Operations[Value], term: Term, inputs: Sequence[Value]) -> Value:
-    """The term before the task's treatment; `inputs` are the values of `term.inputs`, each [batch, n]."""
+    """The term before the task's treatment.
+
+    `inputs` are the values of `term.inputs`, each [batch, n].
+    """
     value: Value = _FORMULAS[term.source](do, term.term, *inputs)
     return value

@@ -39,7 +39,10 @@ def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:
 
 
 def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
-    """The deterministic policy of a checkpoint; arguments and errors are those of `load_network`."""
+    """The deterministic policy of a checkpoint.
+
+    Arguments and errors are those of `load_network`.
+    """
     return NetworkPolicy(load_network(checkpoint, model), model["num_obs"])
 
 

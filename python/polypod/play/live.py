@@ -254,7 +254,9 @@ class Live:
             raise _core.ConfigError(f"env {env}: the envs are 0 to {self.player.sim.num_envs - 1}")
 
     def _do(self, wait: bool) -> None:
-        """Does what was asked for until now; with `wait` at least one thing, or nothing for a short time.
+        """Does what was asked for until now.
+
+        With `wait` at least one thing, or nothing for a short time.
 
         The one place where actions of the page run: none of them ends the program.
         """

@@ -80,7 +80,10 @@ def of_shapes(outline: dict[str, Any], color: Color) -> list[Look]:
 
 
 def smooth(description: dict[str, Any]) -> Mesh:
-    """The mesh of a shape in its own frame, edges rounded; `description` as in `VecSim.robot_shapes`."""
+    """The mesh of a shape in its own frame, edges rounded.
+
+    `description` as in `VecSim.robot_shapes`.
+    """
     match description["shape"]:
         case "box":
             return rounded_box(description["size"])
@@ -154,7 +157,10 @@ def _quads(rows: int, columns: int) -> npt.NDArray[np.intp]:
 
 
 def _welded(points: Array, faces: npt.NDArray[np.intp]) -> Mesh:
-    """The mesh with each corner once, so that light varies smoothly; a face without area is left out."""
+    """The mesh with each corner once, so that light varies smoothly.
+
+    A face without area is left out.
+    """
     _, first, place = np.unique(np.round(points, 7), axis=0, return_index=True, return_inverse=True)
     faces = place.reshape(-1)[faces]
     triangles = np.concatenate([faces[:, [0, 1, 2, 2]], faces[:, [0, 2, 3, 3]]])

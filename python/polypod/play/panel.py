@@ -193,7 +193,10 @@ class Panel:
         return [OWN_TASK, *([given] if given is not None and given not in tasks else []), *tasks]
 
     def _robots(self) -> list[str]:
-        """Names of the policy's robots, then of robots that it may not know; the page then says so."""
+        """Names of the policy's robots, then of robots that it may not know.
+
+        The page then says so.
+        """
         own = list(self.live.player.policy_robots)
         choice = self.live.choice
         if choice is not None and choice.robot is not None and choice.robot not in own:

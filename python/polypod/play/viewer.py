@@ -282,7 +282,10 @@ class Viewer:
         self._world.position = -self._target
 
     def _opening(self) -> tuple[Array, Array]:
-        """Position and target of a camera that sees what is followed, m; the target is at the origin."""
+        """Position and target of a camera that sees what is followed, m.
+
+        The target is at the origin.
+        """
         if isinstance(self.followed, int):
             reach = self.player.reach[self._shown.robots[min(self.followed, len(self._shown.robots) - 1)].name]
             direction, radius = np.array([0.72, 0.58, 0.42]), 2.0 * reach

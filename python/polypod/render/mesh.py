@@ -72,7 +72,10 @@ def rotation(quaternion: npt.ArrayLike) -> Array:
 
 
 def shape(description: Mapping[str, Any]) -> Mesh:
-    """The mesh of a shape in its own frame; `description` as in `VecSim.robot_shapes` or a task's obstacles."""
+    """The mesh of a shape in its own frame.
+
+    `description` as in `VecSim.robot_shapes` or a task's obstacles.
+    """
     match description["shape"]:
         case "sphere":
             return _turned(_arc(description["radius"], -90.0, 90.0))

@@ -37,7 +37,10 @@ class Body:
 
 
 def bodies(sim: _core.VecSim, sources: Iterable[str]) -> dict[str, Body]:
-    """The robots of a simulation by name, in its order; `sources` are what they were made from, in the same order."""
+    """The robots of a simulation by name, in its order.
+
+    `sources` are what they were made from, in the same order.
+    """
     infos, configs = json.loads(sim.robot_info()), tomllib.loads(sim.resolved_config())["robots"]
     ranges = sim.command_ranges()
     return {

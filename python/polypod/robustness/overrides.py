@@ -16,7 +16,10 @@ def nothing(body: Body) -> list[str]:
 
 
 def friction(coefficient: float) -> Overrides:
-    """Friction at rest of every robot on the ground of a coefficient of 1; sliding, `SLIDING` of it."""
+    """Friction at rest of every robot on the ground of a coefficient of 1.
+
+    Sliding, `SLIDING` of it.
+    """
     return lambda body: [
         f"robot_material.static_friction={coefficient}",
         f"robot_material.dynamic_friction={SLIDING * coefficient:.6g}",

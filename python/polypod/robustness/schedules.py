@@ -105,6 +105,9 @@ class Pushes:
 
 
 def description_factors(num_envs: int, size: int, error: float, seed: int) -> npt.NDArray[np.float32]:
-    """[envs, size], factors of the numbers that describe one robot; an env's depend on the seed and its index alone."""
+    """[envs, size], factors of the numbers that describe one robot.
+
+    An env's depend on the seed and its index alone.
+    """
     rows = [np.random.default_rng((seed, env, 2)).uniform(1.0 - error, 1.0 + error, size) for env in range(num_envs)]
     return np.array(rows, dtype=np.float32).reshape(num_envs, size)

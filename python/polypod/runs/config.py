@@ -170,7 +170,10 @@ def _bases(extends: Any, name: str) -> list[str]:
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any], name: str) -> dict[str, Any]:
-    """Tables are merged; a table in the place of an array changes elements by their numbers; all else is replaced."""
+    """Tables are merged; a table in the place of an array changes elements by their numbers.
+
+    All else is replaced.
+    """
     merged = dict(base)
     for key, value in over.items():
         inner = merged.get(key)
@@ -230,7 +233,10 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
 
 
 def _named(expected: Any) -> str:
-    """A type in words; a value that may be left out is of the types that it has where it is given."""
+    """A type in words.
+
+    A value that may be left out is of the types that it has where it is given.
+    """
     if isinstance(expected, types.UnionType):
         return " or ".join(_named(some) for some in get_args(expected) if some is not type(None))
     return str(getattr(expected, "__name__", expected))

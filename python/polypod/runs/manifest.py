@@ -192,7 +192,10 @@ def export_sums(path: Path) -> dict[str, str]:
 
 
 def check_size(layers: list[int], where: str) -> None:
-    """Raises ConfigError for layers that have more weights between them than `MAX_WEIGHTS`; `where` names them."""
+    """Raises ConfigError for layers that have more weights between them than `MAX_WEIGHTS`.
+
+    `where` names them.
+    """
     weights = sum(above * below for above, below in itertools.pairwise(layers))
     if weights > MAX_WEIGHTS:
         raise _core.ConfigError(

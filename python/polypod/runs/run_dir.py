@@ -120,7 +120,10 @@ def _runs(log_dir: Path) -> list[Path]:
 
 
 def _matching(runs: Sequence[Path], run: str) -> list[Path]:
-    """The run of this name; where there is none, those with this --run-name; else those whose names end so."""
+    """The run of this name; where there is none, those with this --run-name.
+
+    Else those whose names end so.
+    """
     ways: tuple[Callable[[Path], bool], ...] = (
         lambda directory: directory.name == run,
         lambda directory: _run_name(directory) == run,
@@ -182,7 +185,10 @@ def read_checkpoint(path: Path) -> bytes:
 
 
 def checkpoint_of(data: bytes, path: Path, map_location: str | torch.device = "cpu") -> dict[str, Any]:
-    """The checkpoint that bytes are; `path` names them in errors. Raises ConfigError like `load_checkpoint`."""
+    """The checkpoint that bytes are.
+
+    `path` names them in errors. Raises ConfigError like `load_checkpoint`.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if (broken := archive.testzip()) is not None:
@@ -344,7 +350,10 @@ def write_params(
     terms: PythonTerms | None = None,
     slots: Sequence[str] = (),
 ) -> None:
-    """Writes the manifest and `params/`; `robots` are the names or paths that the run was begun with."""
+    """Writes the manifest and `params/`.
+
+    `robots` are the names or paths that the run was begun with.
+    """
     write_text(run / "params" / "env.toml", sim.resolved_config())
     write_text(run / "params" / "agent.toml", tomli_w.dumps(config.as_dict()))
     manifest = manifest_of(sim, config, robots, overrides, command)

@@ -310,7 +310,10 @@ class TrainConfig:
         }
 
     def rsl_rl_cfg(self, sim: _core.VecSim | None = None) -> dict[str, Any]:
-        """The configuration that rsl_rl's runner reads; arguments and errors are those of `CriticConfig.model_cfg`."""
+        """The configuration that rsl_rl's runner reads.
+
+        Arguments and errors are those of `CriticConfig.model_cfg`.
+        """
         algorithm = dataclasses.asdict(self.algorithm)
         algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
         if self.distillation is not None:

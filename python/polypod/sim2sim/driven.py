@@ -153,7 +153,10 @@ class Driven:
             self._read(env)
 
     def step(self, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
-        """One control step towards `commands` [envs, 3]; envs that are not `active` are left alone."""
+        """One control step towards `commands` [envs, 3].
+
+        Envs that are not `active` are left alone.
+        """
         given = self.sensors() | {"velocity_commands": commands}
         if unknown := [name for name in self.policy.inputs if name not in given]:
             raise _core.ConfigError(

@@ -364,7 +364,10 @@ class Model:
                 model.actuator_forcerange[own] = [low, high]
 
     def effort_ranges(self) -> Array:
-        """[joints, 2], least and most force of the model's own actuators; infinite without limits."""
+        """[joints, 2], least and most force of the model's own actuators.
+
+        Infinite without limits.
+        """
         model = self.model
         ranges = np.tile([-np.inf, np.inf], (len(self.joints), 1))
         limited = model.actuator_forcelimited[self.actuators].astype(bool)

@@ -465,7 +465,10 @@ class _Matcher:
 
 
 def named(ours: Sequence[str], theirs: Sequence[str]) -> dict[int, int]:
-    """Joints that have the same name, but for case, punctuation and the word joint; only where that is unique."""
+    """Joints that have the same name, but for case, punctuation and the word joint.
+
+    Only where that is unique.
+    """
 
     def plain(name: str) -> str:
         return re.sub(r"[^a-z0-9]|joint", "", name.lower())

@@ -365,7 +365,10 @@ class Stage:
         return started(model, self.robot, *self.episode.start[self.name])
 
     def maker_of(self, model: Model, policy: FoldedPolicy | None = None, late: int = 0) -> Maker:
-        """The model with the policy, before its first reset; `late` physics steps are added to its delays."""
+        """The model with the policy, before its first reset.
+
+        `late` physics steps are added to its delays.
+        """
         ends = self.episode.ends(self.name, self.interface)
         outlines = self.episode.outlines[self.name]["bodies"]
         return made(model, self.episode, self.robot, self.interface, ends, outlines, policy or self.policy(), late)

@@ -147,7 +147,10 @@ class PhaseRecord:
         saturated: Array | None = None,
         watched: Array | None = None,
     ) -> None:
-        """Adds a control step; the last two are counts of its physics steps, [envs, joints] and [envs]."""
+        """Adds a control step.
+
+        The last two are counts of its physics steps, [envs, joints] and [envs].
+        """
         segment, since = divmod(self._step, self._plan.steps_per_segment)
         phase = segment % len(self._phases)
         command = np.array(self._phases[phase].command)

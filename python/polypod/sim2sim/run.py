@@ -103,7 +103,10 @@ class RobotComparison:
 
     @property
     def why_not(self) -> list[str]:
-        """Criteria of walking that the robot misses in MuJoCo, with numbers; empty if it transfers."""
+        """Criteria of walking that the robot misses in MuJoCo, with numbers.
+
+        Empty if it transfers.
+        """
         found = self.mujoco.walking
         return ["not measured"] if found is None else list(walking.faults(found, self.is_whole).values())
 
@@ -406,7 +409,10 @@ def columns_of(sim: _core.VecSim, source: str) -> tuple[slice, int]:
 def twin_of(
     episode: Episode, name: str, source: str, interface: RobotInterface, policy: FoldedPolicy, late: int = 0
 ) -> Twin:
-    """One robot of an episode in MuJoCo, before its first reset; `late` physics steps are added to its delays."""
+    """One robot of an episode in MuJoCo, before its first reset.
+
+    `late` physics steps are added to its delays.
+    """
     robot = accuracy_robot.of(episode.sim, name, source)
     ends = episode.ends(name, interface)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]

@@ -24,7 +24,9 @@ class Curves:
     """
 
     def __init__(self, folder: Path, purge_step: int | None, warn: Callable[[str], None]) -> None:
-        """Begins a file in `folder`; records of `purge_step` and later in older files are dropped by readers.
+        """Begins a file in `folder`.
+
+        Records of `purge_step` and later in older files are dropped by readers.
 
         `warn` is told when the disk takes nothing, once until it does again.
         """

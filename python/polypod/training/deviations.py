@@ -11,7 +11,10 @@ import torch
 
 
 def limit(distribution: Any) -> None:
-    """Moves the learnt deviations of a distribution into the range that it acts with; nothing waits for a GPU."""
+    """Moves the learnt deviations of a distribution into the range that it acts with.
+
+    Nothing waits for a GPU.
+    """
     if (learnt := _learnt(distribution)) is not None:
         parameter, low, high = learnt
         with torch.no_grad():

@@ -96,7 +96,10 @@ class UntilWalks:
             self._meter.resume()
 
     def ends(self, runner: Runner, is_last: bool) -> bool:
-        """Measures the training if it is time to; returns whether it has reached its goal or its deadline."""
+        """Measures the training if it is time to.
+
+        Returns whether it has reached its goal or its deadline.
+        """
         iterations = runner.current_learning_iteration
         is_late = self._deadline is not None and time.monotonic() >= self._deadline
         if iterations % self.every and not is_late and not is_last:

@@ -222,7 +222,10 @@ class Update:
         return chosen, torch.where(is_image, both_actions[n:], both_actions[:n]), ~is_image.squeeze(1)
 
     def _backward(self, sizes: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradients of a mini-batch; returns its losses [3] and divergence [2]: what this worker has of them."""
+        """Gradients of a mini-batch.
+
+        Returns its losses [3] and divergence [2]: what this worker has of them.
+        """
         samples, algorithm = self._samples, self._algorithm
         actor, critic = self._networks
         n, clip = sizes[self._workers.index], algorithm.clip_param
@@ -293,7 +296,10 @@ class Update:
         self._advantage_moments.copy_(torch.stack([mean, squares.sqrt()]))
 
     def _normalized(self, advantages: torch.Tensor, n: int) -> torch.Tensor:
-        """Advantages of mean 0 and deviation 1 over the mini-batch; its first `n` rows are this worker's samples."""
+        """Advantages of mean 0 and deviation 1 over the mini-batch.
+
+        Its first `n` rows are this worker's samples.
+        """
         if self._workers.count == 1:
             of_samples = advantages[:n]
             return (advantages - of_samples.mean()) / (of_samples.std() + 1e-8)
@@ -301,7 +307,10 @@ class Update:
         return ((advantages - mean) / (deviation + 1e-8)).float()
 
     def _divergence(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
-        """[2]: divergence from the policy that collected the samples, summed over true samples; their number."""
+        """[2]: divergence from the policy that collected the samples, summed over true samples.
+
+        Their number.
+        """
         n, numbers = len(index), self._samples.numbers
         means = numbers["means"][index]
         std = numbers["deviations"][index] if "deviations" in numbers else self._old_std.expand_as(means)

@@ -114,7 +114,10 @@ def absolute(options: session.Options) -> session.Options:
 
 
 def _new_run(options: session.Options) -> tuple[Path, int]:
-    """Makes the directory of a new run whose options are in order; returns it and its iterations."""
+    """Makes the directory of a new run whose options are in order.
+
+    Returns it and its iterations.
+    """
     plan = session.new_plan(options)
     task = plan.config.run.task
     env = make(task, robots=plan.robots, seed=plan.seed, threads=1, overrides=plan.overrides)

@@ -57,7 +57,10 @@ class Reporter:
         self._progress = None
 
     def iteration(self, figures: Iteration) -> None:
-        """Shows one finished iteration; elsewhere than on a terminal, the first, the last and one each 10 s."""
+        """Shows one finished iteration.
+
+        Elsewhere than on a terminal, the first, the last and one each 10 s.
+        """
         now = time.monotonic()
         done = figures.done - self._start
         left = timedelta(seconds=round((now - self._started) / done * (figures.total - figures.done)))

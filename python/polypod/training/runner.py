@@ -201,7 +201,9 @@ class Runner(OnPolicyRunner):
         return self.stopped_by is not None
 
     def try_to_save(self, path: Path, last: bool = False) -> None:
-        """Writes a checkpoint; where the disk does not take it, says so and goes on, but for the last one.
+        """Writes a checkpoint.
+
+        Where the disk does not take it, says so and goes on, but for the last one.
 
         Raises:
             ConfigError: where the last one cannot be written, or the run's directory is gone.
@@ -497,7 +499,10 @@ class Runner(OnPolicyRunner):
 
     @contextlib.contextmanager
     def _stop_on_signals(self) -> Iterator[None]:
-        """Lets `STOP_SIGNALS` end the training after the iteration under way; a second one ends it at once."""
+        """Lets `STOP_SIGNALS` end the training after the iteration under way.
+
+        A second one ends it at once.
+        """
         begin = 0.0
 
         def stop(number: int, frame: FrameType | None) -> None:

@@ -98,7 +98,9 @@ class Plan:
 
 
 def train(options: Options) -> int:
-    """Trains, saves, evaluates; returns the exit code: 0, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
+    """Trains, saves, evaluates.
+
+    Returns the exit code: 0, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
 
     With `until_walks` it is 3 where not all robots walk.
 

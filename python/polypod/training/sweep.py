@@ -186,7 +186,10 @@ def run(sweep: Sweep, reporter: Reporter) -> int:
 
 
 def train(trial: Trial, watch: Any = None) -> int | None:
-    """Trains what is left of a trial, and evaluates it; returns the signal that stopped it, if one did."""
+    """Trains what is left of a trial, and evaluates it.
+
+    Returns the signal that stopped it, if one did.
+    """
     trial.run.mkdir(parents=True, exist_ok=True)
     options = session.next_options(trial.options, trial.run, trial.iterations)
     if options is not None:

@@ -143,7 +143,10 @@ class Workers:
         return all_of_them
 
     def exchange(self, mine: _Bytes) -> _Bytes:
-        """The pieces of all workers for this one, in their order; `mine` has a piece of one length for each of them."""
+        """The pieces of all workers for this one, in their order.
+
+        `mine` has a piece of one length for each of them.
+        """
         if self.count == 1:
             return mine
         self.sent += mine.size // self.count * (self.count - 1)
@@ -341,7 +344,10 @@ def threads_of(workers: Workers, threads: int | None) -> int | None:
 
 
 def slow_workers(times: Sequence[tuple[float, float]]) -> list[int]:
-    """The workers that keep the others waiting; `times` are the seconds that each worked and waited."""
+    """The workers that keep the others waiting.
+
+    `times` are the seconds that each worked and waited.
+    """
     median = sorted(worked for worked, _ in times)[(len(times) - 1) // 2]
     return [index for index, (worked, _) in enumerate(times) if worked > SLOW * median]
 
